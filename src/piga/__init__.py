@@ -1,0 +1,122 @@
+r"""piga: Precision Inertial Gimballed-instrument Analysis.
+
+Calibrate and compensate pendulous integrating gyro accelerometers (PIGA) and analyse the
+gimballed platform that carries them. This page states the conventions; all other docstrings
+lean on it.
+
+Frames
+------
+Base frame ``X0 Y0 Z0``
+    right-handed, fixed to the instrument case. ``X0`` is the input axis and outer-gimbal axis.
+Outer-gimbal frame ``X1 Y1 Z1``
+    ``X1 = X0``, ``Y1 = cos(alpha) Y0 + sin(alpha) Z0``, ``Z1 = -sin(alpha) Y0 + cos(alpha) Z0``.
+    ``Y1`` is the inner-gimbal (pendulum) axis.
+Rotor axis ``z``
+    ``z = sin(beta) X1 + cos(beta) Z1``.
+
+Symbols (SI inside; units exist only at the edges: files, command line, reports)
+-------
+``alpha`` [rad]
+    outer-gimbal angle about ``X0``, positive from ``Y0`` towards ``Z0``; the output; unwrapped.
+``psi`` [rad]
+    output angle as read, ``alpha = psi + phi``; its zero is arbitrary.
+``phi`` [rad]
+    phase of the output zero; one per power-up.
+``beta`` [rad]
+    non-orthogonality of rotor axis and outer-gimbal axis; enters as ``tan_beta``.
+``H``, ``ml``, ``K = ml/H``
+    rotor angular momentum [kg m^2/s], pendulosity [kg m], scale factor [(rad/s)/(m/s^2)].
+``f = (a_x, a_Y, a_Z)`` [m/s^2]
+    specific force of the base in base axes. At rest it points up.
+``a_t, gamma``
+    transverse specific force: ``a_Y = a_t cos(gamma)``, ``a_Z = a_t sin(gamma)``.
+``Omega`` [rad/s]
+    inertial angular rate of the base in base axes; ``u = K f - Omega``.
+``g``
+    the unit: exactly 9.80665 m/s^2.
+
+The model
+---------
+.. math::
+
+   \alpha' = u_x + \tan\beta\,(u_Y \sin\alpha - u_Z \cos\alpha), \qquad u = K f - \Omega
+
+Specific force samples are linear between sample times; increments are exact. Numbers handed to
+the library are SI; text such as ``"0.8884 rad/s/g"`` carries its unit.
+
+A first look
+------------
+>>> import piga
+>>> inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec")
+>>> piga.regime(inst, a_x=0.0981, a_Y=49.03325, a_Z=0.0)
+'locked'
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from piga._version import __version__
+from piga.errors import (
+    ArgumentError,
+    CalibrationError,
+    DataError,
+    IdentifiabilityError,
+    PigaError,
+    PigaWarning,
+    RunFileError,
+    UnitError,
+)
+
+if TYPE_CHECKING:
+    from piga.calibration import calibrate
+    from piga.compensation import Compensated, compensate
+    from piga.instrument import Instrument, closed_form, propagate, regime
+    from piga.records import Calibration, Run, read_run
+
+_LAZY = {
+    "Instrument": "piga.instrument",
+    "closed_form": "piga.instrument",
+    "propagate": "piga.instrument",
+    "regime": "piga.instrument",
+    "Run": "piga.records",
+    "read_run": "piga.records",
+    "Calibration": "piga.records",
+    "calibrate": "piga.calibration",
+    "compensate": "piga.compensation",
+    "Compensated": "piga.compensation",
+}
+
+__all__ = [
+    "ArgumentError",
+    "Calibration",
+    "CalibrationError",
+    "Compensated",
+    "DataError",
+    "IdentifiabilityError",
+    "Instrument",
+    "PigaError",
+    "PigaWarning",
+    "Run",
+    "RunFileError",
+    "UnitError",
+    "__version__",
+    "calibrate",
+    "closed_form",
+    "compensate",
+    "propagate",
+    "read_run",
+    "regime",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its room on first use: ``import piga`` itself stays light."""
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'piga' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,1 @@
+"""From a run and a calibration record to specific force and velocity increments."""

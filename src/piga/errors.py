@@ -1,0 +1,52 @@
+"""Errors and warnings that users of piga see.
+
+Every error message names what was wrong, where (file, row, column, argument) and how to go on.
+The command line turns a :class:`PigaError` into one message on stderr and exit code 2.
+"""
+
+from __future__ import annotations
+
+
+class PigaError(Exception):
+    """Base of all errors caused by input that piga cannot use.
+
+    Parameters
+    ----------
+    message:
+        What is wrong, with file, row, column or argument, and the value met.
+    remedy:
+        What the user can do about it; appended to the message.
+    """
+
+    def __init__(self, message: str, *, remedy: str | None = None) -> None:
+        self.message = message
+        self.remedy = remedy
+        super().__init__(message if remedy is None else f"{message}\n  remedy: {remedy}")
+
+
+class UnitError(PigaError):
+    """A quantity has no unit, an unknown unit, or a unit of the wrong dimension."""
+
+
+class ArgumentError(PigaError):
+    """An argument of a library call has the wrong shape, type or range."""
+
+
+class RunFileError(PigaError):
+    """A run, scenario or plan file (TOML) is not valid."""
+
+
+class DataError(PigaError):
+    """A data file cannot be read as the run file says."""
+
+
+class IdentifiabilityError(PigaError):
+    """The record cannot tell the requested coefficients apart."""
+
+
+class CalibrationError(PigaError):
+    """A calibration cannot be computed, read or applied."""
+
+
+class PigaWarning(UserWarning):
+    """Something was repaired, left out or assumed; the result says so too."""

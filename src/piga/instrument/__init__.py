@@ -1,0 +1,1 @@
+"""The PIGA: parameters, exact motion, closed forms, regimes, the servo-loop twin, its readout."""

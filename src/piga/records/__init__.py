@@ -1,0 +1,1 @@
+"""Plain data in and out: run files, runs, calibration records."""

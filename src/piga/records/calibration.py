@@ -1,0 +1,136 @@
+"""The calibration record: what calibration writes and compensation reads. Data only.
+
+JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SCHEMA = "piga.calibration/1"
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json)."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    segment: str | None = None
+
+    @property
+    def key(self) -> str:
+        """``name`` or ``name[segment]``: the name used in the covariance."""
+        return self.name if self.segment is None else f"{self.name}[{self.segment}]"
+
+
+@dataclass(frozen=True)
+class Event:
+    """One kind of finding in the data: what, how often, first data row (1-based), detail in words."""
+
+    kind: str
+    count: int
+    first_row: int | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Rows read, used and masked, and everything that was found or repaired on the way."""
+
+    rows: int
+    used: int
+    masked: int
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True)
+class SegmentSummary:
+    """Residual figures of one segment: rows, duration [s], mean a_x [m/s^2], turns [rev], rms [rad]."""
+
+    label: str
+    rows: int
+    duration: float
+    mean_a_x: float
+    turns: float
+    rms: float
+    rms_before: float
+    max_after: float
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residual angle per used sample (not stored in the JSON; ``residuals.parquet`` holds it).
+
+    ``row`` is the 1-based data row, ``t`` [s], ``psi`` [rad] the output angle, ``before`` [rad] the
+    angle less the nominal uncoupled model, ``after`` [rad] less the fitted model, ``innovation`` [1]
+    the whitened residual (unit variance, white, when the model and noise levels are right),
+    ``coupling_before``/``coupling_after`` [m/s^2] equivalent specific force of the residual per sample,
+    ``segment`` the segment index of each sample.
+    """
+
+    row: NDArray[np.int64]
+    t: Array
+    psi: Array
+    a_x: Array
+    before: Array
+    after: Array
+    innovation: Array
+    segment: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the numbers come from."""
+
+    input_sha256: dict[str, str]
+    software: str
+    created: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
+
+    Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
+    """
+
+    serial: str
+    scale_factor_nominal: float
+    terms: tuple[str, ...]
+    phase: str
+    phase_source: str
+    method: str
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    degrees_of_freedom: float
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: Quality
+    condition: float
+    notes: tuple[str, ...]
+    budget: tuple[dict[str, Any], ...]
+    diagnostics: dict[str, Any]
+    segments: tuple[SegmentSummary, ...]
+    provenance: Provenance
+    residuals: Residuals | None = None
+    history: dict[str, Array] | None = None
+
+    def __getitem__(self, key: str) -> Coefficient:
+        for coefficient in self.coefficients:
+            if coefficient.key == key or (coefficient.segment is None and coefficient.name == key):
+                return coefficient
+        raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")

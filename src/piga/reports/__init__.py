@@ -1,0 +1,1 @@
+"""Readers of results: figures as data, tables, self-contained pages."""

@@ -1,0 +1,1 @@
+"""The space-stable platform with case rotation: simulate, align, identify, navigate, analyse."""

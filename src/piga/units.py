@@ -1,0 +1,263 @@
+"""Units at the edges: text such as ``"0.8884 rad/s/g"`` to SI floats and back.
+
+Inside the package every number is SI (metre, second, radian, kilogram, kelvin). The unit ``g`` is
+exactly 9.80665 m/s^2 wherever it stands. Angle counts as a dimension of its own, so that a time
+given in degrees, or an angle given in ppm, is refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+from piga.errors import UnitError
+
+G0 = 9.80665
+"""Standard gravity [m/s^2], exact by definition: the unit ``g``."""
+
+ARCSEC = math.pi / 648000.0
+"""One second of arc [rad]."""
+
+_BASE = ("m", "s", "rad", "kg", "K", "V", "count")
+_DIMENSIONLESS = (0.0,) * len(_BASE)
+
+
+def _dim(**powers: float) -> tuple[float, ...]:
+    return tuple(float(powers.get(base, 0.0)) for base in _BASE)
+
+
+_LENGTH, _TIME, _ANGLE, _MASS, _KELVIN = _dim(m=1), _dim(s=1), _dim(rad=1), _dim(kg=1), _dim(K=1)
+_ACCEL, _FORCE, _TORQUE = _dim(m=1, s=-2), _dim(m=1, s=-2, kg=1), _dim(m=2, s=-2, kg=1)
+
+_ATOMS: dict[str, tuple[float, tuple[float, ...]]] = {
+    "1": (1.0, _DIMENSIONLESS),
+    "%": (1e-2, _DIMENSIONLESS),
+    "ppm": (1e-6, _DIMENSIONLESS),
+    "ppb": (1e-9, _DIMENSIONLESS),
+    "m": (1.0, _LENGTH),
+    "km": (1e3, _LENGTH),
+    "cm": (1e-2, _LENGTH),
+    "mm": (1e-3, _LENGTH),
+    "um": (1e-6, _LENGTH),
+    "nm": (1e-9, _LENGTH),
+    "s": (1.0, _TIME),
+    "sec": (1.0, _TIME),
+    "ms": (1e-3, _TIME),
+    "us": (1e-6, _TIME),
+    "ns": (1e-9, _TIME),
+    "min": (60.0, _TIME),
+    "h": (3600.0, _TIME),
+    "hr": (3600.0, _TIME),
+    "d": (86400.0, _TIME),
+    "day": (86400.0, _TIME),
+    "year": (31557600.0, _TIME),
+    "Hz": (1.0, _dim(s=-1)),
+    "kHz": (1e3, _dim(s=-1)),
+    "MHz": (1e6, _dim(s=-1)),
+    "rad": (1.0, _ANGLE),
+    "mrad": (1e-3, _ANGLE),
+    "urad": (1e-6, _ANGLE),
+    "nrad": (1e-9, _ANGLE),
+    "deg": (math.pi / 180.0, _ANGLE),
+    "arcmin": (math.pi / 10800.0, _ANGLE),
+    "arcsec": (ARCSEC, _ANGLE),
+    "mas": (ARCSEC * 1e-3, _ANGLE),
+    "rev": (2.0 * math.pi, _ANGLE),
+    "rpm": (2.0 * math.pi / 60.0, _dim(rad=1, s=-1)),
+    "g": (G0, _ACCEL),
+    "mg": (G0 * 1e-3, _ACCEL),
+    "ug": (G0 * 1e-6, _ACCEL),
+    "ng": (G0 * 1e-9, _ACCEL),
+    "mGal": (1e-5, _ACCEL),
+    "uGal": (1e-8, _ACCEL),
+    "kg": (1.0, _MASS),
+    "gram": (1e-3, _MASS),
+    "N": (1.0, _FORCE),
+    "mN": (1e-3, _FORCE),
+    "Nm": (1.0, _TORQUE),
+    "mNm": (1e-3, _TORQUE),
+    "uNm": (1e-6, _TORQUE),
+    "K": (1.0, _KELVIN),
+    "degC": (1.0, _KELVIN),
+    "V": (1.0, _dim(V=1)),
+    "mV": (1e-3, _dim(V=1)),
+    "count": (1.0, _dim(count=1)),
+    "counts": (1.0, _dim(count=1)),
+}
+_ALIASES = {
+    "°": "deg", "′": "arcmin", "″": "arcsec", "µg": "ug", "μg": "ug", "µrad": "urad", "μrad": "urad",
+    "µs": "us", "μs": "us", "micro-g": "ug", "°C": "degC", "℃": "degC", "kelvin": "K",
+    "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "days": "d", "second": "s",
+    "seconds": "s", "degree": "deg", "degrees": "deg", "turn": "rev", "turns": "rev", "r": "rev",
+    "dph": "deg/h", "m/s²": "m/s^2", "N·m": "Nm", "N*m": "Nm", "N m": "Nm",
+}  # fmt: skip
+_TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?\d+(?:\.\d+)?)")
+_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A parsed unit: SI value of one unit, and powers of (m, s, rad, kg, K, V, count)."""
+
+    text: str
+    factor: float
+    dimension: tuple[float, ...]
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class _UnitParser:
+    """Recursive descent over ``term (('*'|'/') term)*`` with ``^power`` and ``sqrt(...)``."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.tokens: list[str] = []
+        position = 0
+        while position < len(text.rstrip()):
+            match = _TOKEN.match(text, position)
+            if match is None:
+                raise UnitError(f"unit '{text}' cannot be read at '{text[position:].strip()}'")
+            self.tokens.append(match.group(1))
+            position = match.end()
+        self.at = 0
+
+    def peek(self) -> str:
+        return self.tokens[self.at] if self.at < len(self.tokens) else ""
+
+    def take(self) -> str:
+        token = self.peek()
+        self.at += 1
+        return token
+
+    def expression(self) -> tuple[float, tuple[float, ...]]:
+        factor, dimension = self.power()
+        while self.peek() and self.peek() != ")":
+            operator = self.take() if self.peek() in "*/·" else "*"
+            next_factor, next_dimension = self.power()
+            sign = -1.0 if operator == "/" else 1.0
+            factor *= next_factor**sign
+            dimension = tuple(a + sign * b for a, b in zip(dimension, next_dimension, strict=True))
+        return factor, dimension
+
+    def power(self) -> tuple[float, tuple[float, ...]]:
+        factor, dimension = self.atom()
+        if self.peek() == "^":
+            self.take()
+            try:
+                exponent = float(self.take())
+            except ValueError:
+                raise UnitError(f"unit '{self.text}': a number must follow '^'") from None
+            factor, dimension = factor**exponent, tuple(exponent * d for d in dimension)
+        return factor, dimension
+
+    def atom(self) -> tuple[float, tuple[float, ...]]:
+        token = self.take()
+        if token == "sqrt" or token == "(":
+            if token == "sqrt" and self.take() != "(":
+                raise UnitError(f"unit '{self.text}': 'sqrt' needs parentheses")
+            factor, dimension = self.expression()
+            if self.take() != ")":
+                raise UnitError(f"unit '{self.text}': a parenthesis is not closed")
+            if token == "sqrt":
+                return math.sqrt(factor), tuple(d / 2 for d in dimension)
+            return factor, dimension
+        token = _ALIASES.get(token, token)
+        if token not in _ATOMS:
+            raise UnitError(
+                f"unknown unit '{token}' in '{self.text}'" if token else f"unit '{self.text}' is incomplete",
+                remedy=f"known units: {' '.join(_ATOMS)}; combine with * / ^ sqrt()",
+            )
+        return _ATOMS[token]
+
+
+@lru_cache(maxsize=512)
+def parse_unit(text: str) -> Unit:
+    """Parse a unit such as ``rad/s/g``, ``g/g^2`` or ``rad/sqrt(s)``.
+
+    Raises
+    ------
+    UnitError
+        If the text is empty or holds an unknown unit.
+    """
+    stripped = _ALIASES.get(text.strip(), text.strip())
+    if not stripped:
+        raise UnitError("a unit is missing", remedy="write the unit, e.g. 'rad/s', or '1' for a plain number")
+    parser = _UnitParser(stripped)
+    factor, dimension = parser.expression()
+    if parser.at < len(parser.tokens):
+        raise UnitError(f"unit '{text}' cannot be read at '{parser.peek()}'")
+    return Unit(stripped, factor, dimension)
+
+
+def conversion_factor(unit: str, to: str, *, what: str = "quantity") -> float:
+    """Factor that turns a number in ``unit`` into a number in ``to``.
+
+    Raises
+    ------
+    UnitError
+        If the two units do not measure the same kind of quantity; the message names ``what``.
+    """
+    source, target = parse_unit(unit), parse_unit(to)
+    if source.dimension != target.dimension:
+        raise UnitError(
+            f"{what}: unit '{unit}' does not measure the same quantity as '{to}'",
+            remedy=f"give it in '{to}' or a multiple of it",
+        )
+    return source.factor / target.factor
+
+
+def offset_to_si(unit: str) -> float:
+    """Offset [K] to add after scaling: 273.15 for ``degC``, otherwise 0."""
+    return 273.15 if parse_unit(unit).text == "degC" else 0.0
+
+
+def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
+    """SI value of a quantity written by a person.
+
+    Parameters
+    ----------
+    value:
+        ``"1000 arcsec"``; or a plain number, which is taken as SI.
+    like:
+        A unit of the kind of quantity expected, e.g. ``"rad"`` or ``"rad/s/g"``.
+    what:
+        Name of the quantity for messages, e.g. ``"[instrument] scale_factor"``.
+
+    Raises
+    ------
+    UnitError
+        If the text has no number, no unit, or a unit of another kind; or the number is not finite.
+    """
+    expected = parse_unit(like)
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise UnitError(f"{what}: expected a quantity such as '1 {like}', got {value!r}")
+    if not isinstance(value, str):
+        if not math.isfinite(value):
+            raise UnitError(f"{what}: {value!r} is not a finite number")
+        return float(value)
+    match = _QUANTITY.match(value)
+    if match is None:
+        raise UnitError(f"{what}: '{value}' is not a number with a unit", remedy=f"write e.g. '1 {like}'")
+    number, unit_text = float(match.group(1)), match.group(2)
+    if not unit_text:
+        if expected.dimension == _DIMENSIONLESS:
+            return number
+        raise UnitError(f"{what}: '{value}' has no unit", remedy=f"write e.g. '{match.group(1)} {like}'")
+    unit = parse_unit(unit_text)
+    if unit.dimension != expected.dimension:
+        raise UnitError(
+            f"{what}: '{value}' is given in '{unit_text}', but a quantity in '{like}' is needed",
+            remedy=f"give it in '{like}' or a multiple of it",
+        )
+    result = number * unit.factor + offset_to_si(unit_text)
+    if not math.isfinite(result):
+        raise UnitError(f"{what}: '{value}' is not a finite number")
+    return result
+
+
+def from_si(value: float, unit: str) -> float:
+    """Number of ``unit`` in an SI value (``degC`` with its offset)."""
+    return (value - offset_to_si(unit)) / parse_unit(unit).factor
