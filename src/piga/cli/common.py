@@ -1,0 +1,103 @@
+"""What every command shares: console, JSON output, results by rename."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from piga.errors import PigaError
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+
+def clean(text: str) -> str:
+    """Text without terminal control sequences (file names and headers may carry them)."""
+    return _CONTROL.sub("?", text)
+
+
+def print_json(document: Any) -> None:
+    """Write one JSON document on stdout and nothing else."""
+    sys.stdout.write(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def say(text: str) -> None:
+    """A line for people on stdout."""
+    sys.stdout.write(clean(text) + "\n")
+
+
+def note(text: str) -> None:
+    """A line for people on stderr (warnings, progress summaries)."""
+    sys.stderr.write(clean(text) + "\n")
+
+
+def output_directory(path: Path) -> Path:
+    """Create the output directory, or say why it cannot be.
+
+    Raises
+    ------
+    PigaError
+        If the path is a file or cannot be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PigaError(
+            f"--out {path}: the directory cannot be created ({error.strerror})",
+            remedy="name a directory you may write to",
+        ) from None
+    return path
+
+
+def write_by_rename(path: Path, write: Callable[[Path], None]) -> Path:
+    """Let ``write`` fill a temporary file beside ``path``, then rename it: never a half-written result."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+    except OSError as error:
+        raise PigaError(f"{path}: cannot be written ({error.strerror})", remedy="choose another --out") from None
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        with temporary.open("rb") as stream:
+            os.fsync(stream.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise PigaError(f"{path}: cannot be written ({error.strerror or error})", remedy="choose another --out") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+@contextmanager
+def progress(title: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+    """Progress bar on stderr, shown only on a terminal and after a second; yields ``advance(n)``."""
+    if not sys.stderr.isatty():
+        yield lambda _count: None
+        return
+    import time
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    started = time.monotonic()
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = bar.add_task(title, total=total)
+
+    def advance(count: int) -> None:
+        bar.update(task, advance=count)
+        if not bar.live.is_started and time.monotonic() - started > 1.0:
+            bar.start()
+
+    try:
+        yield advance
+    finally:
+        bar.stop()

@@ -1,0 +1,53 @@
+"""Entry point of the command ``piga``: exit 0 done, 2 wrong use or bad input, 1 internal error."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+
+import typer
+
+from piga._version import __version__
+from piga.cli.common import note
+from piga.errors import PigaError
+
+app = typer.Typer(
+    name="piga",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Calibrate and compensate precession-type accelerometers, and analyse the platform that carries them.",
+)
+
+
+def _version(value: bool) -> None:
+    if value:
+        typer.echo(f"piga {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line and turn errors into exit codes."""
+    try:
+        app(standalone_mode=True)
+    except PigaError as error:
+        note(f"piga: {error}")
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(0)
+    except (KeyboardInterrupt, MemoryError) as error:
+        note(f"piga: stopped ({type(error).__name__})")
+        sys.exit(1)
+    except Exception:  # the one place where anything unforeseen ends
+        traceback.print_exc()
+        note("piga: internal error; please report it with the lines above")
+        sys.exit(1)
