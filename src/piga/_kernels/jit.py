@@ -21,6 +21,15 @@ def kernel(function: F) -> F:
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
 
 
-def inline(function: F) -> F:
-    """Compile a small scalar function that is inlined into the kernels that call it."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+def reducing_kernel(function: F) -> F:
+    """Compile a loop that sums many numbers: sums may be reordered, so that they use vector registers.
+
+    Used only where the last bits of a sum do not matter for how results compare between chunkings.
+    """
+    flags = {"contract", "reassoc", "nsz"}
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))
+
+
+def exact_kernel(function: F) -> F:
+    """Compile arithmetic that relies on every rounding (error-free transformations): no contraction."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
