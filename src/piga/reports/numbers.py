@@ -10,8 +10,9 @@ import math
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
-_FACTORS = (("", 1.0), ("m", 1e3), ("u", 1e6), ("n", 1e9))
 _SCALABLE = ("g", "rad")
+_LARGE = 0.01
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
 
 
@@ -105,19 +106,39 @@ def count(number: int) -> str:
 
 
 def friendly(value: float, uncertainty: float, unit: str) -> tuple[float, float, str]:
-    """The same quantity with the prefix (m, u, n) that brings value or uncertainty near 1 to 1000.
+    """The same quantity in micro-units where it is small: ``0.0016 g`` becomes ``1600 ug``.
 
     Only units whose numerator is a plain ``g`` or ``rad`` change, and only those that are not rates
     (``rad/s/g`` stays: it is how the field quotes the scale factor).
     """
-    head, slash, tail = unit.partition("/")
-    if head not in _SCALABLE or tail.startswith("s"):
+    head, _, tail = unit.partition("/")
+    if head not in _SCALABLE or tail.startswith("s") or not abs(value) < _LARGE:
         return value, uncertainty, unit
-    size = max(abs(value), abs(uncertainty)) if math.isfinite(uncertainty) else abs(value)
-    for prefix, factor in _FACTORS:
-        if size * factor >= 1.0 or prefix == "n":
-            return value * factor, uncertainty * factor, f"{prefix}{head}{slash}{tail}"
-    return value, uncertainty, unit
+    return value * 1e6, uncertainty * 1e6, f"u{unit}"
+
+
+def relative(value: float, uncertainty: float) -> str:
+    """Uncertainty as a share of the value, in %, ppm or ppb.
+
+    Examples
+    --------
+    >>> relative(1600.0, 5.2), relative(0.8885, 2e-6), relative(1.0, 3.0)
+    ('0.33 %', '2.3 ppm', '> 100 %')
+    """
+    if not (value and math.isfinite(uncertainty) and math.isfinite(value)):
+        return "–"
+    share = abs(uncertainty / value)
+    if share > 1.0:
+        return "> 100 %"
+    scale, name = (1e2, "%") if share >= 1e-3 else (1e6, "ppm") if share >= 1e-7 else (1e9, "ppb")
+    return f"{significant(share * scale, 2)} {name}"
+
+
+def printed(number: str) -> str:
+    """A number as it is printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
+    mantissa, mark, power = number.partition("e")
+    text = mantissa.replace("-", "−")
+    return f"{text} × 10{power.translate(_SUPERSCRIPT)}" if mark and power.lstrip("-").isdigit() else text
 
 
 def pretty_unit(unit: str) -> str:
