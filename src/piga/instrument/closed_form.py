@@ -60,7 +60,7 @@ def closed_form_turns(
         raise ArgumentError("t: empty", remedy="give at least one time")
     if not np.isfinite(times).all():
         index = int(np.flatnonzero(~np.isfinite(times))[0])
-        raise ArgumentError(f"t: {times.ravel()[index]!r} at index {index} is not a finite number")
+        raise ArgumentError(f"t: {times.ravel()[index]} at index {index} is not a finite number")
     result = np.empty((3, times.size))
     turns, rest = split_turns(inst.alpha0)
     constant_motion_at(exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)
