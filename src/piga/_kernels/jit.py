@@ -18,7 +18,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile a hot loop (cached on disk, releases the GIL)."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+
+
+def inline(function: F) -> F:
+    """Compile a small scalar function that is inlined into the kernels that call it."""
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+
+
+def exact(function: F) -> F:
+    """Compile arithmetic whose rounding errors are part of the method: nothing is contracted."""
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
 
 
 def reducing_kernel(function: F) -> F:
@@ -27,9 +37,4 @@ def reducing_kernel(function: F) -> F:
     Used only where the last bits of a sum do not matter for how results compare between chunkings.
     """
     flags = {"contract", "reassoc", "nsz"}
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))
-
-
-def exact_kernel(function: F) -> F:
-    """Compile arithmetic that relies on every rounding (error-free transformations): no contraction."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))

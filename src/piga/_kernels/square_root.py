@@ -15,8 +15,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.double_double import add, divide, multiply
-from piga._kernels.jit import exact_kernel, kernel, reducing_kernel
+from piga._kernels import double_double as dd
+from piga._kernels.jit import exact, kernel, reducing_kernel
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def absorb_rows(R: Array, columns: Array, marks: NDArray[np.int64], snapshots: A
             mark += 1
 
 
-@exact_kernel
+@exact
 def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
     """Gather ``rows`` (2, n, m) of weights ``row_weight`` (2, n) into ``U' W U``, all in double-double.
 
@@ -106,40 +106,37 @@ def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
     n, m = rows.shape[1], rows.shape[2]
     for i in range(n):
         row, low = rows[0, i], rows[1, i]
-        wh, wl = row_weight[0, i], row_weight[1, i]
-        if wh == 0.0:
+        w = (row_weight[0, i], row_weight[1, i])
+        if w[0] == 0.0:
             continue
         for j in range(m):
-            if row[j] == 0.0 and low[j] == 0.0:
+            x = (row[j], low[j])
+            if x[0] == 0.0 and x[1] == 0.0:
                 continue
-            xh, xl = row[j], low[j]
-            gh, gl = multiply(wh, wl, xh, xl)
-            sh, sl = multiply(gh, gl, xh, xl)
-            oldh, oldl = weight[0, j], weight[1, j]
-            newh, newl = add(oldh, oldl, sh, sl)
-            if newh <= 0.0:
+            wx = dd.multiply(w, x)
+            old = (weight[0, j], weight[1, j])
+            new = dd.add(old, dd.multiply(wx, x))
+            if new[0] <= 0.0:
                 continue
-            weight[0, j], weight[1, j] = newh, newl
-            gainh, gainl = divide(gh, gl, newh, newl)
+            weight[0, j], weight[1, j] = new
+            gain = dd.divide(wx, new)
             for k in range(j + 1, m):
-                uh, ul = unit[0, j, k], unit[1, j, k]
-                ph, pl = multiply(xh, xl, uh, ul)
-                rh, rl = add(row[k], low[k], -ph, -pl)
-                row[k], low[k] = rh, rl
-                ph, pl = multiply(gainh, gainl, rh, rl)
-                unit[0, j, k], unit[1, j, k] = add(uh, ul, ph, pl)
-            if oldh == 0.0:
+                u = (unit[0, j, k], unit[1, j, k])
+                product = dd.multiply(x, u)
+                rest = dd.add((row[k], low[k]), (-product[0], -product[1]))
+                row[k], low[k] = rest
+                unit[0, j, k], unit[1, j, k] = dd.add(u, dd.multiply(gain, rest))
+            if old[0] == 0.0:
                 break
-            ph, pl = multiply(wh, wl, oldh, oldl)
-            wh, wl = divide(ph, pl, newh, newl)
+            w = dd.divide(dd.multiply(w, old), new)
 
 
-@exact_kernel
+@exact
 def back_substitute(unit: Array, right: Array, solution: Array) -> None:
     """Solve ``U x = right`` in double-double; ``unit`` (2, m, m) unit upper triangular, others (2, m)."""
     for i in range(right.shape[1] - 1, -1, -1):
-        xh, xl = right[0, i], right[1, i]
+        x = (right[0, i], right[1, i])
         for k in range(i + 1, right.shape[1]):
-            ph, pl = multiply(unit[0, i, k], unit[1, i, k], solution[0, k], solution[1, k])
-            xh, xl = add(xh, xl, -ph, -pl)
-        solution[0, i], solution[1, i] = xh, xl
+            product = dd.multiply((unit[0, i, k], unit[1, i, k]), (solution[0, k], solution[1, k]))
+            x = dd.add(x, (-product[0], -product[1]))
+        solution[0, i], solution[1, i] = x
