@@ -266,9 +266,10 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics=diagnose(residuals),
+        diagnostics={"residual_kind": run.kind} | diagnose(residuals),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
+        temperature_reference=request.temperature_reference,
         residuals=residuals,
         history=history,
     )
@@ -280,7 +281,7 @@ def _rms(values: Array) -> float:
 
 def _provenance(run: Run, request: Request) -> Provenance:
     created = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    options = {"source": run.source, "temperature_reference_K": request.temperature_reference}
+    options = {"source": run.source, "noise_given": request.angle_rms is not None}
     return Provenance(dict(run.input_sha256), f"piga {__version__}", created, options)
 
 
