@@ -117,13 +117,13 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
     given = _given_noise(request)
     steps = np.diff(run.t)[~run.begins[1:]]
     noise = given or starting_noise(run.resolution, float(np.median(steps)))
-    for _ in range(MAX_REFITS):
+    for refit in range(MAX_REFITS):
         summaries = reduce_segments(design, mode, noise)
         examination = examine(design, summaries, per_segment)
         refuse_if_confounded(examination)
         solution = solve(design, summaries, groups)
         refined = design.with_scale_factor(_scale_factor(design, solution))
-        found = given or _noise_of(design, solution, noise, mode)
+        found = given or _noise_of(design, solution, mode, noise if refit else None)
         settled = refined is design and (mode != "increments" or found.close_to(noise, float(np.median(steps))))
         noise, design = found, refined
         if settled:
@@ -146,7 +146,7 @@ def _scale_factor(design: Design, solution: Solution) -> float:
     return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
 
 
-def _noise_of(design: Design, solution: Solution, noise: Noise, mode: str) -> Noise:
+def _noise_of(design: Design, solution: Solution, mode: str, near: Noise | None = None) -> Noise:
     d, h = residual_increments(design, solution.values)
     parameters = len(solution.amplitudes) + len(solution.phases)
     if mode == "samples":
@@ -154,7 +154,7 @@ def _noise_of(design: Design, solution: Solution, noise: Noise, mode: str) -> No
         step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
         return Noise(0.0, variance * step)
     scale = float(np.abs(design.run.output).max())
-    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3))
+    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near)
 
 
 def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]) -> Array:
@@ -276,7 +276,7 @@ def _assemble(
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(values @ values / values.size))
 
 
 def _provenance(run: Run, request: Request) -> Provenance:
@@ -303,7 +303,7 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     design = Design(run, linear_request, run.scale_factor)
     linear = _linear_values(design, dict(zip(found.names, values, strict=True)))
     mode = weighting_mode(design, "rate")
-    noise = _noise_of(design, _fixed_solution(design, linear), Noise(1e-12, 0.0), mode)
+    noise = _noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
     fit = Fit(design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ()))
     history = {"sample": found.samples.astype(float)}

@@ -8,6 +8,7 @@ import traceback
 import typer
 
 from piga._version import __version__
+from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
 from piga.errors import PigaError
 
@@ -33,6 +34,10 @@ def _options(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
 ) -> None:
     pass
+
+
+app.command()(check)
+app.command()(calibrate)
 
 
 def main() -> None:
