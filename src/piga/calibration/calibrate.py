@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from piga.calibration.identifiability import (
     refuse_useless,
 )
 from piga.calibration.noise import Noise, find_noise, starting_noise
-from piga.calibration.published import PublishedResult, run_published
+from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
@@ -112,7 +112,8 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
     mode = weighting_mode(design, request.method)
     if design.rows <= len(design.names) + len(set(groups)):
         raise CalibrationError(
-            f"the record has {design.rows} increments for {len(design.names)} parameters", remedy="record longer"
+            f"the record has {design.rows} increments for {len(design.names)} parameters",
+            remedy="record longer",
         )
     given = _given_noise(request)
     steps = np.diff(run.t)[~run.begins[1:]]
@@ -125,9 +126,10 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
         refined = design.with_scale_factor(_scale_factor(design, solution))
         found = given or _noise_of(design, solution, mode, noise if refit else None)
         settled = refined is design and (mode != "increments" or found.close_to(noise, float(np.median(steps))))
-        noise, design = found, refined
         if settled:
+            noise = noise if mode == "increments" else found
             break
+        noise, design = found, refined
     covariance = _covariance(design, mode, noise, solution, groups)
     return Fit(design, mode, noise, summaries, solution, covariance, examination)
 
@@ -216,10 +218,9 @@ def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
     rows, samples = [], []
     keys: tuple[str, ...] = ()
     for mark, summaries, seen in recursive_history(fit.design, fit.mode, fit.noise, groups):
-        try:
-            solution = solve(fit.design, summaries, seen)
-        except np.linalg.LinAlgError:
+        if examine(fit.design, summaries, max(groups) > 0).null_terms:
             continue
+        solution = solve(fit.design, summaries, seen)
         named, covariance = name_coefficients(fit.design, solution, solution.covariance, per_segment=False)
         plain = [i for i, c in enumerate(named) if c.name != "phi" or max(groups) == 0]
         keys = tuple(named[i].key for i in plain)
@@ -280,7 +281,7 @@ def _rms(values: Array) -> float:
 
 
 def _provenance(run: Run, request: Request) -> Provenance:
-    created = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    created = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     options = {"source": run.source, "noise_given": request.angle_rms is not None}
     return Provenance(dict(run.input_sha256), f"piga {__version__}", created, options)
 
@@ -305,11 +306,15 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     mode = weighting_mode(design, "rate")
     noise = _noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
-    fit = Fit(design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ()))
+    fit = Fit(
+        design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ())
+    )
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (_budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
+    std_budget = (
+        _budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),
+    )
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 

@@ -96,5 +96,10 @@ def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
     results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda item: likelihoods(*item[0], kappas, *item[1]), zip(parts, results, strict=True)))
+        jobs = [
+            pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])
+            for part, result in zip(parts, results, strict=True)
+        ]
+        for job in jobs:
+            job.result()
     return results[0][0] + results[1][0], results[0][1] + results[1][1]

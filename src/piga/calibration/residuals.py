@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,11 +64,15 @@ def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary,
     run = design.run
     edges = np.concatenate(([0], np.flatnonzero(np.diff(run.segment)) + 1, [run.size]))
     rows = []
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in pairwise(edges):
         part = slice(int(left), int(right))
         inside = ~run.begins[part][1:]
         h = np.diff(run.t[part])
-        turned = h * 0.5 * (run.output[part][1:] + run.output[part][:-1]) if design.point else np.diff(run.output[part])
+        turned = (
+            h * 0.5 * (run.output[part][1:] + run.output[part][:-1])
+            if design.point
+            else np.diff(run.output[part])
+        )
         rows.append(
             SegmentSummary(
                 label=run.labels[int(run.segment[left])],
@@ -117,5 +122,7 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
         "ljung_box_probability": probability,
         "skewness": float(square @ centred) / n / variance**1.5,
         "excess_kurtosis": float(square @ square) / n / variance**2 - 3.0,
-        "verdict": "white" if probability > 1e-3 else "not white: the model or the noise description misses something",
+        "verdict": "white"
+        if probability > 1e-3
+        else "not white: the model or the noise description misses something",
     }

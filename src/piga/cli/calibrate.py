@@ -27,9 +27,13 @@ def check(run: RunFileArgument, as_json: JsonOption = False) -> None:
         print_json(document)
         return
     say(f"{run}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used")
-    say(f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz")
+    say(
+        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz"
+    )
     say(f"  reference  |f| {document['force_g'][0]:.6g} to {document['force_g'][1]:.6g} g")
-    say(f"  phase      {'kept through the whole record' if document['phase_kept'] else 'lost between segments'}")
+    say(
+        f"  phase      {'kept through the whole record' if document['phase_kept'] else 'lost between segments'}"
+    )
     if not record.quality.events:
         say("  findings   none")
     for event in record.quality.events:
@@ -60,7 +64,8 @@ def _quality_document(record: Run) -> dict[str, Any]:
 def calibrate(
     run: RunFileArgument,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where the results go [default: RUN-calibration].")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where the results go [default: RUN-calibration]."),
     ] = None,
     terms: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Terms to estimate, instead of those of the run file.")

@@ -19,7 +19,9 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
 
     found = calibration.residuals
     if found is None:
-        raise CalibrationError("this calibration was read from a file and holds no residuals", remedy="calibrate again")
+        raise CalibrationError(
+            "this calibration was read from a file and holds no residuals", remedy="calibrate again"
+        )
     rate = calibration.diagnostics.get("residual_kind") == "rate"
     angle = "rad/s" if rate else "rad"
     labels = [segment.label for segment in calibration.segments]
@@ -34,6 +36,8 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         "innovation": (pa.array(found.innovation), "1"),
     }
     fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
-    schema = pa.schema(fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software})
+    schema = pa.schema(
+        fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}
+    )
     table = pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema)
     parquet.write_table(table, path, compression="zstd")

@@ -75,7 +75,9 @@ def residual_figure(residuals: Residuals) -> Figure:
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
         x, y = _with_gaps(t / scale, np.asarray(values) / ARCSEC, residuals)
         series = Series(x, y, name=title.lower(), role="before" if role == "before" else "after")
-        panels.append(Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title))
+        panels.append(
+            Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title)
+        )
     return Figure(
         key="residual-time",
         title="Residual angle against time.",
@@ -141,7 +143,9 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
     series = (
         Series(spectrum.order, spectrum.before / MICRO_G, name="before", role="before"),
         Series(spectrum.order, spectrum.after / MICRO_G, name="after", role="after"),
-        Series(spectrum.order, spectrum.noise / MICRO_G, name="white noise alone", role="reference", dashed=True),
+        Series(
+            spectrum.order, spectrum.noise / MICRO_G, name="white noise alone", role="reference", dashed=True
+        ),
     )
     return Figure(
         key="residual-order",
@@ -210,7 +214,9 @@ def _nice(size: float) -> float:
 def _polar_grid(step: float) -> tuple[Series, ...]:
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
     rings = [Series(r * np.cos(turn), r * np.sin(turn), role="muted") for r in (step, 3.0 * step)]
-    zero = Series(2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple")
+    zero = Series(
+        2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple"
+    )
     spokes_x, spokes_y = [], []
     for angle in np.arange(0.0, 2.0 * math.pi - 1e-9, math.pi / 6.0):
         spokes_x += [step * math.cos(angle), 3.0 * step * math.cos(angle), math.nan]

@@ -107,13 +107,17 @@ def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
             text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
             notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
         if coefficient.std > abs(coefficient.value):
-            notes.append(f"{coefficient.name} is smaller than its own uncertainty: this record does not show it.")
+            notes.append(
+                f"{coefficient.name} is smaller than its own uncertainty: this record does not show it."
+            )
     return tuple(notes)
 
 
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
-    index = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None][:_SHOWN_NAMES]
+    index = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None][
+        :_SHOWN_NAMES
+    ]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -121,7 +125,9 @@ def correlation_table(cal: Calibration) -> Table | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         matrix = covariance / np.outer(std, std)
     names = [cal.coefficients[row].key for row in index]
-    rows = [(name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))) for i, name in enumerate(names)]
+    rows = [
+        (name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))) for i, name in enumerate(names)
+    ]
     columns = (Column("", align="text"), *(Column(name) for name in names))
     return Table(columns, tuple(rows))
 
@@ -218,9 +224,19 @@ def segment_table(cal: Calibration) -> Table:
 
 def quality_table(cal: Calibration) -> Table:
     """What was found in the data."""
-    columns = (Column("Finding", align="text"), Column("Count"), Column("First row"), Column("Detail", align="text"))
+    columns = (
+        Column("Finding", align="text"),
+        Column("Count"),
+        Column("First row"),
+        Column("Detail", align="text"),
+    )
     rows = tuple(
-        (event.kind, count(event.count), "–" if event.first_row is None else count(event.first_row), event.detail)
+        (
+            event.kind,
+            count(event.count),
+            "–" if event.first_row is None else count(event.first_row),
+            event.detail,
+        )
         for event in cal.quality.events
     )
     return Table(columns, rows)

@@ -90,7 +90,9 @@ def order_grid(highest: float = 6.0, step: float = 0.125) -> Array:
     return step * np.arange(1, round(highest / step) + 1)
 
 
-def order_spectrum(residuals: Residuals, scale_factor: float, step: float = 0.125, highest: float = 6.0) -> OrderSpectrum:
+def order_spectrum(
+    residuals: Residuals, scale_factor: float, step: float = 0.125, highest: float = 6.0
+) -> OrderSpectrum:
     """Amplitude spectrum of the residuals in revolution order, as equivalent specific force.
 
     Parameters
@@ -135,7 +137,9 @@ def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: fl
     for start in range(0, segment.t.size, _CHUNK):
         # One sample of overlap: the integral runs on across the chunks.
         rows = slice(max(start - 1, 0), start + _CHUNK)
-        fixed = np.stack((np.ones_like(segment.t[rows]), (segment.t[rows] - middle) / half, *segment.residual[:, rows]))
+        fixed = np.stack(
+            (np.ones_like(segment.t[rows]), (segment.t[rows] - middle) / half, *segment.residual[:, rows])
+        )
         skip = 1 if start else 0
         light = taper[rows].copy()
         light[:skip] = 0.0
@@ -148,7 +152,13 @@ def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: fl
 
 
 def _add_moments(
-    moments: Array, carry: NDArray[np.complex128], t: Array, psi: Array, fixed: Array, weight: Array, step: float
+    moments: Array,
+    carry: NDArray[np.complex128],
+    t: Array,
+    psi: Array,
+    fixed: Array,
+    weight: Array,
+    step: float,
 ) -> None:
     """Weighted sums of the integrals ``int exp(i n psi) dt`` with 1, t, the residuals, and themselves."""
     weighted = fixed * weight

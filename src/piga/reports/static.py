@@ -108,7 +108,9 @@ def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int =
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _NO_METADATA:
-        raise ArgumentError(f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings")
+        raise ArgumentError(
+            f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings"
+        )
     with _style(figure, "path"):
         drawn = _drawn(figure, width)
         drawn.savefig(path, format=kind, dpi=dpi, metadata=_NO_METADATA[kind], facecolor="white")
@@ -147,7 +149,9 @@ def _draw_legend(canvas: Canvas, grid: Any) -> None:
             entries.setdefault(label, handle)
     if entries:
         columns = min(len(entries), 4)
-        canvas.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=columns, borderaxespad=0.2)
+        canvas.legend(
+            entries.values(), entries.keys(), loc="outside upper left", ncols=columns, borderaxespad=0.2
+        )
 
 
 def _draw_panel(axes: Axes, figure: Figure, index: int, *, label_x: bool) -> None:
