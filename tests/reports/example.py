@@ -48,7 +48,9 @@ def residuals(rows=1200, seed=1, white=2.2 * ARCSEC, walk=1.2 * ARCSEC, order_2=
         offset = K * 1.6e-3 * G0 * (t - t[0]) + 1.2e-4 * K * G0 * math.cos(x) * (t - t[0])
         after = noise - np.polyval(np.polyfit(t, noise, 1), t) + planted
         before = noise + planted + coupled + offset
-        parts.append((t + 70.0 * segment, psi, np.full(rows, G0 * math.cos(x)), before, after, np.full(rows, segment)))
+        parts.append(
+            (t + 70.0 * segment, psi, np.full(rows, G0 * math.cos(x)), before, after, np.full(rows, segment))
+        )
     t, psi, a_x, before, after, segment = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Residuals(
         row=np.arange(1, t.size + 1),

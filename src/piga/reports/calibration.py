@@ -22,7 +22,7 @@ from piga.reports.calibration_tables import (
     segment_table,
 )
 from piga.reports.figure import Figure
-from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short
+from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
 
@@ -82,8 +82,10 @@ def _duration(cal: Calibration) -> float:
 
 def _period(seconds: float) -> str:
     if seconds < 120.0:
-        return f"{short(seconds)} s"
-    return f"{short(seconds / 60.0)} min" if seconds < 7200.0 else f"{short(seconds / 3600.0)} h"
+        return f"{significant(seconds, 3)} s"
+    return (
+        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
+    )
 
 
 def _segments_in_words(cal: Calibration) -> str:
@@ -104,15 +106,17 @@ def _tiles(cal: Calibration) -> tuple[Tile, ...]:
         Tile(
             "Residual angle, rms",
             f"{short(cal.residual_rms_before / ARCSEC)} → {short(cal.residual_rms / ARCSEC)}",
-            "″",
+            "arcsec",
             f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
             better,
         ),
         Tile(
             "Residual angle, largest",
             f"{short(cal.residual_max_before / ARCSEC)} → {short(cal.residual_max_after / ARCSEC)}",
-            "″",
-            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after" if cal.residual_rms else "",
+            "arcsec",
+            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
+            if cal.residual_rms
+            else "",
         ),
         *_coefficient_tiles(cal),
         _freedom_tile(cal),
@@ -164,7 +168,11 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
 def _data_tile(cal: Calibration) -> Tile:
     share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
     found = sum(event.count for event in cal.quality.events)
-    detail = f"of {count(cal.quality.rows)} rows; {count(found)} findings" if found else f"of {count(cal.quality.rows)} rows"
+    detail = (
+        f"of {count(cal.quality.rows)} rows; {count(found)} findings"
+        if found
+        else f"of {count(cal.quality.rows)} rows"
+    )
     return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
 
 
@@ -176,7 +184,10 @@ def _tested(cal: Calibration) -> Section:
         ("Instrument", cal.serial),
         ("Data", _files(cal)),
         ("Duration", f"{_period(_duration(cal))} in {_segments_in_words(cal)}"),
-        ("Rows", f"{count(cal.quality.rows)} read, {count(cal.quality.used)} used, {count(cal.quality.masked)} masked"),
+        (
+            "Rows",
+            f"{count(cal.quality.rows)} read, {count(cal.quality.used)} used, {count(cal.quality.masked)} masked",
+        ),
         ("Model terms", terms),
         ("Phase of the output", f"{phase}; source: {cal.phase_source}"),
         ("Method", f"{cal.method}: {_METHODS[cal.method]}" if cal.method in _METHODS else cal.method),
@@ -209,7 +220,9 @@ def _residuals(cal: Calibration, figures: dict[str, Figure]) -> Section:
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
     return Section(
-        "Residuals against time", "residuals", (Text(lead, lead=True), _shown(figures, "residual-time", missing))
+        "Residuals against time",
+        "residuals",
+        (Text(lead, lead=True), _shown(figures, "residual-time", missing)),
     )
 
 
@@ -218,9 +231,13 @@ def _orders(cal: Calibration, figures: dict[str, Figure]) -> Section:
         "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
-    missing = "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
+    missing = (
+        "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
+    )
     if not {"residual-order", "ripple-polar"} & figures.keys():
-        return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing)))
+        return Section(
+            "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))
+        )
     shown = [FigureBlock(figures[key]) for key in ("residual-order", "ripple-polar") if key in figures]
     return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *shown))
 
@@ -267,7 +284,9 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
 
 
 def _quality(cal: Calibration) -> Section:
-    lead = "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
+    lead = (
+        "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
+    )
     blocks: tuple[Block, ...] = (Notice("good", "Nothing was found to repair or leave out."),)
     if cal.quality.events:
         blocks = (quality_table(cal),)
@@ -290,7 +309,9 @@ def calibration_text(cal: Calibration) -> str:
         f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
         "",
     ]
-    return "\n".join([*head, *_text_table(cal), "", *_text_figures(cal), *[f"note: {note}" for note in cal.notes]])
+    return "\n".join(
+        [*head, *_text_table(cal), "", *_text_figures(cal), *[f"note: {note}" for note in cal.notes]]
+    )
 
 
 def _text_table(cal: Calibration) -> list[str]:

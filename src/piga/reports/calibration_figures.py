@@ -27,7 +27,7 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
         figures += [residual_figure(cal.residuals), whiteness_figure(cal.residuals)]
-        spectrum = order_spectrum(cal.residuals, scale_factor(cal))
+        spectrum = order_spectrum(cal.residuals, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
         turned = ripple(cal.residuals, scale_factor(cal))
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []
         figures += [ripple_figure(turned)] if turned.segments else []
@@ -75,7 +75,9 @@ def residual_figure(residuals: Residuals) -> Figure:
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
         x, y = _with_gaps(t / scale, np.asarray(values) / ARCSEC, residuals)
         series = Series(x, y, name=title.lower(), role="before" if role == "before" else "after")
-        panels.append(Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title))
+        panels.append(
+            Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title)
+        )
     return Figure(
         key="residual-time",
         title="Residual angle against time.",
@@ -141,14 +143,20 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
     series = (
         Series(spectrum.order, spectrum.before / MICRO_G, name="before", role="before"),
         Series(spectrum.order, spectrum.after / MICRO_G, name="after", role="after"),
-        Series(spectrum.order, spectrum.noise / MICRO_G, name="white noise alone", role="reference", dashed=True),
+        Series(
+            spectrum.order,
+            spectrum.noise / MICRO_G,
+            name="expected of the noise",
+            role="reference",
+            dashed=True,
+        ),
     )
     return Figure(
         key="residual-order",
         title="Residual against revolution order.",
         panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
         caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn of the "
-        "output. Good: no line stands out after calibration. A line at a whole order is a harmonic that the model "
+        "output. Good: after calibration no line stands out of the expected noise. A line at a whole order is a harmonic that the model "
         "lacks (order 1: cross-coupling; 2: servo stiffness, unequal inertia; others: encoder and bearings).",
         height=2.9,
         notes=(f"From {spectrum.segments} segments that turn far enough to show the order.",),
@@ -210,7 +218,9 @@ def _nice(size: float) -> float:
 def _polar_grid(step: float) -> tuple[Series, ...]:
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
     rings = [Series(r * np.cos(turn), r * np.sin(turn), role="muted") for r in (step, 3.0 * step)]
-    zero = Series(2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple")
+    zero = Series(
+        2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple"
+    )
     spokes_x, spokes_y = [], []
     for angle in np.arange(0.0, 2.0 * math.pi - 1e-9, math.pi / 6.0):
         spokes_x += [step * math.cos(angle), 3.0 * step * math.cos(angle), math.nan]

@@ -12,6 +12,7 @@ from piga.records.calibration import Calibration, Coefficient
 from piga.reports.numbers import (
     count,
     coverage_factor,
+    fixed,
     friendly,
     pretty_unit,
     printed,
@@ -107,13 +108,17 @@ def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
             text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
             notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
         if coefficient.std > abs(coefficient.value):
-            notes.append(f"{coefficient.name} is smaller than its own uncertainty: this record does not show it.")
+            notes.append(
+                f"{coefficient.name} is smaller than its own uncertainty: this record does not show it."
+            )
     return tuple(notes)
 
 
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
-    index = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None][:_SHOWN_NAMES]
+    index = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None][
+        :_SHOWN_NAMES
+    ]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -121,7 +126,9 @@ def correlation_table(cal: Calibration) -> Table | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         matrix = covariance / np.outer(std, std)
     names = [cal.coefficients[row].key for row in index]
-    rows = [(name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))) for i, name in enumerate(names)]
+    rows = [
+        (name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))) for i, name in enumerate(names)
+    ]
     columns = (Column("", align="text"), *(Column(name) for name in names))
     return Table(columns, tuple(rows))
 
@@ -201,8 +208,8 @@ def segment_table(cal: Calibration) -> Table:
             segment.label,
             count(segment.rows),
             f"{segment.duration:.1f}",
-            printed(f"{segment.mean_a_x / G0 + 0.0:.5f}"),
-            printed(f"{segment.turns + 0.0:.2f}"),
+            printed(fixed(segment.mean_a_x / G0, 5)),
+            printed(fixed(segment.turns, 2)),
             short(segment.rms_before / ARCSEC),
             Cell(short(segment.rms / ARCSEC), "doubtful" if segment.rms > 3.0 * typical else ""),
             short(segment.max_after / ARCSEC),
@@ -218,9 +225,19 @@ def segment_table(cal: Calibration) -> Table:
 
 def quality_table(cal: Calibration) -> Table:
     """What was found in the data."""
-    columns = (Column("Finding", align="text"), Column("Count"), Column("First row"), Column("Detail", align="text"))
+    columns = (
+        Column("Finding", align="text"),
+        Column("Count"),
+        Column("First row"),
+        Column("Detail", align="text"),
+    )
     rows = tuple(
-        (event.kind, count(event.count), "–" if event.first_row is None else count(event.first_row), event.detail)
+        (
+            event.kind,
+            count(event.count),
+            "–" if event.first_row is None else count(event.first_row),
+            event.detail,
+        )
         for event in cal.quality.events
     )
     return Table(columns, rows)

@@ -57,7 +57,10 @@ def _numbers(values: ArrayLike) -> list[float | None]:
 
 
 def _logarithmic(values: ArrayLike) -> list[float | None]:
-    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=float).tolist()]
+    return [
+        float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None
+        for v in np.asarray(values, dtype=float).tolist()
+    ]
 
 
 def _on(axis: Axis, values: ArrayLike) -> list[float | None]:
@@ -108,7 +111,11 @@ def _band_base(trace: dict[str, Any], series: Series) -> list[dict[str, Any]]:
     if series.mark != "band":
         return []
     rows = envelope_rows(series.y)
-    lower = trace | {"y": _numbers(np.asarray(series.y, dtype=float)[rows]), "fill": "none", "showlegend": False}
+    lower = trace | {
+        "y": _numbers(np.asarray(series.y, dtype=float)[rows]),
+        "fill": "none",
+        "showlegend": False,
+    }
     return [lower | {"uid": f"{trace['uid']}-lower", "hoverinfo": "skip", "hovertemplate": ""}]
 
 
@@ -183,7 +190,7 @@ def _place_panel(
         x |= {"matches": f"x{_suffix(len(figure.panels) - 1)}", "showticklabels": False}
     if panel.equal:
         y |= {"scaleanchor": f"x{suffix}", "constrain": "domain"}
-        x |= {"constrain": "domain"}
+        x |= {"constrain": "domain", "nticks": 6}
     layout |= {f"xaxis{suffix}": x, f"yaxis{suffix}": y}
 
 

@@ -89,7 +89,9 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise ValueError(f"table '{self.caption}': a row of {len(row)} cells for {len(self.columns)} columns")
+                raise ValueError(
+                    f"table '{self.caption}': a row of {len(row)} cells for {len(self.columns)} columns"
+                )
 
     @property
     def cells(self) -> list[list[Cell]]:

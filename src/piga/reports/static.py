@@ -108,7 +108,9 @@ def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int =
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _NO_METADATA:
-        raise ArgumentError(f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings")
+        raise ArgumentError(
+            f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings"
+        )
     with _style(figure, "path"):
         drawn = _drawn(figure, width)
         drawn.savefig(path, format=kind, dpi=dpi, metadata=_NO_METADATA[kind], facecolor="white")
@@ -147,7 +149,9 @@ def _draw_legend(canvas: Canvas, grid: Any) -> None:
             entries.setdefault(label, handle)
     if entries:
         columns = min(len(entries), 4)
-        canvas.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=columns, borderaxespad=0.2)
+        canvas.legend(
+            entries.values(), entries.keys(), loc="outside upper left", ncols=columns, borderaxespad=0.2
+        )
 
 
 def _draw_panel(axes: Axes, figure: Figure, index: int, *, label_x: bool) -> None:
@@ -160,6 +164,7 @@ def _draw_panel(axes: Axes, figure: Figure, index: int, *, label_x: bool) -> Non
     _draw_axis(axes, "x", panel.x, label=label_x)
     _draw_axis(axes, "y", panel.y, label=True)
     if panel.equal:
+        axes.locator_params(nbins=5)
         axes.set_aspect("equal", adjustable="box" if _has_limits(panel) else "datalim")
 
 
@@ -221,9 +226,13 @@ def _compact(svg: str) -> str:
     """Coordinates to a hundredth of a point, no empty space, no style that would leak into the page."""
     svg = re.sub(r"<style.*?</style>", "", svg, flags=re.DOTALL)
     svg = svg.replace("; font-family: 'DejaVu Sans'", "")
-    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
+    svg = re.sub(r' (?:d|x|y|transform|viewBox)="[^"]*"', _short_coordinates, svg)
     svg = re.sub(r"\s*\n(?=[MLCQzZ\"])", "", svg)
     return re.sub(r">\s+<", "><", svg).strip()
+
+
+def _short_coordinates(attribute: re.Match[str]) -> str:
+    return re.sub(r"(\.\d\d)\d+", r"\1", attribute.group(0))
 
 
 _SVG_TAG = r'<svg viewBox="\1" xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
