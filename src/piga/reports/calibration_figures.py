@@ -115,17 +115,23 @@ def whiteness_figure(residuals: Residuals) -> Figure:
                 Axis("autocorrelation", "1"),
                 (
                     Series(lags, correlation, name="found", mark="line+points", role="after"),
-                    Series(lags, lags * 0 - bound, mark="band", upper=lags * 0 + bound, name="95 % of white noise",
-                           role="reference"),
+                    Series(
+                        lags,
+                        lags * 0 - bound,
+                        mark="band",
+                        upper=lags * 0 + bound,
+                        name="95 % of white noise",
+                        role="reference",
+                    ),
                 ),
                 title="Autocorrelation",
             ),
         ),
-        caption="Each residual divided by what the noise model expects of it. Good: the found distribution lies on "
-        "the expected one, and the autocorrelation stays inside its band.",
+        caption="Each residual divided by what the noise model expects of it. Good: the found distribution "
+        "lies on the expected one, and the autocorrelation stays inside its band.",
         columns=2,
         height=2.6,
-    )  # fmt: skip
+    )
 
 
 def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
@@ -155,8 +161,9 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
         key="residual-order",
         title="Residual against revolution order.",
         panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
-        caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn of the "
-        "output. Good: after calibration no line stands out of the expected noise. A line at a whole order is a harmonic that the model "
+        caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn "
+        "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole order "
+        "is a harmonic that the model "
         "lacks (order 1: cross-coupling; 2: servo stiffness, unequal inertia; others: encoder and bearings).",
         height=2.9,
         notes=(f"From {spectrum.segments} segments that turn far enough to show the order.",),
@@ -171,6 +178,10 @@ def ripple_figure(turned: Ripple) -> Figure:
     degrees = np.degrees(turned.psi)
     error = scatter if np.isfinite(scatter).all() and scatter.size else None
     outer = 3.2 * step
+    turned_note = (
+        f"Mean of {turned.segments} segments, each turned so that its own ripple before calibration points to "
+        "ψ = 0; error bars are standard uncertainties from the scatter between segments."
+    )
     polar = Panel(
         Axis("radius × cos ψ", "µg", limits=(-outer, outer)),
         Axis("radius × sin ψ", "µg", limits=(-outer, outer)),
@@ -195,15 +206,13 @@ def ripple_figure(turned: Ripple) -> Figure:
         key="ripple-polar",
         title="Cross-coupling ripple in one turn of the output.",
         panels=(polar, flat),
-        caption=f"Residual specific force around the turn, drawn outwards from the ring of {2 * step:g} µg, which means "
-        f"zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve sideways. Good: after calibration "
+        caption="Residual specific force around the turn, drawn outwards from the ring of "
+        f"{2 * step:g} µg, which means zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve sideways. Good: after "
+        "calibration "
         "the curve lies on the ring, and on the enlarged scale only scatter is left.",
         columns=2,
         height=3.4,
-        notes=(
-            f"Mean of {turned.segments} segments, each turned so that its own ripple before calibration points to "
-            "ψ = 0; error bars are standard uncertainties from the scatter between segments.",
-        ),
+        notes=(turned_note,),
     )
 
 
@@ -255,7 +264,7 @@ def segment_figure(cal: Calibration) -> Figure:
                 ),
             ),
         ),
-        caption="Each point is one segment. Good: all points after calibration lie at one level, whatever the input; "
-        "a level that rises with the input asks for another model term.",
+        caption="Each point is one segment. Good: all points after calibration lie at one level, whatever the "
+        "input; a level that rises with the input asks for another model term.",
         height=2.7,
     )

@@ -32,7 +32,7 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
             trace["uid"] = series_key(figure, index, order)
             trace["showlegend"] = bool(series.name) and series.name not in shown
             shown.add(series.name)
-            traces += _band_base(trace, series) + [trace]
+            traces += [*_band_base(trace, series), trace]
     return {"data": traces, "layout": layout, "narrow": _narrow(figure)}
 
 
@@ -131,7 +131,8 @@ def _hover(series: Series, panel: Panel) -> str:
 
 def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
     spec: dict[str, Any] = {
-        "title": {"text": _text(axis.label) if title else "", "standoff": 6},
+        "title": {"text": _text(axis.label) if title else "", "standoff": 6, "font": {"size": 12}},
+        "tickfont": {"size": 11},
         "gridcolor": GRID,
         "linecolor": SOFT,
         "tickcolor": SOFT,
@@ -141,6 +142,7 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
         "zeroline": False,
         "automargin": True,
         "exponentformat": "power",
+        "minexponent": 5,
     }
     if axis.log:
         spec |= {"type": "log", "dtick": 1}

@@ -80,8 +80,11 @@ def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
     """A number with so many significant digits, trailing zeros only on request; never ``-0`` nor ``nan``."""
     if not math.isfinite(value):
         return "–"
-    text = f"{value + 0.0:{'#' if zeros else ''}.{digits}g}".replace(".e", "e").removesuffix(".")
-    return text.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    number = Decimal(f"{value + 0.0:.{digits - 1}e}")
+    exponent = 0 if _is_plain(number.adjusted(), 0) or not number else number.adjusted()
+    text = f"{number.scaleb(-exponent):f}"
+    text = text.rstrip("0").rstrip(".") if "." in text and not zeros else text
+    return f"{text}e{exponent}" if exponent else text
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -137,7 +140,7 @@ def relative(value: float, uncertainty: float) -> str:
     if share > 1.0:
         return "> 100 %"
     scale, name = (1e2, "%") if share >= 1e-3 else (1e6, "ppm") if share >= 1e-7 else (1e9, "ppb")
-    return f"{rounded(0.0, share * scale).uncertainty} {name}"
+    return f"{significant(share * scale, 2, zeros=True)} {name}"
 
 
 def printed(number: str) -> str:

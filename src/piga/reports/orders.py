@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -75,7 +76,7 @@ def segment_slices(segment: ArrayLike) -> list[slice]:
     if index.size == 0:
         return []
     edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), index.size]
-    return [slice(start, stop) for start, stop in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
 def _segments(residuals: Residuals, least: int = 8) -> Iterator[_Segment]:
@@ -89,7 +90,7 @@ def _segments(residuals: Residuals, least: int = 8) -> Iterator[_Segment]:
 
 def order_grid(highest: float = 6.0, step: float = 0.125) -> Array:
     """Revolution orders ``step, 2 step, ..., highest``; whole orders are among them."""
-    return step * np.arange(1, round(highest / step) + 1)
+    return np.arange(1.0, round(highest / step) + 1.0) * step
 
 
 def order_spectrum(

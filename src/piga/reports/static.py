@@ -69,7 +69,8 @@ _STYLE: dict[str, Any] = {
 def _style(figure: Figure, fonttype: str) -> Iterator[None]:
     import matplotlib as mpl
 
-    with mpl.rc_context(_STYLE | {"svg.hashsalt": figure.key, "svg.fonttype": fonttype}):
+    style: Any = _STYLE | {"svg.hashsalt": figure.key, "svg.fonttype": fonttype}
+    with mpl.rc_context(style):
         yield
 
 
@@ -208,7 +209,7 @@ def _draw_series(axes: Axes, series: Series) -> Any:
 
 
 def _for_page(text: str, figure: Figure) -> str:
-    """Only the ``svg`` element: scalable, coloured by CSS variables, ids unique in the page, font of the page."""
+    """Only the ``svg`` element: scalable, coloured by CSS variables, ids unique in the page."""
     svg = text[text.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
     svg = re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', _SVG_TAG, svg, count=1)

@@ -8,7 +8,8 @@
   const config = {
     displaylogo: false,
     responsive: true,
-    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "sendChartToCloud"],
+    plotlyServerURL: "",
     doubleClick: "reset",
   };
 
@@ -38,6 +39,7 @@
     layout.modebar = { bgcolor: "rgba(0,0,0,0)", color: style.getPropertyValue("--soft").trim() };
     if (touch.matches) {
       // A finger scrolls the page; it does not zoom the figure by accident.
+      config.displayModeBar = false;
       layout.dragmode = false;
       Object.keys(layout).filter((key) => /^[xy]axis/.test(key)).forEach((key) => { layout[key].fixedrange = true; });
     }
