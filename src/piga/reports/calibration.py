@@ -353,4 +353,4 @@ def _text_figures(cal: Calibration) -> list[str]:
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
     wide = max(len(name) for name, _ in rows)
-    return [f"  {name:<{wide}}  {text}".replace("\u202f", " ").replace("–", "-") for name, text in rows]
+    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

@@ -162,9 +162,9 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
         title="Residual against revolution order.",
         panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
         caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn "
-        "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole order "
-        "is a harmonic that the model "
-        "lacks (order 1: cross-coupling; 2: servo stiffness, unequal inertia; others: encoder and bearings).",
+        "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole "
+        "order is a harmonic that the model lacks (order 1: cross-coupling; 2: servo stiffness, unequal "
+        "inertia; others: encoder and bearings).",
         height=2.9,
         notes=(f"From {spectrum.segments} segments that turn far enough to show the order.",),
     )
@@ -207,9 +207,9 @@ def ripple_figure(turned: Ripple) -> Figure:
         title="Cross-coupling ripple in one turn of the output.",
         panels=(polar, flat),
         caption="Residual specific force around the turn, drawn outwards from the ring of "
-        f"{2 * step:g} µg, which means zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve sideways. Good: after "
-        "calibration "
-        "the curve lies on the ring, and on the enlarged scale only scatter is left.",
+        f"{2 * step:g} µg, which means zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve "
+        "sideways. Good: after calibration the curve lies on the ring, and on the enlarged scale only scatter "
+        "is left.",
         columns=2,
         height=3.4,
         notes=(turned_note,),

@@ -273,5 +273,5 @@ def _binned(segment: _Segment, bins: int) -> tuple[Array, Array]:
     change, dt = np.diff(residual), np.diff(segment.t)
     phase = math.atan2(float(np.sin(middle) @ change[0]), float(np.cos(middle) @ change[0]))
     index = np.floor((middle - phase) / (2.0 * math.pi) * bins).astype(np.int64) % bins
-    sums = np.stack([np.bincount(index, weights=row, minlength=bins) for row in change])
-    return sums, np.bincount(index, weights=dt, minlength=bins)
+    sums = [np.bincount(index, weights=row, minlength=bins) for row in (*change, dt)]
+    return np.array(sums[:2], dtype=float), np.array(sums[2], dtype=float)

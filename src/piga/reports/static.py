@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piga.errors import ArgumentError
+from piga.errors import ArgumentError, PigaError
 from piga.reports.decimate import envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.palette import GRID, INK, LIGHT, SOFT, css_names
@@ -67,8 +67,11 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def _style(figure: Figure, fonttype: str) -> Iterator[None]:
-    import matplotlib as mpl
-
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        message = "figures need Matplotlib, which is not installed"
+        raise PigaError(message, remedy="install it with: pip install 'piga[report]'") from None
     style: Any = _STYLE | {"svg.hashsalt": figure.key, "svg.fonttype": fonttype}
     with mpl.rc_context(style):
         yield
