@@ -13,7 +13,7 @@ from piga.reports.calibration import (
     calibration_text,
     write_calibration_report,
 )
-from piga.reports.calibration_figures import elapsed_time, scale_factor
+from piga.reports.calibration_figures import elapsed_time, residual_figure, scale_factor
 from piga.reports.page import Notice, Table, page_html
 
 
@@ -126,6 +126,30 @@ def test_odd_numbers_do_not_break_the_page(cal):
     )
     text = page_html(calibration_page(strange))
     assert not re.search(r"\bnan\b|\binf\b", re.sub(r"<(script|style).*?</\1>", "", text, flags=re.DOTALL))
+
+
+def test_curves_break_between_segments_and_at_holes(cal):
+    found = cal.residuals
+    keep = (found.t < 20.0) | (found.t > 40.0)
+    cut = dataclasses.replace(
+        found, **{field.name: getattr(found, field.name)[keep] for field in dataclasses.fields(found)}
+    )
+    gaps = np.isnan(residual_figure(cut).panels[1].series[0].arrays()[1]).sum()
+    assert gaps == 24 + 1
+
+
+def test_methods_without_whitening_leave_that_figure_out(cal):
+    found = dataclasses.replace(cal.residuals, innovation=np.full(cal.residuals.t.size, np.nan))
+    page = calibration_page(dataclasses.replace(cal, residuals=found))
+    assert "whiteness" not in [figure.key for figure in page.figures()]
+    assert len(page.tiles) == 7
+
+
+def test_masked_rows_without_findings_are_said(cal):
+    quality = dataclasses.replace(cal.quality, events=())
+    page = calibration_page(dataclasses.replace(cal, quality=quality, residuals=None))
+    blocks = next(section for section in page.sections if section.anchor == "quality").blocks
+    assert [block.kind for block in blocks if isinstance(block, Notice)] == ["info"]
 
 
 def test_clock_that_starts_again_in_each_segment_gives_rising_time(cal):

@@ -163,6 +163,14 @@ def test_tables_have_scoped_headings_and_scroll_in_their_own_box():
     assert all(box["tabindex"] == "0" and box["role"] == "region" for box in boxes)
 
 
+@pytest.mark.parametrize(
+    ("anchors", "message"), [(("a", "a"), "two parts"), (("a b", "c"), "cannot be an anchor")]
+)
+def test_anchors_are_names_and_unique(anchors, message):
+    with pytest.raises(ValueError, match=message):
+        Page("P", sections=tuple(Section(anchor, anchor, ()) for anchor in anchors))
+
+
 def test_a_row_of_the_wrong_length_is_refused():
     with pytest.raises(ValueError, match="a row of 1 cells for 2 columns"):
         Table((Column("a"), Column("b")), (("1",),))

@@ -7,7 +7,7 @@ blocks, and :func:`write_page`. Numbers become text in :mod:`piga.reports.number
 >>> from piga.reports import Axis, Figure, FigureBlock, Page, Panel, Section, Series, Text, page_html
 >>> curve = Series([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], name="measured", role="data")
 >>> figure = Figure("drift", "Drift.", (Panel(Axis("time", "s"), Axis("angle", "arcsec"), (curve,)),))
->>> page = Page("A test", sections=(Section("Drift", "drift-section", (Text("It grows."), FigureBlock(figure))),))
+>>> page = Page("A test", sections=(Section("Drift", "part", (Text("It grows."), FigureBlock(figure))),))
 >>> page_html(page).startswith("<!DOCTYPE html>")
 True
 """

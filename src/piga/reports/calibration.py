@@ -155,11 +155,11 @@ def _condition_tile(cal: Calibration) -> Tile:
         (math.inf, "the record hardly separates the coefficients", "bad"),
     )
     words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
-    return Tile("Condition number", short(cal.condition, 2), "", words, tone)
+    return Tile("Condition number", printed(short(cal.condition, 2)), "", words, tone)
 
 
 def _whiteness_tile(cal: Calibration) -> Tile | None:
-    if cal.residuals is None or not cal.residuals.t.size:
+    if cal.residuals is None or not np.isfinite(cal.residuals.innovation).any():
         return None
     innovation = np.asarray(cal.residuals.innovation, dtype=float)
     rms = math.sqrt(float(np.nanmean(innovation**2)))
@@ -284,7 +284,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     blocks += [FigureBlock(figures["whiteness"])] if "whiteness" in figures else []
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     rows = [
-        ("Condition number", short(cal.condition)),
+        ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
         *scalars(cal.diagnostics),
@@ -297,6 +297,8 @@ def _quality(cal: Calibration) -> Section:
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
     blocks: tuple[Block, ...] = (Notice("good", "Nothing was found to repair or leave out."),)
+    if cal.quality.masked:
+        blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
     if cal.quality.events:
         blocks = (quality_table(cal),)
     return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))

@@ -26,7 +26,8 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        figures += [residual_figure(cal.residuals), whiteness_figure(cal.residuals)]
+        figures.append(residual_figure(cal.residuals))
+        figures += [whiteness_figure(cal.residuals)] if np.isfinite(cal.residuals.innovation).any() else []
         spectrum = order_spectrum(cal.residuals, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
         turned = ripple(cal.residuals, scale_factor(cal))
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []
@@ -55,9 +56,18 @@ def elapsed_time(residuals: Residuals) -> Array:
     return t - t[0]
 
 
+def _starts(x: Array, residuals: Residuals) -> NDArray[np.bool_]:
+    """Rows where a curve starts anew: the next segment, or after a hole of more than ten usual steps."""
+    starts = np.zeros(x.size, dtype=bool)
+    steps = np.diff(x)
+    if steps.size:
+        starts[1:] = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps))
+    return starts
+
+
 def _with_gaps(x: Array, y: Array, residuals: Residuals) -> tuple[Array, Array]:
-    """Reduced curve with a gap between the segments."""
-    parts = segment_slices(residuals.segment)
+    """Reduced curve with gaps between the segments and at holes."""
+    parts = segment_slices(np.cumsum(_starts(x, residuals)))
     limit = max(12, POINTS // len(parts) - 1)
     pieces_x, pieces_y = [], []
     for part in parts:
@@ -114,7 +124,6 @@ def whiteness_figure(residuals: Residuals) -> Figure:
                 Axis("lag", "samples"),
                 Axis("autocorrelation", "1"),
                 (
-                    Series(lags, correlation, name="found", mark="line+points", role="after"),
                     Series(
                         lags,
                         lags * 0 - bound,
@@ -123,6 +132,7 @@ def whiteness_figure(residuals: Residuals) -> Figure:
                         name="95 % of white noise",
                         role="reference",
                     ),
+                    Series(lags, correlation, name="found", mark="line+points", role="after"),
                 ),
                 title="Autocorrelation",
             ),
@@ -166,7 +176,7 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
         "order is a harmonic that the model lacks (order 1: cross-coupling; 2: servo stiffness, unequal "
         "inertia; others: encoder and bearings).",
         height=2.9,
-        notes=(f"From {spectrum.segments} segments that turn far enough to show the order.",),
+        notes=(f"From {_segments_that_turn(spectrum.segments)}.",),
     )
 
 
@@ -178,9 +188,10 @@ def ripple_figure(turned: Ripple) -> Figure:
     degrees = np.degrees(turned.psi)
     error = scatter if np.isfinite(scatter).all() and scatter.size else None
     outer = 3.2 * step
+    scattered = "" if error is None else " Error bars: standard uncertainty from the scatter between segments."
     turned_note = (
-        f"Mean of {turned.segments} segments, each turned so that its own ripple before calibration points to "
-        "ψ = 0; error bars are standard uncertainties from the scatter between segments."
+        f"Mean over {_segments_that_turn(turned.segments)}, each turned so that its own ripple before "
+        "calibration points to ψ = 0."
     )
     polar = Panel(
         Axis("radius × cos ψ", "µg", limits=(-outer, outer)),
@@ -212,8 +223,12 @@ def ripple_figure(turned: Ripple) -> Figure:
         "is left.",
         columns=2,
         height=3.4,
-        notes=(turned_note,),
+        notes=(turned_note + scattered,),
     )
+
+
+def _segments_that_turn(number: int) -> str:
+    return "the one segment that turns far enough" if number == 1 else f"{number} segments that turn far enough"
 
 
 def _nice(size: float) -> float:

@@ -101,7 +101,7 @@ def _look(series: Series, colour: str) -> dict[str, Any]:
         line["shape"] = "hvh"
     if series.mark == "band":
         line["width"] = 0
-        return {"type": "scatter", "mode": "lines", "line": line, "fill": "tonexty"}
+        return {"type": "scatter", "mode": "lines", "line": line, "fill": "tonexty", "fillcolor": f"{colour}2e"}
     mode = {"points": "markers", "line+points": "lines+markers"}.get(series.mark, "lines")
     return {"type": "scatter", "mode": mode, "line": line, "marker": {"color": colour, "size": 5}}
 

@@ -13,13 +13,17 @@
     doubleClick: "reset",
   };
 
-  // Colours of the figure become those of the page's present theme.
+  // Colours of the figure (#rrggbb, or #rrggbbaa with opacity) become those of the page's present theme.
+  const colour = (text, style) => {
+    const name = palette[text.slice(0, 7)];
+    return name ? style.getPropertyValue(name).trim() + text.slice(7) : text;
+  };
   const themed = (node, style) => {
     if (Array.isArray(node)) return typeof node[0] === "number" ? node : node.map((item) => themed(item, style));
     if (node && typeof node === "object") {
       return Object.fromEntries(Object.entries(node).map(([key, value]) => [key, themed(value, style)]));
     }
-    return palette[node] ? style.getPropertyValue(palette[node]).trim() : node;
+    return typeof node === "string" && /^#[0-9a-f]{6,8}$/.test(node) ? colour(node, style) : node;
   };
 
   const change = (layout, path, value) => {
