@@ -12,6 +12,7 @@ from piga.records.calibration import Calibration, Coefficient
 from piga.reports.numbers import (
     count,
     coverage_factor,
+    fixed,
     friendly,
     pretty_unit,
     printed,
@@ -24,15 +25,15 @@ from piga.units import ARCSEC, G0
 
 _MEANING = {
     "scale_factor": "scale factor ml/H",
-    "tan_beta": "cross-coupling: tangent of the tilt β of the rotor axis",
+    "tan_beta": "cross-coupling, tilt β of the rotor axis",
     "phi": "phase of the output zero",
     "k0": "bias",
     "k1": "scale-factor error",
     "k2": "second-order nonlinearity",
     "k3": "third-order nonlinearity",
     "k2o": "odd second-order nonlinearity (a_x |a_x|)",
-    "m_Y": "input-axis misalignment towards Y0",
-    "m_Z": "input-axis misalignment towards Z0",
+    "m_Y": "misalignment towards Y0",
+    "m_Z": "misalignment towards Z0",
     "k_XY": "cross term a_x a_Y",
     "k_XZ": "cross term a_x a_Z",
     "k_YY": "cross term a_Y²",
@@ -70,12 +71,12 @@ def coefficient_table(cal: Calibration) -> Table:
     rows = [_coefficient_row(coefficient, factor) for coefficient in common_coefficients(cal)]
     columns = (
         Column("Coefficient", align="text"),
-        Column("Meaning", align="text"),
         Column("Value"),
         Column("Standard uncertainty u"),
         Column("Expanded uncertainty U"),
         Column("Unit", align="text"),
         Column("u / value"),
+        Column("Meaning", align="text"),
     )
     return Table(columns, tuple(rows), notes=_coefficient_notes(cal, factor))
 
@@ -86,21 +87,19 @@ def _coefficient_row(coefficient: Coefficient, factor: float) -> tuple[str | Cel
     small = std > abs(value)
     return (
         coefficient.name,
-        Cell(meaning(coefficient.name), "quiet"),
         printed(number.value),
         printed(number.uncertainty),
         printed(wide.uncertainty),
         pretty_unit(unit),
         Cell(relative(value, std), "doubtful" if small else ""),
+        Cell(meaning(coefficient.name), "quiet"),
     )
 
 
 def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
     freedom = "infinitely many" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
-    notes = [
-        f"U is for 95 % coverage: k = {factor:.3f} from Student's t with {freedom} degrees of freedom. The unit g is "
-        "9.80665 m/s² exactly."
-    ]
+    basis = f"k = {factor:.3f} from Student's t with {freedom} degrees of freedom"
+    notes = [f"U is for 95 % coverage: {basis}. The unit g is 9.80665 m/s² exactly."]
     for coefficient in common_coefficients(cal):
         if coefficient.name == "tan_beta":
             beta = math.atan(coefficient.value) / ARCSEC
@@ -115,9 +114,8 @@ def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
 
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
-    index = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None][
-        :_SHOWN_NAMES
-    ]
+    common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
+    index = common[:_SHOWN_NAMES]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -125,9 +123,9 @@ def correlation_table(cal: Calibration) -> Table | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         matrix = covariance / np.outer(std, std)
     names = [cal.coefficients[row].key for row in index]
-    rows = [
-        (name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))) for i, name in enumerate(names)
-    ]
+    rows: list[tuple[str | Cell, ...]] = []
+    for i, name in enumerate(names):
+        rows.append((name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))))
     columns = (Column("", align="text"), *(Column(name) for name in names))
     return Table(columns, tuple(rows))
 
@@ -201,14 +199,14 @@ def segment_table(cal: Calibration) -> Table:
         Column("rms after", "arcsec"),
         Column("Largest after", "arcsec"),
     ]
-    rows = []
+    rows: list[tuple[str | Cell, ...]] = []
     for segment in shown:
         row: list[str | Cell] = [
             segment.label,
             count(segment.rows),
             f"{segment.duration:.1f}",
-            printed(f"{segment.mean_a_x / G0 + 0.0:.5f}"),
-            printed(f"{segment.turns + 0.0:.2f}"),
+            printed(fixed(segment.mean_a_x / G0, 5)),
+            printed(fixed(segment.turns, 2)),
             short(segment.rms_before / ARCSEC),
             Cell(short(segment.rms / ARCSEC), "doubtful" if segment.rms > 3.0 * typical else ""),
             short(segment.max_after / ARCSEC),
