@@ -12,7 +12,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,7 +48,7 @@ class SampledInput:
     offset_y: float
     offset_z: float
 
-    def arguments(self, start: int, stop: int) -> tuple[Array | float, ...]:
+    def arguments(self, start: int, stop: int) -> tuple[Any, ...]:
         """Kernel arguments for the samples ``start`` to ``stop - 1``."""
         return (
             self.t[start:stop], self.f[start:stop], self.base_rate[start:stop],
@@ -182,7 +182,10 @@ def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, 
         start, stop = chunks[i]
         ends[i] = starts[i]
         last = stop if stop == record.t.size else stop - 1
-        return propagate_samples(*record.arguments(start, stop), ends[i], alpha[start:stop], rate[start:last])
+        with np.errstate(all="ignore"):
+            return propagate_samples(
+                *record.arguments(start, stop), ends[i], alpha[start:stop], rate[start:last]
+            )
 
     def reduce(i: int) -> int:
         with np.errstate(all="ignore"):
