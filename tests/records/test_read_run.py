@@ -53,7 +53,7 @@ def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
 def test_mixed_decimal_marks_are_refused(tmp_path: Path) -> None:
     rows = [row.replace(",", ";") for row in lines()]
     rows[3] = rows[3].replace(".", ",")
-    with pytest.raises(piga.DataError, match="decimal mark is ambiguous"):
+    with pytest.raises(piga.DataError, match=r"decimal mark is ambiguous"):
         read(tmp_path, rows, header="t;n;fx;fy;fz")
 
 
@@ -63,7 +63,7 @@ def test_units_row_and_units_in_the_header(tmp_path: Path) -> None:
     assert run.row[0] == 3
     bracketed = read(tmp_path, lines(), header="t [s],n,fx [g],fy (g),fz [g]")
     assert bracketed.size == 40
-    with pytest.raises(piga.DataError, match="column 'fx' is in 'm/s\\^2' there, but in 'g'"):
+    with pytest.raises(piga.DataError, match=r"column 'fx' is in 'm/s\\^2' there, but in 'g'"):
         read(tmp_path, lines(), header="t,n,fx [m/s^2],fy,fz")
 
 
@@ -172,7 +172,7 @@ def test_a_gap_inside_a_segment_loses_the_phase_of_a_wrapping_counter(tmp_path: 
 def test_a_counter_too_narrow_for_the_rate_is_refused(tmp_path: Path) -> None:
     with pytest.raises(piga.DataError, match=r"(?s)more than half .* sample at [\d.]+ Hz"):
         read(tmp_path, [f"{i / 20},{i % 256},1.0,0.1,0.0" for i in range(40)], instrument="counter_bits = 8")
-    with pytest.raises(piga.DataError, match="outside the range"):
+    with pytest.raises(piga.DataError, match=r"outside the range"):
         read(tmp_path, lines(400), instrument="counter_bits = 16")
 
 
@@ -180,7 +180,7 @@ def test_a_folded_counter_without_its_width_is_refused(tmp_path: Path) -> None:
     rows = [
         ",".join([c if k != 1 else str(int(c) % 65536) for k, c in enumerate(r.split(","))]) for r in lines(400)
     ]
-    with pytest.raises(piga.DataError, match="(?s)row 131, column 'n': the output jumps.*counter_bits"):
+    with pytest.raises(piga.DataError, match=r"(?s)row 131, column 'n': the output jumps.*counter_bits"):
         read(tmp_path, rows)
 
 
@@ -291,22 +291,22 @@ def test_missing_and_foreign_files(tmp_path: Path) -> None:
     with pytest.raises(piga.DataError, match=r"run\.csv: cannot be read"):
         piga.read_run(write_run(tmp_path))
     (tmp_path / "run.parquet").write_bytes(b"PAR1 not really")
-    with pytest.raises(piga.DataError, match="not a readable Parquet"):
+    with pytest.raises(piga.DataError, match=r"not a readable Parquet"):
         piga.read_run(write_run(tmp_path, "run.parquet"))
     (tmp_path / "run.doc").write_bytes(b"x")
-    with pytest.raises(piga.DataError, match="files of kind '.doc'"):
+    with pytest.raises(piga.DataError, match=r"files of kind '.doc'"):
         piga.read_run(write_run(tmp_path, "run.doc"))
     (tmp_path / "bad.csv.gz").write_bytes(b"no gzip")
-    with pytest.raises(piga.DataError, match="cannot be read"):
+    with pytest.raises(piga.DataError, match=r"cannot be read"):
         piga.read_run(write_run(tmp_path, "bad.csv.gz"))
     (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(b"0" * 50_000_000))
-    with pytest.raises(piga.DataError, match="unpacks to more than"):
+    with pytest.raises(piga.DataError, match=r"unpacks to more than"):
         piga.read_run(write_run(tmp_path, "bomb.csv.gz"))
 
 
 def test_parquet_faults(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"t": [0.0, 1.0], "n": ["a", "b"]}), tmp_path / "run.parquet")
-    with pytest.raises(piga.DataError, match="no column 'fx'|holds string"):
+    with pytest.raises(piga.DataError, match=r"no column 'fx'|holds string"):
         piga.read_run(write_run(tmp_path, "run.parquet"))
     full = {"t": [0.0, 1.0, 2.0], "n": [0, None, 5], "fx": [1.0] * 3, "fy": [0.0] * 3, "fz": [0.0] * 3}
     parquet.write_table(pa.table(full), tmp_path / "run.parquet")
