@@ -52,7 +52,7 @@ def test_a_valid_file(tmp_path: Path) -> None:
         ('terms = ["scale_factor", "k0"]', 'terms = ["kO"]', "unknown term 'kO'"),
         ('terms = ["scale_factor", "k0"]', 'phase = "loose"', "invalid enum value 'loose'"),
         ("[model]", '[uncertainty]\nreference_scale = "-1 ppm"\n[model]', "is negative"),
-        ("[model]", '[uncertainty]\nreference_scale = "2 arcsec"\n[model]', "quantity in '1'"),
+        ("[model]", '[uncertainty]\nreference_scale = "2 arcsec"\n[model]', "quantity in 'ppm'"),
         ("[model]", '[estimation]\nangle_rms = "1 urad"\n[model]', "together or not at all"),
         ("[model]", "[modell]", "unknown key 'modell'.*did you mean 'model'"),
         ("[model]", "[model", "not valid TOML: .*line"),

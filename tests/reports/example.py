@@ -105,13 +105,13 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
         {
             "source": "Reference scale",
             "type": "B",
-            "input": "10 ppm",
+            "standard_uncertainty": {"value": 10.0, "unit": "ppm"},
             "contributions": {"scale_factor": 8.9e-6, "k0": 1.6e-8},
         },
         {
             "source": "Reference misalignment",
             "type": "B",
-            "input": "2 arcsec",
+            "standard_uncertainty": {"value": 2.0, "unit": "arcsec"},
             "contributions": {"m_Y": 9.7e-6, "tan_beta": 1.1e-8},
         },
     )

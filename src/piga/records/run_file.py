@@ -116,14 +116,14 @@ class RunFile(Table, frozen=True):
 
 
 UNCERTAINTY_UNITS = {
-    "reference_scale": "1",
-    "reference_bias": "g",
-    "reference_misalignment": "rad",
-    "gravity": "g",
-    "timing": "1",
+    "reference_scale": "ppm",
+    "reference_bias": "ug",
+    "reference_misalignment": "arcsec",
+    "gravity": "ug",
+    "timing": "ppm",
     "temperature": "K",
 }
-"""Unit kind of each Type B entry; ``timing`` is the relative error of the clock's rate."""
+"""Unit of each Type B entry as reported; ``timing`` is the relative error of the clock's rate."""
 
 
 def read_run_file(path: str | Path) -> RunFile:

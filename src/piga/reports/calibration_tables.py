@@ -139,20 +139,20 @@ def _correlation(value: float, diagonal: bool) -> Cell:
 def budget_table(cal: Calibration) -> Table:
     """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
 
-    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "input": text, "contributions":
-    {coefficient key: standard uncertainty in the coefficient's unit}}``. Without a row of type A the
+    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "standard_uncertainty": {"value",
+    "unit"} or None, "contributions": {coefficient key: change in the coefficient's unit}}``. Without a row of type A the
     standard uncertainties of the fit are put first.
     """
     coefficients = common_coefficients(cal)[:_SHOWN_NAMES]
     sources: list[dict[str, Any]] = list(cal.budget)
     if not any(source.get("type") == "A" for source in sources):
         fit = {coefficient.key: coefficient.std for coefficient in coefficients}
-        sources.insert(0, {"source": "Fit to the record", "type": "A", "input": "noise", "contributions": fit})
+        sources.insert(0, {"source": "Fit to the record", "type": "A", "contributions": fit})
     names = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
         Column("Source", align="text"),
         Column("Type", align="text"),
-        Column("Input", align="text"),
+        Column("Standard uncertainty", align="text"),
         *(Column(c.name, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
     )
     rows = [_budget_row(source, coefficients) for source in sources]
@@ -174,9 +174,11 @@ def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
 def _budget_row(source: dict[str, Any], coefficients: list[Coefficient]) -> tuple[str | Cell, ...]:
     cells = []
     for coefficient in coefficients:
-        amount = _contribution(source, coefficient) * _friendly_unit(coefficient)[1]
+        amount = abs(_contribution(source, coefficient)) * _friendly_unit(coefficient)[1]
         cells.append(Cell(printed(short(amount, 2))) if amount else Cell("–", "quiet"))
-    return (str(source.get("source", "")), str(source.get("type", "")), str(source.get("input", "")), *cells)
+    given = source.get("standard_uncertainty")
+    entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
+    return (str(source.get("source", "")), str(source.get("type", "")), entered, *cells)
 
 
 def segment_table(cal: Calibration) -> Table:
