@@ -9,6 +9,7 @@ import typer
 
 from piga._version import __version__
 from piga.cli.common import note
+from piga.cli.compensate import compensate
 from piga.errors import PigaError
 
 app = typer.Typer(
@@ -30,9 +31,14 @@ def _version(value: bool) -> None:
 
 @app.callback()
 def _options(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     pass
+
+
+app.command()(compensate)
 
 
 def main() -> None:
