@@ -10,6 +10,8 @@ import typer
 from piga._version import __version__
 from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
+from piga.cli.compensate import compensate
+from piga.cli.demo import demo
 from piga.errors import PigaError
 
 app = typer.Typer(
@@ -38,8 +40,8 @@ def _options(
     pass
 
 
-app.command()(check)
-app.command()(calibrate)
+for command in (demo, check, calibrate, compensate):
+    app.command()(command)
 
 
 def main() -> None:
