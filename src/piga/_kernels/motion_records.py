@@ -200,6 +200,9 @@ def run_block(
 
 @kernel
 def propagate_samples(
+    state: Array,
+    alpha: Array,
+    rate: Array,
     t: Array,
     f: Array,
     base_rate: Array,
@@ -209,9 +212,6 @@ def propagate_samples(
     tan_beta: float,
     offset_y: float,
     offset_z: float,
-    state: Array,
-    alpha: Array,
-    rate: Array,
 ) -> int:
     """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
 
@@ -246,6 +246,7 @@ def propagate_samples(
 
 @kernel
 def reduce_samples(
+    matrix: Array,
     t: Array,
     f: Array,
     base_rate: Array,
@@ -255,7 +256,6 @@ def reduce_samples(
     tan_beta: float,
     offset_y: float,
     offset_z: float,
-    matrix: Array,
 ) -> int:
     """One matrix ``[[u, x], [v, y]]`` (2, 2), scaled, that takes the first sample's pair to the last's."""
     w = np.empty(SIZE)

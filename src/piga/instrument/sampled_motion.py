@@ -184,12 +184,12 @@ def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, 
         last = stop if stop == record.t.size else stop - 1
         with np.errstate(all="ignore"):
             return propagate_samples(
-                *record.arguments(start, stop), ends[i], alpha[start:stop], rate[start:last]
+                ends[i], alpha[start:stop], rate[start:last], *record.arguments(start, stop)
             )
 
     def reduce(i: int) -> int:
         with np.errstate(all="ignore"):
-            return reduce_samples(*record.arguments(*chunks[i]), products[i])
+            return reduce_samples(products[i], *record.arguments(*chunks[i]))
 
     if len(chunks) == 1:
         record.require(output(0))
