@@ -17,7 +17,7 @@ FLEET = [Instrument(0.09 + 0.001 * k, 0.01 * (k - 1), 0.5 * k) for k in range(3)
 T = np.arange(400) * 0.02
 INPUTS = RNG.normal(0.0, 2 * G0, (3, T.size, 3))
 OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
-LONG = 40_000 if numba.config.DISABLE_JIT else 400_000
+LONG = 12_000 if numba.config.DISABLE_JIT else 400_000
 
 
 @pytest.mark.parametrize("workers", [None, 1, 3])
@@ -76,7 +76,7 @@ def test_one_record_in_any_number_of_chunks(long_record, least, monkeypatch):
         parts, part_rate = propagate(FLEET[2], t, f, with_rate=True, workers=workers)
         assert np.abs(parts - alpha).max() < 1e-12 + 4e-16 * np.abs(alpha).max()
         assert np.abs(part_rate - rate).max() < 1e-12
-    assert abs(alpha[-1]) > 100 * math.pi if LONG > 1e5 else True
+    assert abs(alpha[-1]) > 100 * math.pi or LONG < 1e5
 
 
 def test_chunks_agree_on_constant_locked_and_large_step_input(monkeypatch):

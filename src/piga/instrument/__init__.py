@@ -2,7 +2,8 @@
 
 from piga.instrument.constant_motion import closed_form, closed_form_turns
 from piga.instrument.fleet import propagate_fleet
-from piga.instrument.input_forms import propagate_function, propagate_increments, propagate_segments
+from piga.instrument.function_input import propagate_function
+from piga.instrument.input_forms import propagate_increments, propagate_segments
 from piga.instrument.motion_analysis import (
     dead_zone,
     fixed_points,
