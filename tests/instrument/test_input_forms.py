@@ -185,7 +185,10 @@ def test_function_with_base_rate_agrees_with_samples():
         (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2)), "f: does not return three numbers"),
         (lambda: propagate_function(INST, [0, 1], lambda _: (1, math.nan, 3)), "f: returned .* at t = "),
         (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), vectorized=True), "f: does not return"),
-        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), max_step=1e-9), "max_step: 1e-09 s takes more"),
+        (
+            lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), max_step=1e-9),
+            "max_step: 1e-09 s takes more",
+        ),
         (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), tolerance=0.0), "tolerance"),
         (lambda: propagate_function(INST, [1, 0], lambda _: (1, 2, 3)), "t: 0.0 s at index 1"),
     ],

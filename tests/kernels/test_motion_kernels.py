@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from piga._kernels import double_double as dd
+from piga._kernels import motion_records as records
 from piga._kernels import transfer as block
 from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, split_turns, step_functions, unwrapped
 from piga._kernels.motion_sensitivity import unimodular_functions
@@ -132,6 +133,30 @@ def test_angles_count_turns_both_ways(direction):
     turns = block.angles(w, 256, 5.0, alpha)
     assert alpha == pytest.approx(10 * math.pi + 2 * half[1:], abs=1e-12)
     assert turns == 5 + round(2 * half[-1] / (2 * math.pi))
+
+
+@pytest.mark.parametrize("m", [3, 5])
+def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
+    """Mean rates of quadratic input over uneven intervals give the increments with the true slopes."""
+    t = np.cumsum(np.r_[0.3, np.random.default_rng(m).uniform(0.5, 2.0, m)])
+    c = np.array([[1.0, 0.4, -0.3], [0.2, -0.7, 0.9], [0.5, 0.1, -0.2]])
+    integral = t[:, None] * c[0] + t[:, None] ** 2 / 2 * c[1] + t[:, None] ** 3 / 3 * c[2]
+    w = np.zeros(block.SIZE)
+    records.load_means(t, np.diff(integral, axis=0), np.empty((0, 3)), 1.0, 1.0, w[1:])
+    records.fill_edges(w, m, 0, 0)
+    records.steps_from_means(w, m)
+    records.edge_step(w, 1, 2, 3)
+    records.edge_step(w, m, m - 1, m - 2)
+    h = np.diff(t)[:, None]
+    mean = np.diff(integral, axis=0) / h
+    (a, y, z), (sa, sy, sz) = mean.T, (c[1] + (t[1:] + t[:-1])[:, None] * c[2]).T
+    cross = h[:, 0] ** 3 / 12
+    for row, expected in (
+        (block.STEP_A, h[:, 0] * a + cross * (y * sz - z * sy)),
+        (block.STEP_Y, h[:, 0] * y + cross * (a * sz - z * sa)),
+        (block.STEP_Z, h[:, 0] * z - cross * (a * sy - y * sa)),
+    ):
+        assert w[row : row + m] == pytest.approx(expected, abs=1e-13)
 
 
 SCRIPT = """

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.instrument import Instrument, dead_zone, mean_rate
-from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.units import ARCSEC, G0
 
 _POINTS = 801
-_ROLES = ("x", "y", "z", "data")
+_ROLES: tuple[Role, ...] = ("x", "y", "z", "data")
 
 
 def locking_figure(
@@ -63,8 +63,8 @@ def locking_figure(
         (panel,),
         caption=(
             "Inside the dead zone |a_x| < a_t tan(beta) the gimbal comes to rest although there is specific "
-            f"force along the input axis; the widest plateau reaches to {widest:.3g} mg. Outside, the mean rate "
-            "is K sqrt(a_x^2 - a_t^2 tan^2(beta)) and approaches the ideal line from below."
+            f"force along the input axis; the widest plateau reaches to {widest:.3g} mg. Outside, the mean "
+            "rate is K sqrt(a_x^2 - a_t^2 tan^2(beta)) and approaches the ideal line from below."
         ),
         height=3.6,
     )
@@ -77,7 +77,7 @@ def _ideal(inst: Instrument, limit: float) -> Series:
     )
 
 
-def _spread(limit: float, border: float) -> np.ndarray:
+def _spread(limit: float, border: float) -> NDArray[np.float64]:
     """Forces from ``-limit`` to ``limit``, dense where the rate leaves the plateau like a square root."""
     outside = border + (limit - border) * np.linspace(0.0, 1.0, _POINTS // 2) ** 2
-    return np.concatenate((-outside[::-1], outside)) if math.isfinite(border) else outside
+    return np.concatenate((-outside[::-1], outside))
