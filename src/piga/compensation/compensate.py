@@ -143,4 +143,5 @@ def _chunk(record: Run, rows: slice) -> Chunk:
         begins=record.begins[rows],
         base_rate=NO_RATES if record.base_rate is None else record.base_rate[rows],
         temperature=NONE if record.temperature is None else record.temperature[rows],
+        angle=NONE,
     )
