@@ -44,7 +44,13 @@ SQUARE = 26 * STRIDE
 PARTIAL = 27 * STRIDE
 ANGLE = 28 * STRIDE  # effective angle [rad]
 INVERSE = 29 * STRIDE  # 1/STEP [1/s]; 0 where no increment is formed
-WORK = 30 * STRIDE
+AXIS_X, AXIS_Y, AXIS_Z = 30 * STRIDE, 31 * STRIDE, 32 * STRIDE  # sets: effective axis in the common frame
+HALF = 33 * STRIDE  # sets: half the angle turned [rad], or the rate [rad/s]
+GAIN = 34 * STRIDE  # sets: sin(HALF)/HALF
+BASE_X, BASE_Y, BASE_Z = 35 * STRIDE, 36 * STRIDE, 37 * STRIDE  # sets: what base rate and harmonics add [rad/s]
+ERROR = 38 * STRIDE  # sets: error model at the force [m/s^2]
+HARMONICS = 39 * STRIDE  # sets: second and higher harmonics [m/s^2]
+WORK = 40 * STRIDE
 
 P_K = 0
 P_TAN_BETA = 1

@@ -164,6 +164,15 @@ def take_angles(n: int, psi: Array, rate: Array, w: Array) -> None:
         w[at.PSI + j], w[at.FIRST + j] = psi[n - 1], rate[n - 1]
 
 
+@exact
+def take_rates(n: int, rate: Array, w: Array) -> None:
+    """Recorded rate of an instrument of a set, the last sample repeated to the end of the tile."""
+    for j in range(n):
+        w[at.HALF + 1 + j] = rate[j]
+    for j in range(n + 1, angle.padded(n) + 1):
+        w[at.HALF + j] = rate[n - 1]
+
+
 @kernel
 def find_samples(rows: int, phi: float, w: Array) -> None:
     """Angle, its sine and cosine, and ``u_x`` at samples whose angle and rate are both recorded.

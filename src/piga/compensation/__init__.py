@@ -5,6 +5,18 @@ from piga.compensation.compensator import Compensator
 from piga.compensation.flags import FLAGS
 from piga.compensation.model import Phase
 from piga.compensation.result import Compensated
+from piga.compensation.triad import CompensatedSet, Mounted, SetCompensator, compensate_triad
 from piga.compensation.validity import Limits
 
-__all__ = ["FLAGS", "Compensated", "Compensator", "Limits", "Phase", "compensate"]
+__all__ = [
+    "FLAGS",
+    "Compensated",
+    "CompensatedSet",
+    "Compensator",
+    "Limits",
+    "Mounted",
+    "Phase",
+    "SetCompensator",
+    "compensate",
+    "compensate_triad",
+]

@@ -25,8 +25,8 @@ class Chunk:
     """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
 
     ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may
-    be empty. ``angle`` is the
-    output angle [rad] beside a recorded rate; empty: it follows from the rate. All arrays are contiguous float64.
+    be empty. ``angle`` is the output angle [rad] beside a recorded rate; empty: it follows from the rate.
+    All arrays are contiguous float64.
     """
 
     t: Array
