@@ -4,6 +4,8 @@ from piga.compensation.compensate import compensate
 from piga.compensation.compensator import Compensator
 from piga.compensation.flags import FLAGS
 from piga.compensation.model import Phase
+from piga.compensation.phase import PhaseFinder, identify_phase
+from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
 from piga.compensation.triad import CompensatedSet, Mounted, SetCompensator, compensate_triad
 from piga.compensation.validity import Limits
@@ -16,7 +18,10 @@ __all__ = [
     "Limits",
     "Mounted",
     "Phase",
+    "PhaseFinder",
+    "Resampler",
     "SetCompensator",
     "compensate",
     "compensate_triad",
+    "identify_phase",
 ]
