@@ -168,7 +168,7 @@ class _UnitParser:
         if token not in _ATOMS:
             raise UnitError(
                 f"unknown unit '{token}' in '{self.text}'" if token else f"unit '{self.text}' is incomplete",
-                remedy=f"known units: {' '.join(_ATOMS)}; combine with * / ^ sqrt()",
+                remedy=f"use one of: {' '.join(_ATOMS)}; combine with * / ^ sqrt()",
             )
         return _ATOMS[token]
 
@@ -200,7 +200,10 @@ def conversion_factor(unit: str, to: str, *, what: str = "quantity") -> float:
     UnitError
         If the two units do not measure the same kind of quantity; the message names ``what``.
     """
-    source, target = parse_unit(unit), parse_unit(to)
+    try:
+        source, target = parse_unit(unit), parse_unit(to)
+    except UnitError as error:
+        raise UnitError(f"{what}: {error.message}", remedy=error.remedy) from None
     if source.dimension != target.dimension:
         raise UnitError(
             f"{what}: unit '{unit}' does not measure the same quantity as '{to}'",
@@ -246,7 +249,10 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
         if expected.dimension == _DIMENSIONLESS:
             return number
         raise UnitError(f"{what}: '{value}' has no unit", remedy=f"write e.g. '{match.group(1)} {like}'")
-    unit = parse_unit(unit_text)
+    try:
+        unit = parse_unit(unit_text)
+    except UnitError as error:
+        raise UnitError(f"{what}: {error.message}", remedy=error.remedy) from None
     if unit.dimension != expected.dimension:
         raise UnitError(
             f"{what}: '{value}' is given in '{unit_text}', but a quantity in '{like}' is needed",

@@ -1,7 +1,7 @@
 """Double-double arithmetic: a number is the unevaluated sum ``high + low`` of two float64.
 
 About 31 significant digits. Used where a phase grows over many revolutions or where two nearly
-equal squares are subtracted; never in a loop over samples. Dekker's and Knuth's error-free
+equal squares are subtracted, and where triangular factors are gathered. Dekker's and Knuth's error-free
 transformations, valid while products stay below 1e300 and above 1e-290.
 """
 
@@ -74,3 +74,18 @@ def remainder_pi(a: tuple[float, float]) -> tuple[float, float]:
     rest = add(a, two_product(-n, PI_HIGH))
     rest = add(rest, two_product(-n, PI_LOW))
     return n, rest[0] + (rest[1] - n * PI_LOWEST)
+
+
+@exact
+def divide(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    """Quotient of two double-doubles (three steps of long division)."""
+    first = a[0] / b[0]
+    rest = add(a, _negative(multiply((first, 0.0), b)))
+    second = rest[0] / b[0]
+    rest = add(rest, _negative(multiply((second, 0.0), b)))
+    return add(two_sum(first, second), (rest[0] / b[0], 0.0))
+
+
+@exact
+def _negative(a: tuple[float, float]) -> tuple[float, float]:
+    return -a[0], -a[1]

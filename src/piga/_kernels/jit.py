@@ -29,3 +29,12 @@ def inline(function: F) -> F:
 def exact(function: F) -> F:
     """Compile arithmetic whose rounding errors are part of the method: nothing is contracted."""
     return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
+
+
+def reducing_kernel(function: F) -> F:
+    """Compile a loop that sums many numbers: sums may be reordered, so that they use vector registers.
+
+    Used only where the last bits of a sum do not matter for how results compare between chunkings.
+    """
+    flags = {"contract", "reassoc", "nsz"}
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))

@@ -1,0 +1,147 @@
+"""Regressors of the calibration: integrals of the error-model terms over each sample interval.
+
+All inputs are linear between samples. Row ``i`` of a block is the interval from sample ``lo + i`` to
+``lo + i + 1``; rows that begin a stretch are written as zeros. With ``step = 0`` the regressors are
+instead evaluated at the samples themselves (for logs that hold a rate).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import kernel
+
+Array = NDArray[np.float64]
+
+CODES = {
+    "a_x": 0,
+    "p": 1,
+    "q": 2,
+    "k0": 3,
+    "k2": 4,
+    "k3": 5,
+    "k2o": 6,
+    "m_Y": 7,
+    "m_Z": 8,
+    "k_XY": 9,
+    "k_XZ": 10,
+    "k_YY": 11,
+    "k_ZZ": 12,
+    "k_YZ": 13,
+    "k0_t": 14,
+    "k0_T": 15,
+    "k1_T": 16,
+    "omega_x": 17,
+}
+"""Code of each column; harmonics are ``100 + 2 n`` (sine) and ``101 + 2 n`` (cosine) of order n."""
+
+
+@kernel
+def half_angle_moments(x: float) -> tuple[float, float, float]:
+    """Moments of ``exp(i x v)`` over v in [-1, 1], halved: of 1, v and 1 - v^2 (times 1, -i, 1).
+
+    ``j0 = sin x / x``, ``j1 = (sin x - x cos x)/x^2`` and ``2 j1/x``: spherical Bessel functions, with
+    series for small x where the quotients lose digits.
+    """
+    x2 = x * x
+    if x2 < 0.25:
+        j0 = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0 * (1.0 - x2 / 110.0))))
+        ratio = (1.0 - x2 / 10.0 * (1.0 - x2 / 28.0 * (1.0 - x2 / 54.0 * (1.0 - x2 / 88.0 * (1.0 - x2 / 130.0))))) / 3.0
+        return j0, x * ratio, 2.0 * ratio
+    sine, cosine = math.sin(x), math.cos(x)
+    j1 = (sine - x * cosine) / x2
+    return sine / x, j1, 2.0 * j1 / x
+
+
+@kernel
+def coupling_columns(
+    psi: Array, y: Array, z: Array, h: Array, bend: Array, order: float, cosine: Array, sine: Array
+) -> None:
+    """Product integrals of ``y(t)``, ``z(t)`` with ``exp(i order psi(t))`` (Filon's rule).
+
+    ``psi, y, z`` hold n + 1 samples, ``h`` and ``bend`` n intervals. ``bend`` [rad] is the sag of psi
+    against its chord at mid-interval (from the reference), to first order. Writes
+    ``sine = int (y sin - z cos)`` and ``cosine = int (y cos + z sin)``.
+    """
+    for i in range(h.size):
+        if h[i] == 0.0:
+            sine[i] = 0.0
+            cosine[i] = 0.0
+            continue
+        middle = 0.5 * order * (psi[i] + psi[i + 1])
+        j0, j1, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+        s, c = math.sin(middle), math.cos(middle)
+        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
+        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
+        bent = order * bend[i] * sag
+        # int (y + i-free) with exp(i psi) = (s, c) turned; even part j0, odd part j1, sag turns by +90 deg
+        ys, yc = ym * j0 * s + yd * j1 * c + ym * bent * c, ym * j0 * c - yd * j1 * s - ym * bent * s
+        zs, zc = zm * j0 * s + zd * j1 * c + zm * bent * c, zm * j0 * c - zd * j1 * s - zm * bent * s
+        sine[i] = h[i] * (ys - zc)
+        cosine[i] = h[i] * (yc + zs)
+
+
+@kernel
+def _odd_square_mean(a0: float, a1: float) -> float:
+    """Mean of ``a|a|`` while a goes linearly from a0 to a1."""
+    if a0 * a1 >= 0.0:
+        mean = (a0 * a0 + a0 * a1 + a1 * a1) / 3.0
+        return mean if a0 + a1 >= 0.0 else -mean
+    return (abs(a1) ** 3 - abs(a0) ** 3) / (3.0 * (a1 - a0))
+
+
+@kernel
+def product_column(code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array) -> None:
+    """Integral over each interval of the force-only term ``code`` (see ``CODES``), exact for linear input.
+
+    ``f`` has shape (3, n + 1); ``t`` and ``temperature`` are already relative to their references.
+    """
+    x, y, z = f[0], f[1], f[2]
+    n = h.size
+    if code == 0:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (x[i] + x[i + 1])
+    elif code == 3:
+        out[:n] = h
+    elif code == 4:
+        _mean_product(x, x, h, out)
+    elif code == 5:
+        for i in range(n):
+            out[i] = h[i] * 0.25 * (x[i] + x[i + 1]) * (x[i] * x[i] + x[i + 1] * x[i + 1])
+    elif code == 6:
+        for i in range(n):
+            out[i] = h[i] * _odd_square_mean(x[i], x[i + 1])
+    elif code == 7:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (y[i] + y[i + 1])
+    elif code == 8:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (z[i] + z[i + 1])
+    elif code == 9:
+        _mean_product(x, y, h, out)
+    elif code == 10:
+        _mean_product(x, z, h, out)
+    elif code == 11:
+        _mean_product(y, y, h, out)
+    elif code == 12:
+        _mean_product(z, z, h, out)
+    elif code == 13:
+        _mean_product(y, z, h, out)
+    elif code == 14:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (t[i] + t[i + 1])
+    elif code == 15:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (temperature[i] + temperature[i + 1])
+    elif code == 16:
+        _mean_product(x, temperature, h, out)
+
+
+@kernel
+def _mean_product(a: Array, b: Array, h: Array, out: Array) -> None:
+    """Integral of ``a b`` over each interval, both linear: ``h (2 a0 b0 + 2 a1 b1 + a0 b1 + a1 b0)/6``."""
+    for i in range(h.size):
+        out[i] = h[i] * (2.0 * (a[i] * b[i] + a[i + 1] * b[i + 1]) + a[i] * b[i + 1] + a[i + 1] * b[i]) / 6.0

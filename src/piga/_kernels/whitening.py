@@ -1,0 +1,95 @@
+"""Whitening of angle increments whose noise is a first-order moving average.
+
+The increment of an output angle with white angle noise (variance r) and angle random walk (q per
+second) has noise ``w_n + e_n - e_(n-1)``: variance ``q h_n + 2 r`` and covariance ``-r`` between
+neighbours. In units of r, with ``kappa = q/r``, the innovations algorithm is a one-pole recursion:
+``v_n = kappa h_n + 2 - 1/v_(n-1)``, ``i_n = d_n + i_(n-1)/v_(n-1)``, variance of ``i_n`` is ``r v_n``.
+It restarts where a stretch begins (``h = 0``).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import kernel
+
+Array = NDArray[np.float64]
+
+LANES = 8
+"""Candidates of kappa whose likelihood is computed in one pass over the residuals."""
+
+
+@kernel
+def innovation_weights(h: Array, white: float, walk: float, previous: float, carry: Array, scale: Array) -> float:
+    """Weights of the recursion for one block.
+
+    ``white`` = r, ``walk`` = q. ``previous`` is the variance of the last innovation before the block (0
+    when a stretch begins). Writes ``carry[i]``: factor on the innovation before row i; ``scale[i]``: one
+    over the standard deviation. Rows with ``h = 0`` get zeros. Returns the last variance.
+    """
+    for i in range(h.size):
+        if h[i] == 0.0:
+            carry[i] = 0.0
+            scale[i] = 0.0
+            previous = 0.0
+            continue
+        variance = walk * h[i] + 2.0 * white
+        if previous > 0.0:
+            carry[i] = white / previous
+            variance -= white * white / previous
+        else:
+            carry[i] = 0.0
+        scale[i] = 1.0 / math.sqrt(variance)
+        previous = variance
+    return previous
+
+
+@kernel
+def whiten(columns: Array, carry: Array, scale: Array, state: Array, out: Array) -> None:
+    """Run the recursion over every row of ``columns`` (m, n); ``state`` (m,) holds the last innovations."""
+    m, n = columns.shape
+    for j in range(m):
+        last = state[j]
+        for i in range(n):
+            last = columns[j, i] + carry[i] * last
+            out[j, i] = last * scale[i]
+        state[j] = last
+
+
+@kernel
+def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: Array) -> None:
+    """Sums of ``log v`` and ``i^2/v`` of the residual increments for each of LANES candidates of kappa.
+
+    Logarithms are taken of products of 16 variances. Accumulates into ``out_log`` and ``out_square``.
+    """
+    inverse = np.zeros(LANES)
+    last = np.zeros(LANES)
+    product = np.ones(LANES)
+    square = np.zeros(LANES)
+    count = 0
+    for i in range(d.size):
+        if h[i] == 0.0:
+            for k in range(LANES):
+                inverse[k] = 0.0
+                last[k] = 0.0
+            continue
+        for k in range(LANES):
+            v = kappas[k] * h[i] + 2.0 - inverse[k]
+            e = d[i] + last[k] * inverse[k]
+            w = 1.0 / v
+            square[k] += e * e * w
+            product[k] *= v
+            inverse[k] = w
+            last[k] = e
+        count += 1
+        if count == 16:
+            count = 0
+            for k in range(LANES):
+                out_log[k] += math.log(product[k])
+                product[k] = 1.0
+    for k in range(LANES):
+        out_log[k] += math.log(product[k])
+        out_square[k] += square[k]

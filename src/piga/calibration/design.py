@@ -1,0 +1,228 @@
+"""The linear model of a record: blocks of regressor columns, one segment at a time.
+
+Integrated over a sample interval the error model of ``physics.md`` is linear in
+
+    K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
+
+The two columns of the coupling, and those of the harmonics, turn with the unknown phase: they are
+*local* to a phase group. All others are *shared*. Column order: local, shared, observation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.regressors import CODES, coupling_columns, product_column
+from piga.calibration.request import Request
+from piga.errors import DataError
+from piga.records.run import Run
+
+Array = NDArray[np.float64]
+
+CHUNK = 1 << 16
+"""Rows of one block."""
+CACHE_BYTES = 256 << 20
+"""Blocks are kept for the next pass as long as they take no more than this."""
+MAX_BEND = 0.3
+"""Largest sag of the output angle against its chord between samples [rad] that the product integration
+corrects to first order (its error is then below ``bend^2/4`` of tan_beta)."""
+THREADS = 2
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows ``start`` .. ``stop`` of the record (as interval ends): ``columns`` (m + 1, n) and ``h`` (n,).
+
+    ``h`` is 0 for rows into which no increment is formed; their columns are 0.
+    """
+
+    start: int
+    stop: int
+    segment: int
+    h: Array
+    columns: Array
+
+
+@dataclass
+class Design:
+    """Regressor blocks of a run for one request.
+
+    ``scale_factor`` is the K used inside regressors (base rate, sag): nominal at first, then estimated.
+    """
+
+    run: Run
+    request: Request
+    scale_factor: float
+    _cache: dict[int, Block] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        run = self.run
+        self.estimates_scale_factor = "scale_factor" in self.request.terms
+        self.local_names = self._local_names()
+        self.shared_names = self.request.shared_terms
+        self.names = self.local_names + self.shared_names
+        self.point = run.kind == "rate"
+        self._force = np.ascontiguousarray(run.f.T)
+        self._psi = _phase_angle(run, self.request, self.scale_factor)
+        self._t = run.t - 0.5 * (run.t[0] + run.t[-1])
+        reference = self.request.temperature_reference
+        self._temperature = np.zeros(0) if run.temperature is None else run.temperature - reference
+        self._ranges = _ranges(run)
+        self._check_bend()
+
+    def _local_names(self) -> tuple[str, ...]:
+        coupling = ("p", "q") if "tan_beta" in self.request.terms else ()
+        return coupling + tuple(f"{kind}{order}" for order in self.request.harmonics for kind in ("s", "c"))
+
+    @property
+    def rows(self) -> int:
+        """Number of observations: increments formed (samples for a rate log)."""
+        return self.run.size if self.point else int(np.count_nonzero(~self.run.begins))
+
+    def with_scale_factor(self, scale_factor: float) -> Design:
+        """The same model with another K inside the regressors; itself when they do not depend on K."""
+        relative = abs(scale_factor / self.scale_factor - 1.0)
+        if relative < 1e-12 or (self.run.base_rate is None and relative < 1e-3):
+            return self
+        return Design(self.run, self.request, scale_factor)
+
+    def blocks(self) -> Iterator[Block]:
+        """All blocks in order; built ahead on a second thread."""
+        keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
+        with ThreadPoolExecutor(THREADS) as pool:
+            pending = []
+            for index in range(len(self._ranges)):
+                found = self._cache.get(index)
+                pending.append(found if found is not None else pool.submit(self._build, index))
+                if len(pending) > THREADS + 1:
+                    yield self._take(pending.pop(0), keep)
+            for item in pending:
+                yield self._take(item, keep)
+
+    def _take(self, item: object, keep: bool) -> Block:
+        if isinstance(item, Block):
+            return item
+        index, block = item.result()  # type: ignore[attr-defined]
+        if keep:
+            self._cache[index] = block
+        return block
+
+    def _build(self, index: int) -> tuple[int, Block]:
+        start, stop, segment = self._ranges[index]
+        first = start if self.point else max(start - 1, 0)
+        window = np.arange(start, stop).repeat(2) if self.point else slice(first, stop)
+        h, observation = self._observation(start, stop, first)
+        columns = np.empty((len(self.names) + 1, h.size))
+        columns[-1] = observation
+        force = np.ascontiguousarray(self._force[:, window])
+        inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
+        self._fill_local(columns, window, force, inner_h)
+        self._fill_shared(columns, window, force, inner_h)
+        return index, Block(stop - h.size, stop, segment, h, columns)
+
+    def _observation(self, start: int, stop: int, first: int) -> tuple[Array, Array]:
+        """Interval lengths (0 where none is formed) and the observed increment of psi plus base rotation."""
+        run = self.run
+        omega = None if run.base_rate is None else run.base_rate[first:stop, 0]
+        if self.point:
+            y = run.output[start:stop].copy()
+            if omega is not None:
+                y += omega
+            if not self.estimates_scale_factor:
+                y -= run.scale_factor * run.f[start:stop, 0]
+            return np.ones(stop - start), y
+        h = np.diff(run.t[first:stop])
+        h[run.begins[first + 1 : stop]] = 0.0
+        y = np.diff(run.output[first:stop])
+        if omega is not None:
+            y += h * 0.5 * (omega[1:] + omega[:-1])
+        if not self.estimates_scale_factor:
+            y -= run.scale_factor * h * 0.5 * (run.f[first + 1 : stop, 0] + run.f[first : stop - 1, 0])
+        y[h == 0.0] = 0.0
+        return h, y
+
+    def _fill_local(self, columns: Array, window: object, force: Array, h: Array) -> None:
+        if not self.local_names:
+            return
+        psi = np.ascontiguousarray(self._psi[window])
+        y, z = force[1], force[2]
+        if self.run.base_rate is not None:
+            y = y - self.run.base_rate[window, 1] / self.scale_factor
+            z = z - self.run.base_rate[window, 2] / self.scale_factor
+        bend = -self.scale_factor / 8.0 * h * np.diff(force[0])
+        cosine, sine = np.empty(h.size), np.empty(h.size)
+        row = 0
+        if "p" in self.local_names:
+            coupling_columns(psi, y, z, h, bend, 1.0, cosine, sine)
+            columns[0], columns[1] = self._every(sine), self._every(cosine)
+            row = 2
+        ones, zeros = np.ones_like(psi), np.zeros_like(psi)
+        for order in self.request.harmonics:
+            coupling_columns(psi, ones, zeros, h, bend, float(order), cosine, sine)
+            columns[row], columns[row + 1] = self._every(sine), self._every(cosine)
+            row += 2
+
+    def _fill_shared(self, columns: Array, window: object, force: Array, h: Array) -> None:
+        t = np.ascontiguousarray(self._t[window])
+        temperature = np.ascontiguousarray(self._temperature[window]) if self._temperature.size else t
+        out = np.empty(h.size)
+        for row, name in enumerate(self.shared_names, start=len(self.local_names)):
+            code = CODES["a_x" if name in ("scale_factor", "k1") else name]
+            product_column(code, t, force, temperature, h, out)
+            columns[row] = self._every(out)
+
+    def _every(self, column: Array) -> Array:
+        """For a rate log every second interval is a sample (the others join two samples)."""
+        return column[::2] if self.point else column
+
+    def _check_bend(self) -> None:
+        if not self.local_names or self.point:
+            return
+        h = np.where(self.run.begins[1:], 0.0, np.diff(self.run.t))
+        bend = np.abs(self.scale_factor / 8.0 * h * np.diff(self.run.f[:, 0]))
+        if bend.size and bend.max() > MAX_BEND:
+            at = int(np.argmax(bend)) + 1
+            rate = np.sqrt(bend.max() / MAX_BEND) / h[at - 1]
+            raise DataError(
+                f"row {self.run.row[at]}: between two samples the output angle bends by {bend.max():.2g} rad; its "
+                "cross-coupling cannot be integrated",
+                remedy=f"sample at {rate:.3g} Hz or more",
+            )
+
+
+def _phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
+    """The angle that the coupling turns with: as read, integrated from a rate, or predicted from input."""
+    step = np.diff(run.t)
+    step[run.begins[1:]] = 0.0
+    if request.phase_source == "input":
+        increments = scale_factor * step * 0.5 * (run.f[1:, 0] + run.f[:-1, 0])
+    elif run.kind == "rate":
+        increments = step * 0.5 * (run.output[1:] + run.output[:-1]) + _end_correction(run.output, step)
+    else:
+        return run.output
+    return np.concatenate(([0.0], np.cumsum(increments)))
+
+
+def _end_correction(rate: Array, step: Array) -> Array:
+    """End correction of the trapezoid, ``h^2/12 (r0' - r1')``, slopes by central differences."""
+    slope = np.zeros(rate.size)
+    inner = (step[1:] > 0.0) & (step[:-1] > 0.0)
+    span = np.where(inner, step[1:] + step[:-1], 1.0)
+    slope[1:-1] = np.where(inner, (rate[2:] - rate[:-2]) / span, 0.0)
+    both = (slope[:-1] != 0.0) & (slope[1:] != 0.0)
+    return np.where(both, step**2 / 12.0 * (slope[:-1] - slope[1:]), 0.0)
+
+
+def _ranges(run: Run) -> list[tuple[int, int, int]]:
+    """Row ranges of the blocks: inside one segment, at most CHUNK rows; (start, stop, segment)."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(run.segment)) + 1, [run.size]))
+    ranges = []
+    for left, right in zip(edges[:-1], edges[1:], strict=True):
+        for start in range(int(left), int(right), CHUNK):
+            ranges.append((start, min(start + CHUNK, int(right)), int(run.segment[left])))
+    return ranges

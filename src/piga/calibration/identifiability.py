@@ -1,0 +1,181 @@
+"""What a record can tell apart, in words: rank, condition, confounded terms, useless estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.design import Design
+from piga.calibration.reduction import Reduction
+from piga.calibration.solution import merged
+from piga.errors import IdentifiabilityError
+from piga.records.calibration import Coefficient
+from piga.records.terms import harmonic
+from piga.units import G0
+
+Array = NDArray[np.float64]
+
+RANK = 1e-9
+"""Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
+USELESS = 0.05
+"""An uncertainty that means more than this fraction of the record's largest specific force is no result."""
+SHARE = 0.3
+"""Weight in a null direction from which a term is named."""
+
+_REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
+    (frozenset({"scale_factor", "k0"}), "a_x never changes: add positions or levels with another a_x"),
+    (frozenset({"k0", "k1"}), "a_x never changes: add positions or levels with another a_x"),
+    (
+        frozenset({"k0", "k2", "k_YY"}),
+        "a one-plane tumble has a_x^2 + a_Y^2 = g^2: leave k_YY out, or add a centrifuge or vibration run",
+    ),
+    (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
+    (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
+    (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
+    (frozenset({"tan_beta"}), "the gimbal does not turn enough, or there is no transverse force: add revolutions"),
+)
+
+
+@dataclass(frozen=True)
+class Examination:
+    """Condition of the column-scaled factor, and the names of columns with their norms."""
+
+    condition: float
+    null_terms: tuple[str, ...]
+
+
+def term_of(column: str) -> str:
+    """The term a linear column belongs to: ``p`` and ``q`` are the coupling."""
+    return "tan_beta" if column in ("p", "q") else column
+
+
+def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Examination:
+    """Rank and condition of what is asked; the terms of the weakest direction when it holds no information.
+
+    With one phase per segment the coupling columns of all segments count as one direction each.
+    """
+    names = design.names
+    if per_segment and design.local_names:
+        total = _aligned(design, summaries)
+    else:
+        total = merged(summaries, list(range(len(summaries))))
+    factor = total.factor[:-1, :-1]
+    norms = np.linalg.norm(factor, axis=0)
+    zero = [term_of(name) for name, norm in zip(names, norms, strict=True) if norm <= 1e-14 * max(norms.max(), 1e-300)]
+    if zero:
+        return Examination(float("inf"), tuple(dict.fromkeys(zero)))
+    _, singular, right = np.linalg.svd(factor / norms)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+    if singular[-1] > RANK * singular[0]:
+        return Examination(condition, ())
+    weights = np.abs(right[-1])
+    named = [term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()]
+    return Examination(condition, tuple(dict.fromkeys(named)))
+
+
+def _aligned(design: Design, summaries: list[Reduction]) -> Reduction:
+    """Summary with the local columns of every segment turned to its own best phase."""
+    total = Reduction.empty(design.names)
+    for summary in summaries:
+        turned = np.array(summary.factor)
+        if "p" in design.local_names and turned[0, 0] and turned[1, 1]:
+            q = turned[1, -1] / turned[1, 1]
+            p = (turned[0, -1] - turned[0, 1] * q) / turned[0, 0]
+            phase = np.arctan2(q, p)
+            cosine, sine = np.cos(phase), np.sin(phase)
+            turned[:, :2] = turned[:, :2] @ np.array([[cosine, -sine], [sine, cosine]])
+        total.absorb(turned.T)
+    return total
+
+
+def refuse_if_confounded(examination: Examination) -> None:
+    """Raise when the record cannot separate what was asked.
+
+    Raises
+    ------
+    IdentifiabilityError
+        Names the terms and the test that would separate them.
+    """
+    if examination.null_terms:
+        terms = set(examination.null_terms)
+        listed = ", ".join(sorted(terms))
+        verb = "cannot determine" if len(terms) == 1 else "cannot separate"
+        raise IdentifiabilityError(f"this record {verb} {listed}", remedy=_remedy(terms))
+
+
+def _remedy(terms: set[str]) -> str:
+    fitting = [text for members, text in _REMEDIES if members <= terms]
+    if fitting:
+        return fitting[0]
+    return "leave one of these terms out, or record other positions, levels or temperatures"
+
+
+def refuse_useless(coefficients: tuple[Coefficient, ...], largest: float, duration: float, spread: float) -> None:
+    """Raise when an uncertainty is so large that the number means nothing.
+
+    Parameters
+    ----------
+    largest:
+        Largest specific force of the record [m/s^2].
+    duration, spread:
+        Duration [s] and range of temperature [K], for the drift terms.
+    """
+    bad = []
+    for coefficient in coefficients:
+        share = coefficient.std * _full_scale(coefficient, largest / G0, duration, spread)
+        if coefficient.name != "phi" and not share < USELESS:
+            bad.append((coefficient, share))
+    if bad:
+        listed = "; ".join(
+            f"{c.key} = {c.value:.3g} with standard uncertainty {c.std:.2g} {c.unit}" for c, _ in bad
+        )
+        raise IdentifiabilityError(
+            f"this record does not determine {', '.join(c.key for c, _ in bad)}: {listed}",
+            remedy=_remedy({c.name for c, _ in bad}),
+        )
+
+
+def _full_scale(coefficient: Coefficient, largest: float, duration: float, spread: float) -> float:
+    """Error relative to the largest force [g] that an error of one file unit makes."""
+    name = coefficient.name
+    if name == "scale_factor":
+        return 1.0 / abs(coefficient.value)
+    if name in ("k0", "k0_t", "k0_T") or harmonic(name):
+        extent = {"k0_t": 0.5 * duration, "k0_T": 0.5 * spread}.get(name, 1.0)
+        return extent / largest
+    if name == "k1_T":
+        return 0.5 * spread
+    powers = {"k2": 1, "k2o": 1, "k3": 2}
+    return largest ** powers.get(name, 1 if name.startswith("k_") else 0)
+
+
+def notes_in_words(
+    coefficients: tuple[Coefficient, ...], covariance: Array, condition: float, phase: str
+) -> tuple[str, ...]:
+    """Doubts about the estimate, one sentence each."""
+    notes = []
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    for i, first in enumerate(coefficients):
+        for j in range(i):
+            second = coefficients[j]
+            if abs(correlation[i, j]) > 0.95 and "phi" not in (first.name, second.name):
+                notes.append(
+                    f"{second.key} and {first.key} are hard to tell apart in this record "
+                    f"(correlation {correlation[i, j]:+.3f}): use them together"
+                )
+    for coefficient in coefficients:
+        if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
+            notes.append("tan_beta is not well above its uncertainty: phi is not determined, its interval is not valid")
+        elif coefficient.name not in ("phi", "scale_factor") and abs(coefficient.value) < 2.0 * coefficient.std:
+            notes.append(f"{coefficient.key} is smaller than twice its standard uncertainty: the record does not need it")
+    loose = [c.segment for c in coefficients if c.name == "phi" and c.segment is not None and c.std > 0.5]
+    if loose:
+        notes.append(f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns")
+    if condition > 1e5:
+        notes.append(f"the condition number {condition:.2g} is high: small errors of the reference are magnified")
+    if phase == "per-segment" and not loose:
+        notes.append("every segment has its own phase: nothing is assumed about the counter between segments")
+    return tuple(notes)

@@ -1,0 +1,86 @@
+"""Noise levels of the output, found from the residual increments by maximum likelihood."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.whitening import LANES, likelihoods
+
+Array = NDArray[np.float64]
+
+LOWEST, HIGHEST = -10.0, 4.0
+"""Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
+REFINEMENTS = 4
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variance of the white angle noise ``white`` = r [rad^2] and of the random walk ``walk`` = q [rad^2/s]."""
+
+    white: float
+    walk: float
+
+    @property
+    def angle_rms(self) -> float:
+        """Standard deviation of the white angle noise [rad]."""
+        return math.sqrt(self.white)
+
+    @property
+    def angle_random_walk(self) -> float:
+        """Angle random walk [rad/sqrt(s)]."""
+        return math.sqrt(self.walk)
+
+    def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:
+        """True when both give nearly the same weights: variances of an increment and of a long span agree."""
+        short = (2.0 * self.white + self.walk * step) / (2.0 * other.white + other.walk * step)
+        total = self.walk * step + 1e-4 * self.white
+        other_total = other.walk * step + 1e-4 * other.white
+        return abs(math.log(short)) < tolerance and abs(math.log(total / other_total)) < 2.0 * tolerance
+
+
+def starting_noise(resolution: float, step: float) -> Noise:
+    """Levels for the first fit: quantisation of one count, and a random walk of a hundredth of it per step."""
+    white = max(resolution, 1e-9) ** 2 / 12.0
+    return Noise(white, 0.01 * white / step)
+
+
+def find_noise(d: Array, h: Array, parameters: int, floor: float) -> Noise:
+    """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
+
+    Maximises the likelihood of the first-order moving average (``estimation.md``) concentrated over its
+    scale, on a grid of the ratio q/r refined ``REFINEMENTS`` times; the scale is made unbiased with
+    ``parameters`` fitted. ``floor`` [rad] is the smallest angle noise returned.
+    """
+    formed = h > 0.0
+    count = int(np.count_nonzero(formed))
+    step = float(np.median(h[formed]))
+    low, high = LOWEST, HIGHEST
+    best = low
+    objective = np.zeros(LANES)
+    for _ in range(REFINEMENTS):
+        grid = np.linspace(low, high, LANES)
+        log, square = _sums(d, h, 10.0**grid / step)
+        objective = count * np.log(np.maximum(square, 1e-300) / count) + log
+        best = float(grid[int(np.argmin(objective))])
+        spacing = (high - low) / (LANES - 1)
+        low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
+    ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
+    _, square = _sums(d, h, np.full(LANES, ratio))
+    white = float(square[0]) / max(count - parameters, 1)
+    white = max(white, floor**2 / (1.0 + ratio * step))
+    return Noise(white, ratio * white)
+
+
+def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
+    """Sums of the likelihood over the record, two halves on two threads."""
+    middle = d.size // 2
+    parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
+    results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda item: likelihoods(*item[0], kappas, *item[1]), zip(parts, results, strict=True)))
+    return results[0][0] + results[1][0], results[0][1] + results[1][1]

@@ -1,0 +1,115 @@
+"""What is asked of a calibration: run file and call arguments together, checked against the record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+from piga.errors import ArgumentError, CalibrationError
+from piga.records.run import Run
+from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
+from piga.records.terms import check_terms, harmonic
+from piga.units import to_si
+
+PUBLISHED_TERMS = (("tan_beta",), ("tan_beta", "k0", "k1", "k2"))
+
+
+@dataclass(frozen=True)
+class Request:
+    """Terms to estimate, phase handling, method, and noise levels when given (SI)."""
+
+    terms: tuple[str, ...]
+    phase: str
+    phase_source: str
+    method: str
+    angle_rms: float | None
+    angle_random_walk: float | None
+    temperature_reference: float
+    x0: tuple[float, ...] | None = None
+    P0: float | None = None
+
+    @property
+    def harmonics(self) -> tuple[int, ...]:
+        """Orders of the wanted harmonics of the output angle."""
+        return tuple(sorted({found[1] for name in self.terms if (found := harmonic(name))}))
+
+    @property
+    def shared_terms(self) -> tuple[str, ...]:
+        """Terms whose regressor does not depend on the phase."""
+        return tuple(name for name in self.terms if name != "tan_beta" and harmonic(name) is None)
+
+
+def make_request(
+    run: Run,
+    terms: list[str] | tuple[str, ...] | None,
+    method: str | None,
+    phase: str | None,
+    phase_source: str | None,
+) -> Request:
+    """Merge call arguments over the run file's wishes and check them against the record.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown option or term.
+    CalibrationError
+        If the record lacks what a term needs, or has lost the phase that ``shared`` needs.
+    """
+    model, estimation = run.model, run.estimation
+    request = Request(
+        terms=tuple(terms) if terms is not None else model.terms,
+        phase=phase or model.phase,
+        phase_source=phase_source or model.phase_source,
+        method=method or estimation.method,
+        angle_rms=None if estimation.angle_rms is None else to_si(estimation.angle_rms, "rad"),
+        angle_random_walk=(
+            None if estimation.angle_random_walk is None else to_si(estimation.angle_random_walk, "rad/sqrt(s)")
+        ),
+        temperature_reference=to_si(model.temperature_reference, "K"),
+        x0=estimation.x0,
+        P0=estimation.P0,
+    )
+    for name, value, allowed in (
+        ("phase", request.phase, PHASES),
+        ("phase_source", request.phase_source, PHASE_SOURCES),
+        ("method", request.method, METHODS),
+    ):
+        if value not in allowed:
+            raise ArgumentError(f"{name}: '{value}' is not known", remedy=f"one of: {', '.join(allowed)}")
+    check_terms(request.terms)
+    _check_record(run, request)
+    return request
+
+
+def _check_record(run: Run, request: Request) -> None:
+    for name in request.terms:
+        if name in ("k0_T", "k1_T") and run.temperature is None:
+            raise CalibrationError(
+                f"term '{name}' needs the temperature, the record has none",
+                remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
+            )
+    coupled = "tan_beta" in request.terms or bool(request.harmonics)
+    if request.phase == "shared" and coupled and len(set(run.phase_group)) > 1:
+        at = next(i for i, group in enumerate(run.phase_group) if group != run.phase_group[0])
+        raise CalibrationError(
+            f"phase 'shared' is not possible: from segment '{run.labels[at]}' on the zero of the output angle is "
+            f"lost ({len(set(run.phase_group))} independent parts): between segments the counter may have rolled "
+            "over unseen",
+            remedy="set phase = 'per-segment' (run file [model], or --phase per-segment)",
+        )
+    if request.phase_source == "input" and request.phase != "shared":
+        raise CalibrationError(
+            "phase_source 'input' predicts the phase through the whole record and needs phase = 'shared'",
+            remedy="use phase_source = 'output'",
+        )
+    if request.method == "published" and tuple(sorted(request.terms)) not in {tuple(sorted(t)) for t in PUBLISHED_TERMS}:
+        raise CalibrationError(
+            "method 'published' estimates [tan_beta] or [tan_beta, k0, k1, k2], with the nominal scale factor",
+            remedy="set the terms so, or use method 'information'",
+        )
+    if request.x0 is not None and len(request.x0) != len(cast("tuple", request.terms)) + 1:
+        raise CalibrationError(
+            f"[estimation] x0 has {len(request.x0)} values, {len(request.terms) + 1} are needed: tan_beta, phi, then "
+            "k0, k1, k2",
+            remedy="correct x0",
+        )

@@ -1,0 +1,80 @@
+"""Uncertainty of Type B: what the reference, the clock and the thermometer do to the coefficients.
+
+First order (JCGM 100, 5.1): each source is moved by its standard uncertainty in the record and the
+linear estimate is repeated with the same weights; the change is the contribution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.records.run import Run
+from piga.records.run_file import UNCERTAINTY_UNITS
+from piga.units import G0, from_si, to_si
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source of Type B: its name, standard uncertainty in ``unit``, and the record moved by it."""
+
+    name: str
+    value: float
+    unit: str
+    moved: Run
+
+
+def sources(run: Run) -> Iterator[Source]:
+    """The sources named in the run file's ``[uncertainty]``.
+
+    ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
+    independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
+    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer.
+    """
+    for name, like in UNCERTAINTY_UNITS.items():
+        given = getattr(run.uncertainty, name)
+        value = 0.0 if given is None else to_si(given, like)
+        if value == 0.0:
+            continue
+        shown, unit = from_si(value, like), like
+        if name in ("reference_scale", "gravity"):
+            relative = value if name == "reference_scale" else value / G0
+            yield Source(name, shown, unit, replace(run, f=run.f * (1.0 + relative)))
+        elif name == "timing":
+            yield Source(name, shown, unit, replace(run, t=run.t * (1.0 + value)))
+        elif name == "temperature":
+            if run.temperature is not None:
+                yield Source(name, shown, unit, replace(run, temperature=run.temperature + value))
+        else:
+            move = _bias if name == "reference_bias" else _turn
+            for axis, label in enumerate(("X0", "Y0", "Z0")):
+                yield Source(f"{name} {label}", shown, unit, replace(run, f=move(run.f, axis, value)))
+
+
+def _bias(f: Array, axis: int, value: float) -> Array:
+    moved = f.copy()
+    moved[:, axis] += value
+    return moved
+
+
+def _turn(f: Array, axis: int, angle: float) -> Array:
+    """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
+    moved = f.copy()
+    second, third = (axis + 1) % 3, (axis + 2) % 3
+    moved[:, second] -= angle * f[:, third]
+    moved[:, third] += angle * f[:, second]
+    return moved
+
+
+def contributions(run: Run, base: Array, estimate: Callable[[Run], Array]) -> list[tuple[Source, Array]]:
+    """Change of the coefficients (file units) that each source makes; ``base`` is the estimate unmoved."""
+    found = []
+    for source in sources(run):
+        change = estimate(source.moved) - base
+        found.append((source, change))
+    return found

@@ -1,0 +1,124 @@
+"""A recorded test as plain data in SI: what every estimator and compensator works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.records.calibration import Quality
+from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recorded test. Arrays share their length n; everything is SI.
+
+    Attributes
+    ----------
+    serial, scale_factor:
+        Instrument and its nominal K [(rad/s)/(m/s^2)].
+    t:
+        Time [s]; increasing inside a stretch.
+    output:
+        Output angle psi [rad], unwrapped; or rate [rad/s] when ``kind`` is ``"rate"``.
+    f:
+        Reference specific force in base axes [m/s^2], shape (n, 3).
+    base_rate:
+        Inertial angular rate of the base [rad/s], shape (n, 3); None when not recorded.
+    temperature:
+        [K], or None.
+    segment, labels:
+        Segment index of each sample, and the names.
+    begins:
+        True where a stretch begins; no increment is formed into such a sample.
+    phase_group:
+        Index per segment: segments of one group share the unknown zero of the output angle.
+    row:
+        1-based row in the data file.
+    resolution:
+        Angle of one count [rad], 0 when the output is not counted.
+    """
+
+    serial: str
+    scale_factor: float
+    kind: str
+    t: Array
+    output: Array
+    f: Array
+    base_rate: Array | None
+    temperature: Array | None
+    segment: NDArray[np.int32]
+    labels: tuple[str, ...]
+    begins: NDArray[np.bool_]
+    phase_group: tuple[int, ...]
+    row: NDArray[np.int64]
+    resolution: float
+    quality: Quality
+    model: ModelTable = ModelTable()
+    estimation: EstimationTable = EstimationTable()
+    uncertainty: UncertaintyTable = UncertaintyTable()
+    source: str = ""
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.t.size)
+
+    @property
+    def duration(self) -> float:
+        """Sum of the recorded intervals [s], gaps and moves left out."""
+        return float(np.diff(self.t)[~self.begins[1:]].sum())
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: Array,
+        output: Array,
+        f: Array,
+        *,
+        scale_factor: float | str,
+        kind: str = "angle",
+        base_rate: Array | None = None,
+        temperature: Array | None = None,
+        segment: NDArray[np.int32] | None = None,
+        resolution: float = 0.0,
+        serial: str = "",
+    ) -> Run:
+        """Make a run from arrays in memory (SI). Shapes: t, output (n,); f, base_rate (n, 3).
+
+        Raises
+        ------
+        ArgumentError
+            For a shape mismatch, a non-finite sample or unsorted time, naming argument and index.
+        """
+        from piga.records.run_checks import check_arrays
+        from piga.units import to_si
+
+        t, output, f = (np.ascontiguousarray(a, dtype=float) for a in (t, output, f))
+        labels_index = np.zeros(t.size, np.int32) if segment is None else np.asarray(segment, dtype=np.int32)
+        check_arrays(t, output, f, base_rate, temperature, labels_index, kind)
+        names, index = np.unique(labels_index, return_inverse=True)
+        begins = np.ones(t.size, dtype=bool)
+        begins[1:] = np.diff(index) != 0
+        return cls(
+            serial=serial,
+            scale_factor=to_si(scale_factor, "rad/s/g", what="scale_factor"),
+            kind=kind,
+            t=t,
+            output=output,
+            f=f,
+            base_rate=None if base_rate is None else np.ascontiguousarray(base_rate, dtype=float),
+            temperature=None if temperature is None else np.ascontiguousarray(temperature, dtype=float),
+            segment=index.astype(np.int32),
+            labels=tuple(str(name) for name in names),
+            begins=begins,
+            phase_group=(0,) * names.size,
+            row=np.arange(1, t.size + 1, dtype=np.int64),
+            resolution=resolution,
+            quality=Quality(rows=t.size, used=t.size, masked=0),
+        )

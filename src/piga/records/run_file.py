@@ -1,0 +1,216 @@
+"""The run file (TOML): what one recorded test is, where its data lie, and what is wanted of it.
+
+The tables mirror the file; :func:`read_run_file` checks everything that can be checked without the
+data: keys, types, units, term names, and options that contradict each other.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from piga.errors import RunFileError, UnitError
+from piga.records.terms import check_terms
+from piga.records.toml_file import read_toml
+from piga.units import conversion_factor, to_si
+
+Quantity = str | float | int
+
+PHASES = ("shared", "per-segment")
+PHASE_SOURCES = ("output", "input")
+METHODS = ("information", "rate", "recursive", "published")
+
+
+class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Base of all tables: an unknown key is an error."""
+
+
+class InstrumentTable(Table):
+    """``[instrument]``: who it is and its nominal figures."""
+
+    serial: str
+    scale_factor: Quantity
+    counts_per_revolution: float | None = None
+    counter_bits: int | None = None
+
+
+class Column(Table):
+    """A column with its unit."""
+
+    column: str
+    unit: str
+
+
+class OutputColumn(Table):
+    """The output column: counts, angle or rate; ``wraps_at`` when a logged angle folds back."""
+
+    column: str
+    kind: Literal["counts", "angle", "rate"]
+    unit: str | None = None
+    wraps_at: Quantity | None = None
+
+
+class Columns(Table):
+    """Three columns X0, Y0, Z0 with one unit."""
+
+    columns: tuple[str, str, str]
+    unit: str
+
+
+class DataTable(Table):
+    """``[data]``: the file, its columns and, where it cannot tell itself, its format."""
+
+    file: str
+    output: OutputColumn
+    reference: Columns | None = None
+    time: Column | None = None
+    sample_rate: Quantity | None = None
+    base_rate: Columns | None = None
+    temperature: Column | None = None
+    segment: str | None = None
+    delimiter: str | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
+
+
+class ModelTable(Table):
+    """``[model]``: the terms to estimate and how the phase of the output zero behaves."""
+
+    terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
+    phase: Literal["shared", "per-segment"] = "shared"
+    phase_source: Literal["output", "input"] = "output"
+    temperature_reference: Quantity = "20 degC"
+
+
+class EstimationTable(Table):
+    """``[estimation]``: method; noise levels when they are known; start of the published recursion."""
+
+    method: Literal["information", "rate", "recursive", "published"] = "information"
+    angle_rms: Quantity | None = None
+    angle_random_walk: Quantity | None = None
+    x0: tuple[float, ...] | None = None
+    P0: float | None = None
+
+
+class UncertaintyTable(Table):
+    """``[uncertainty]``: Type B standard uncertainties of the reference and the clock."""
+
+    reference_scale: Quantity | None = None
+    reference_bias: Quantity | None = None
+    reference_misalignment: Quantity | None = None
+    gravity: Quantity | None = None
+    timing: Quantity | None = None
+    temperature: Quantity | None = None
+
+
+class RunFile(Table):
+    """A whole run file."""
+
+    instrument: InstrumentTable
+    data: DataTable
+    model: ModelTable = ModelTable()
+    estimation: EstimationTable = EstimationTable()
+    uncertainty: UncertaintyTable = UncertaintyTable()
+
+
+UNCERTAINTY_UNITS = {
+    "reference_scale": "1",
+    "reference_bias": "g",
+    "reference_misalignment": "rad",
+    "gravity": "g",
+    "timing": "1",
+    "temperature": "K",
+}
+"""Unit kind of each Type B entry; ``timing`` is the relative error of the clock's rate."""
+
+
+def read_run_file(path: str | Path) -> RunFile:
+    """Read and check a run file.
+
+    Raises
+    ------
+    RunFileError
+        With file, table, key, value and remedy.
+    """
+    path = Path(path)
+    run_file = read_toml(path, RunFile)
+    try:
+        _check_units(run_file)
+        _check_output(run_file)
+        check_terms(run_file.model.terms, where="[model] terms")
+    except (UnitError, RunFileError) as error:
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+    return run_file
+
+
+def _check_units(run_file: RunFile) -> None:
+    data, estimation = run_file.data, run_file.estimation
+    if to_si(run_file.instrument.scale_factor, "rad/s/g", what="[instrument] scale_factor") <= 0.0:
+        raise RunFileError("[instrument] scale_factor: must be positive", remedy="turn the axes, not the sign")
+    if data.time is not None:
+        conversion_factor(data.time.unit, "s", what="[data] time")
+    for name, table, like in (("reference", data.reference, "g"), ("base_rate", data.base_rate, "rad/s")):
+        if table is not None:
+            conversion_factor(table.unit, like, what=f"[data] {name}")
+    if data.temperature is not None:
+        conversion_factor(data.temperature.unit, "K", what="[data] temperature")
+    for name, like in UNCERTAINTY_UNITS.items():
+        value = getattr(run_file.uncertainty, name)
+        if value is not None and to_si(value, like, what=f"[uncertainty] {name}") < 0.0:
+            raise RunFileError(f"[uncertainty] {name}: '{value}' is negative", remedy="give a standard uncertainty")
+    to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
+    for name, like in (("angle_rms", "rad"), ("angle_random_walk", "rad/sqrt(s)")):
+        value = getattr(estimation, name)
+        if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
+            raise RunFileError(f"[estimation] {name}: '{value}' is negative", remedy="give a standard deviation")
+    if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
+        raise RunFileError(
+            "[estimation] angle_rms and angle_random_walk are given together or not at all",
+            remedy="add the other one, '0 rad' or '0 rad/sqrt(s)' if it is absent",
+        )
+
+
+def _check_output(run_file: RunFile) -> None:
+    data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
+    if output.kind == "counts":
+        if instrument.counts_per_revolution is None:
+            raise RunFileError(
+                "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
+            )
+        if not instrument.counts_per_revolution > 0.0:
+            raise RunFileError("[instrument] counts_per_revolution: must be positive", remedy="correct it")
+        if output.unit not in (None, "count", "counts", "1"):
+            raise RunFileError(
+                f"[data] output: unit '{output.unit}' does not go with kind 'counts'",
+                remedy="leave the unit out, or set kind to 'angle' or 'rate'",
+            )
+    else:
+        like = "rad" if output.kind == "angle" else "rad/s"
+        if output.unit is None:
+            raise RunFileError(f"[data] output: kind '{output.kind}' needs a unit", remedy=f"add unit = '{like}'")
+        conversion_factor(output.unit, like, what="[data] output")
+    if output.wraps_at is not None:
+        if output.kind != "angle":
+            raise RunFileError(
+                "[data] output: wraps_at is for kind 'angle'", remedy="for counts give [instrument] counter_bits"
+            )
+        if to_si(output.wraps_at, "rad", what="[data] output.wraps_at") <= 0.0:
+            raise RunFileError("[data] output: wraps_at must be positive", remedy="e.g. '360 deg'")
+    bits = instrument.counter_bits
+    if bits is not None and not 1 <= bits <= 62:
+        raise RunFileError(f"[instrument] counter_bits: {bits} is outside 1 to 62", remedy="leave it out if it never wraps")
+    if (data.time is None) == (data.sample_rate is None):
+        raise RunFileError(
+            "[data] needs either time or sample_rate", remedy="e.g. time = { column = 't_s', unit = 's' }"
+        )
+    if data.sample_rate is not None and to_si(data.sample_rate, "Hz", what="[data] sample_rate") <= 0.0:
+        raise RunFileError("[data] sample_rate: must be positive", remedy="e.g. '100 Hz'")
+    if data.reference is None:
+        raise RunFileError(
+            "[data] reference is missing: the specific force that the instrument felt",
+            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }",
+        )
+    if data.decimal is not None and data.decimal == data.delimiter:
+        raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")

@@ -1,0 +1,117 @@
+"""Names of the error-model terms, their units in files, and what they multiply (``physics.md``).
+
+Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is claimed.
+"""
+
+from __future__ import annotations
+
+import re
+
+from piga.errors import RunFileError
+from piga.units import parse_unit
+
+UNITS = {
+    "scale_factor": "rad/s/g",
+    "tan_beta": "1",
+    "phi": "rad",
+    "k0": "g",
+    "k1": "1",
+    "k2": "g/g^2",
+    "k3": "g/g^3",
+    "k2o": "g/g^2",
+    "m_Y": "rad",
+    "m_Z": "rad",
+    "k_XY": "g/g^2",
+    "k_XZ": "g/g^2",
+    "k_YY": "g/g^2",
+    "k_ZZ": "g/g^2",
+    "k_YZ": "g/g^2",
+    "k0_t": "g/s",
+    "k0_T": "g/K",
+    "k1_T": "1/K",
+}
+"""Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
+
+MEANING = {
+    "scale_factor": "scale factor K = ml/H",
+    "tan_beta": "tangent of the non-orthogonality angle",
+    "phi": "phase of the output zero",
+    "k0": "bias",
+    "k1": "scale-factor error",
+    "k2": "second-order coefficient (a_x^2)",
+    "k3": "third-order coefficient (a_x^3)",
+    "k2o": "odd second-order coefficient (a_x |a_x|)",
+    "m_Y": "mounting misalignment (a_Y)",
+    "m_Z": "mounting misalignment (a_Z)",
+    "k_XY": "cross coefficient (a_x a_Y)",
+    "k_XZ": "cross coefficient (a_x a_Z)",
+    "k_YY": "cross coefficient (a_Y^2)",
+    "k_ZZ": "cross coefficient (a_Z^2)",
+    "k_YZ": "cross coefficient (a_Y a_Z)",
+    "k0_t": "bias drift with time",
+    "k0_T": "bias drift with temperature",
+    "k1_T": "scale-factor drift with temperature",
+}
+
+_HARMONIC = re.compile(r"^([sc])([1-9]\d?)$")
+
+
+def harmonic(name: str) -> tuple[str, int] | None:
+    """``("s", 2)`` for ``s2``; None when the name is no harmonic."""
+    match = _HARMONIC.match(name)
+    return None if match is None else (match.group(1), int(match.group(2)))
+
+
+def unit_of(name: str) -> str:
+    """Unit of a coefficient in files; ``name`` may carry a segment in brackets."""
+    base = name.split("[", maxsplit=1)[0]
+    return "g" if harmonic(base) else UNITS[base]
+
+
+def si_factor(name: str) -> float:
+    """SI value of one file unit of the coefficient: ``value_SI = value_file * si_factor``."""
+    return parse_unit(unit_of(name)).factor
+
+
+def meaning_of(name: str) -> str:
+    """The coefficient in words."""
+    base = name.split("[", maxsplit=1)[0]
+    found = harmonic(base)
+    if found:
+        return f"{'sine' if found[0] == 's' else 'cosine'} of {found[1]} x output angle"
+    return MEANING[base]
+
+
+def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
+    """Check the names of the wanted terms and their combination.
+
+    Raises
+    ------
+    RunFileError
+        For an unknown or repeated name, a harmonic without its partner, or k1 beside scale_factor.
+    """
+    if not terms:
+        raise RunFileError(f"{where}: no term is asked for", remedy="e.g. ['scale_factor', 'tan_beta', 'k0']")
+    for name in terms:
+        if name == "phi":
+            raise RunFileError(f"{where}: 'phi' comes with tan_beta", remedy="leave it out")
+        if name not in UNITS and harmonic(name) is None:
+            raise RunFileError(
+                f"{where}: unknown term '{name}'",
+                remedy=f"known terms: {' '.join(n for n in UNITS if n != 'phi')} s1 c1 s2 c2 ...",
+            )
+        if terms.count(name) > 1:
+            raise RunFileError(f"{where}: '{name}' is named twice", remedy="name it once")
+        found = harmonic(name)
+        partner = found and ("c" if found[0] == "s" else "s") + str(found[1])
+        if partner and partner not in terms:
+            raise RunFileError(
+                f"{where}: '{name}' without '{partner}': the zero of the output angle is not known, so the two "
+                "cannot be told apart",
+                remedy=f"add '{partner}'",
+            )
+    if "k1" in terms and "scale_factor" in terms:
+        raise RunFileError(
+            f"{where}: 'k1' and 'scale_factor' are the same coefficient (K (1 + k1))",
+            remedy="leave one of them out",
+        )
