@@ -9,6 +9,7 @@ import typer
 
 from piga._version import __version__
 from piga.cli.common import note
+from piga.cli.simulate import simulate
 from piga.errors import PigaError
 
 app = typer.Typer(
@@ -33,6 +34,9 @@ def _options(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
 ) -> None:
     pass
+
+
+app.command()(simulate)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.records.counter import unwrap
 
 Array = NDArray[np.float64]
 Kind = Literal["counts", "angle", "rate"]
@@ -74,7 +75,7 @@ class Electronics:
 
 @dataclass(frozen=True)
 class Temperature:
-    """Temperature of the instrument: ``start`` [K], linear ``drift`` [K/s], a ``swing`` [K] of ``period`` [s]."""
+    """Temperature: ``start`` [K], linear ``drift`` [K/s], a ``swing`` [K] of ``period`` [s]."""
 
     start: float = 293.15
     drift: float = 0.0
@@ -87,8 +88,7 @@ class Temperature:
 
 
 def random_walk(rng: np.random.Generator, size: int, step: float, density: float) -> Array:
-    """Wiener process at ``size`` nodes ``step`` [s] apart, zero at the first, standard deviation
-    ``density * sqrt(t)``."""
+    """Wiener process from zero, standard deviation ``density sqrt(t)``, at nodes ``step`` [s] apart, (size,)."""
     if density == 0.0 or size < 2:
         return np.zeros(size)
     increments = density * math.sqrt(step) * rng.standard_normal(size - 1)
@@ -135,14 +135,18 @@ def read_output(e: Electronics, alpha: Array, rate: Array, rng: np.random.Genera
     return counts if e.counter_bits is None else counts & ((1 << e.counter_bits) - 1)
 
 
-def output_phase(e: Electronics, alpha: float, first: float) -> float:
-    """Phase ``phi = alpha - psi`` [rad] in (-pi, pi] of a log whose first output is ``first``."""
-    if e.kind == "rate":
-        return 0.0
-    scale = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 1.0
-    whole = first * scale
-    if e.kind == "counts" and e.counter_bits is not None:
-        true_count = math.floor((alpha - e.zero) / scale + 0.5)
-        whole = (first - true_count) * scale
-        return math.remainder(e.zero - whole, 2.0 * math.pi)
-    return math.remainder(e.zero, 2.0 * math.pi)
+def output_phases(
+    e: Electronics, alpha: Array, output: NDArray, segment: NDArray[np.int32], lost: NDArray[np.bool_]
+) -> tuple[float, ...]:
+    """Phase ``phi = alpha - psi`` [rad] in (-pi, pi] of the output zero in each segment.
+
+    ``lost`` is true where a gap lies before a sample: a wrapping counter then has a new, unknown zero.
+    """
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
+    if e.kind != "counts" or e.counter_bits is None:
+        zero = 0.0 if e.kind == "rate" else e.zero
+        return (math.remainder(zero, 2.0 * math.pi),) * starts.size
+    scale, span = 2.0 * math.pi / e.counts_per_revolution, float(1 << e.counter_bits)
+    reading = unwrap(output.astype(float), span, lost).value[starts]
+    folds = np.round(((alpha[starts] - e.zero) / scale - reading) / span)
+    return tuple(math.remainder(e.zero + fold * span * scale, 2.0 * math.pi) for fold in folds)

@@ -94,6 +94,12 @@ def tilt_compliance(p: TwinParameters, frequency: ArrayLike) -> Complex:
     return np.asarray(response)
 
 
+def inner_impedance(p: TwinParameters, frequency: ArrayLike) -> Complex:
+    """Torque about the inner axis per tilt, ``B s^2 + c s + k_r`` at ``s = j frequency`` [N m/rad]."""
+    s = 1j * np.asarray(frequency, dtype=float)
+    return np.asarray((p.float_inertia_y * s + p.damping) * s + p.restoring)
+
+
 def _rate_response(p: TwinParameters) -> tuple[Polynomial, Polynomial]:
     """``w/(K a_x)`` as numerator and denominator, descending powers of s."""
     servo_n, servo_d = _controller(p)
@@ -186,32 +192,3 @@ def require_stable(p: TwinParameters) -> LoopAnalysis:
         f"c = {p.damping:g})",
         remedy="lower the gains, raise the damping or rate gain, or force the run",
     )
-
-
-def predicted_rectification(p: TwinParameters, a_t: float, rate: float) -> float:
-    """Shift of the mean output rate by finite servo stiffness [rad/s].
-
-    The gravity torque ``ml a_t`` ripples the tilt once a revolution; with the transverse force it gives
-    ``K a_t^2 ml Im G(j w)/2 * (-1)``, where ``G`` is the tilt compliance at the output rate ``w``. For
-    strong integral action ``G = j w/k_i``: the theory page's ``-K a_t^2 ml w/(2 k_i)``.
-    """
-    return float(-0.5 * p.K * a_t**2 * p.pendulosity * tilt_compliance(p, [abs(rate)])[0].imag * np.sign(rate))
-
-
-def predicted_second_harmonic(p: TwinParameters, a_t: float, rate: float) -> float:
-    """Amplitude of the rate at twice the gimbal angle, by finite servo stiffness [rad/s]."""
-    return float(0.5 * p.K * a_t**2 * p.pendulosity * abs(tilt_compliance(p, [abs(rate)])[0]))
-
-
-def predicted_k2(p: TwinParameters) -> float:
-    """Coefficient k2 [1/(m/s^2)] from the float's inertia: ``(D - (C - A) beta) K^2/ml`` (to first order).
-
-    The product of inertia ``D`` gives a centrifugal torque ``D w^2`` about the inner axis; unequal
-    inertias add ``(A - C) sin(beta) cos(beta)``, being a product of inertia about the outer axis. Times
-    ``g`` it is in g/g^2: ``D K^2 g/ml`` of the theory page. Own derivation, ``docs/twin.md``.
-    """
-    b = p.pick_off_null
-    effective = p.product_of_inertia * math.cos(2.0 * b) - 0.5 * (
-        p.float_inertia_z - p.float_inertia_x
-    ) * math.sin(2.0 * b)
-    return effective * p.K**2 / p.pendulosity

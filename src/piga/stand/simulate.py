@@ -16,7 +16,7 @@ from piga.instrument.electronics import (
     Temperature,
     held_noise,
     interpolate,
-    output_phase,
+    output_phases,
     random_walk,
     read_output,
     sampling_times,
@@ -67,8 +67,10 @@ class Specimen:
 
 @dataclass(frozen=True)
 class Log:
-    """What the lab records: time [s], segment index and names, output, reference [m/s^2], base rate [rad/s]
-    and temperature [K] per row."""
+    """What the lab records, per row.
+
+    Time [s], segment index and names, output, reference [m/s^2], base rate [rad/s], temperature [K].
+    """
 
     t: Array
     segment: NDArray[np.int32]
@@ -83,8 +85,8 @@ class Log:
 class SimulatedTest:
     """A simulated test: the log, and the truth beside it on the fine grid of the simulation.
 
-    ``alpha`` [rad] and ``rate`` [rad/s] at ``profile.t``; ``motion`` is the twin's, else None; ``phase``
-    [rad] is the phase of the output zero.
+    ``alpha`` [rad] and ``rate`` [rad/s] at ``profile.t``; ``motion`` is the twin's, else None; ``phases``
+    [rad] are the phases of the output zero per segment of the log.
     """
 
     model: Model
@@ -97,7 +99,7 @@ class SimulatedTest:
     alpha: Array
     rate: Array
     motion: TwinMotion | None
-    phase: float
+    phases: tuple[float, ...]
     log: Log
 
 
@@ -156,9 +158,9 @@ def simulate_test(
     else:
         motion = None
         alpha, rate = _quasi_steady(specimen, electronics, profile, kelvin, grid, streams)
-    log, phase = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
+    log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
     return SimulatedTest(
-        model, specimen, electronics, imperfections, stand, seed, profile, alpha, rate, motion, phase, log
+        model, specimen, electronics, imperfections, stand, seed, profile, alpha, rate, motion, phases, log
     )
 
 
@@ -216,7 +218,9 @@ def _quasi_steady(
         if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
             return alpha, rate
         harmonic_rate = new_rate
-    raise ArgumentError("harmonics: too large to be simulated", remedy="harmonics are small corrections, e.g. 1e-5 g")
+    raise ArgumentError(
+        "harmonics: too large to be simulated", remedy="harmonics are small corrections, e.g. 1e-5 g"
+    )
 
 
 def _walked(vectors: Array, angle: Array) -> Array:
@@ -263,8 +267,7 @@ def _twin_motion(
         walk = random_walk(streams[0], size, grid, e.angle_random_walk)
         noise[:-1, 1] = -p.angular_momentum * np.diff(walk) / grid
     noise[:, 2] = held_noise(streams[2], size, grid, p.pick_off_noise)
-    start: Start = "transient" if force and specimen.start == "transient" else specimen.start
-    return run_twin(p, profile.t, felt, profile.base_rate, noise=noise, start=start)
+    return run_twin(p, profile.t, felt, profile.base_rate, noise=noise, start=specimen.start)
 
 
 def _read(
@@ -276,8 +279,8 @@ def _read(
     oversample: int,
     errors: Imperfections,
     rng: np.random.Generator,
-) -> tuple[Log, float]:
-    """The log, and the phase of its output zero."""
+) -> tuple[Log, tuple[float, ...]]:
+    """The log, and the phase of its output zero per segment."""
     start, grid = float(profile.t[0]), e.interval / oversample
     last = round((profile.segments[-1].stop - start) / e.interval)
     rows = np.arange(last + 1) * oversample
@@ -297,10 +300,13 @@ def _read(
         profile.reference_rate[rows],
         kelvin[rows] - errors.temperature,
     )
-    return log, output_phase(e, float(angle[0]), float(output[0]))
+    lost = np.diff(t, prepend=t[0]) > 1.5 * e.interval
+    return log, output_phases(e, angle, output, segment, lost)
 
 
-def _labels(segments: tuple[Segment, ...], index: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32]]:
+def _labels(
+    segments: tuple[Segment, ...], index: NDArray[np.int32]
+) -> tuple[tuple[str, ...], NDArray[np.int32]]:
     """Names of the segments that occur, and the index of each row among them."""
     used, inverse = np.unique(index, return_inverse=True)
     return tuple(segments[int(k)].label for k in used), inverse.astype(np.int32)
