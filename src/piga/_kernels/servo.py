@@ -93,11 +93,11 @@ def friction(p: ServoConstants, w: float) -> float:
 
 @kernel
 def stop_torque(p: ServoConstants, beta: float, v: float) -> float:
-    """Torque of the stops on the float [N m]: spring and damper beyond ``beta_stop``, never pulling."""
+    """Torque of the stops on the float [N m]: continuous at contact, more when going in, never pulling."""
     if beta > p.beta_stop:
-        return min(0.0, -p.k_stop * (beta - p.beta_stop) - p.c_stop * v)
+        return -p.k_stop * (beta - p.beta_stop) * max(0.0, 1.0 + p.c_stop * v)
     if beta < -p.beta_stop:
-        return max(0.0, -p.k_stop * (beta + p.beta_stop) - p.c_stop * v)
+        return -p.k_stop * (beta + p.beta_stop) * max(0.0, 1.0 - p.c_stop * v)
     return 0.0
 
 
@@ -228,7 +228,7 @@ def integrate(
     """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
 
     Returns the step for going on [s], the sum of the local errors of alpha [rad], the number of steps
-    taken, and the node at which the step became smaller than 1e-9 of the interval (else -1).
+    taken, and the node at which the step became smaller than 1e-13 of the interval (else -1).
     """
     K = np.empty((STAGES + 1, STATES))
     y = np.empty(STATES)
@@ -262,7 +262,7 @@ def integrate(
                 h = max(h, step * factor) if step < h else step * factor
             else:
                 h = step * min(factor, 0.9) if math.isfinite(ratio) else step * 0.1
-                if h < 1e-9 * span:
+                if h < 1e-13 * span:
                     return h, total_error, steps, i
         for j in range(STATES):
             out[i + 1, j] = x[j]

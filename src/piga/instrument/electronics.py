@@ -88,7 +88,7 @@ class Temperature:
 
 
 def random_walk(rng: np.random.Generator, size: int, step: float, density: float) -> Array:
-    """Wiener process from zero, standard deviation ``density sqrt(t)``, at nodes ``step`` [s] apart, (size,)."""
+    """Wiener process from zero, standard deviation ``density sqrt(t)``, at nodes ``step`` [s] apart."""
     if density == 0.0 or size < 2:
         return np.zeros(size)
     increments = density * math.sqrt(step) * rng.standard_normal(size - 1)

@@ -70,7 +70,9 @@ class TwinParameters:
     torque_limit: float = _entry(_INF, "M_max", "Nm", 1e-9, _INF, "saturation of the torque motor")
     stop_angle: float = _entry(0.05, "beta_stop", "rad", 1e-4, 0.5, "tilt at which the float meets its stops")
     stop_stiffness: float = _entry(200.0, "k_stop", "Nm/rad", 0, 1e6, "stiffness of the stops")
-    stop_damping: float = _entry(0.1, "c_stop", "Nm s/rad", 0, 1e4, "damping of the stops")
+    stop_damping: float = _entry(
+        0.1, "c_stop", "s/rad", 0, 100, "relative rise of the stops' stiffness per tilt rate going in"
+    )
     outer_torque: float = _entry(0.0, "M_x", "Nm", -10, 10, "constant torque on the outer axis")
     inner_torque: float = _entry(
         0.0, "M_y", "Nm", -10, 10, "constant torque on the inner axis: a bias of -M_y/ml"

@@ -18,7 +18,7 @@ from piga.instrument.twin_parameters import TwinParameters
 Array = NDArray[np.float64]
 
 
-def predicted_rate_error(p: TwinParameters, alpha: Array, rate: Array, u: Array) -> Array:
+def predicted_rate_error(p: TwinParameters, alpha: Array, rate: Array, f: Array, base_rate: Array) -> Array:
     """Rate of the twin less that of the quasi-steady model [rad/s], (n,).
 
     Parameters
@@ -27,21 +27,26 @@ def predicted_rate_error(p: TwinParameters, alpha: Array, rate: Array, u: Array)
         The design.
     alpha, rate:
         Gimbal angle [rad] and its rate [rad/s], (n,); the rate changes slowly over a revolution.
-    u:
-        ``K f - Omega`` in base axes [rad/s], (n, 3), slowly changing.
+    f, base_rate:
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3), slowly changing.
 
     Notes
     -----
     ``e = Re(G(j w) tau)`` and ``w_twin - w = Re(Z(j w) G(j w) tau)/H + e (u_Y sin(alpha) - u_Z cos(alpha))``,
     with ``tau = H (u_Y - j u_Z) exp(j alpha)`` and the impedance ``Z = B s^2 + c s + k_r``. Constant torques
     on the outer axis shift the tilt only if the servo does not integrate; then ``k_p e = M_x - M_c sign(w)``
-    adds to ``e``. Errors are of second order in ``e`` and of the order of the acceleration of alpha.
+    adds to ``e``. A turning base adds ``((B + A - C) w - (C - A) Omega_x) Omega_Z1/H``: the float itself is
+    carried round. Left out: second order in ``e``, acceleration of alpha and of the base.
     """
+    u = p.K * f - base_rate
     torque = p.angular_momentum * (u[:, 1] - 1j * u[:, 2]) * np.exp(1j * alpha)
     compliance = _compliance(p, rate)
     tilt = (compliance * torque).real + static_tilt(p, rate)
     direct = (inner_impedance(p, rate) * compliance * torque).real / p.angular_momentum
-    return np.asarray(direct + tilt * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha)))
+    across = base_rate[:, 2] * np.cos(alpha) - base_rate[:, 1] * np.sin(alpha)
+    unequal = p.float_inertia_z - p.float_inertia_x
+    carried = ((p.float_inertia_y - unequal) * rate - unequal * base_rate[:, 0]) * across / p.angular_momentum
+    return np.asarray(direct + carried + tilt * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha)))
 
 
 def _compliance(p: TwinParameters, rate: Array) -> NDArray[np.complex128]:

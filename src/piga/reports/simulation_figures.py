@@ -190,6 +190,7 @@ def pole_figure(p: TwinParameters) -> Figure:
         series.append(Series(other.real, other.imag, name="unstable pole", mark="points", role="warning"))
     series.append(Series([0.0, 0.0], [-bound, bound], name="stability border", role="muted", dashed=True))
     panel = Panel(Axis("real part", "1/s"), Axis("imaginary part", "1/s"), tuple(series))
-    return Figure(
-        "loop-poles", "Poles of the closed loop", (panel,), "All poles left of the border: the loop is stable."
-    )
+    caption = "All poles lie left of the border: the loop is stable."
+    if other.size:
+        caption = "A pole lies on or right of the border: the loop is unstable."
+    return Figure("loop-poles", "Poles of the closed loop", (panel,), caption)
