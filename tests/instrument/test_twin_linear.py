@@ -83,6 +83,8 @@ def test_compliance_goes_to_its_limits():
 
 
 def test_unstable_design_is_refused_with_reason():
-    with pytest.raises(UnstableDesignError, match=r"unstable: closed-loop pole .*oscillating at .* Hz") as caught:
+    with pytest.raises(
+        UnstableDesignError, match=r"unstable: closed-loop pole .*oscillating at .* Hz"
+    ) as caught:
         require_stable(replace(PRESETS["example"], proportional_gain=300.0))
     assert "lower the gains" in str(caught.value)

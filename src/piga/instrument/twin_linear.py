@@ -94,10 +94,14 @@ def tilt_compliance(p: TwinParameters, frequency: ArrayLike) -> Complex:
     return np.asarray(response)
 
 
-def inner_impedance(p: TwinParameters, frequency: ArrayLike) -> Complex:
-    """Torque about the inner axis per tilt, ``B s^2 + c s + k_r`` at ``s = j frequency`` [N m/rad]."""
-    s = 1j * np.asarray(frequency, dtype=float)
-    return np.asarray((p.float_inertia_y * s + p.damping) * s + p.restoring)
+def tilt_transfer(p: TwinParameters) -> tuple[tuple[Polynomial, Polynomial], tuple[Polynomial, Polynomial]]:
+    """Closed loop from outer-axis torque to tilt, and to ``(B s^2 + c s + k_r)`` times tilt.
+
+    Numerator and denominator each, descending powers of s.
+    """
+    tilt, closed = poly.polymul(_plant(p)[0], _controller(p)[1]), _closed(p)
+    inner = np.array([p.restoring, p.damping, p.float_inertia_y])
+    return (tilt[::-1], closed[::-1]), (poly.polymul(inner, tilt)[::-1], closed[::-1])
 
 
 def _rate_response(p: TwinParameters) -> tuple[Polynomial, Polynomial]:

@@ -12,57 +12,68 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.instrument.twin_linear import inner_impedance, tilt_compliance
+from piga.instrument.twin_linear import loop_poles, tilt_compliance, tilt_transfer
 from piga.instrument.twin_parameters import TwinParameters
 
 Array = NDArray[np.float64]
 
 
-def predicted_rate_error(p: TwinParameters, alpha: Array, rate: Array, f: Array, base_rate: Array) -> Array:
-    """Rate of the twin less that of the quasi-steady model [rad/s], (n,).
+def predicted_rate_error(p: TwinParameters, t: Array, alpha: Array, f: Array, base_rate: Array) -> Array:
+    """Rate of the twin less that of the quasi-steady model with its k0 and k2 [rad/s], (n,).
 
     Parameters
     ----------
     p:
-        The design.
-    alpha, rate:
-        Gimbal angle [rad] and its rate [rad/s], (n,); the rate changes slowly over a revolution.
+        The design, beyond spin-up, inside its limits.
+    t:
+        Equidistant times [s], (n,).
+    alpha:
+        Gimbal angle [rad], (n,), of the twin or of the quasi-steady model.
     f, base_rate:
-        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3), slowly changing.
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3).
 
     Notes
     -----
-    ``e = Re(G(j w) tau)`` and ``w_twin - w = Re(Z(j w) G(j w) tau)/H + e (u_Y sin(alpha) - u_Z cos(alpha))``,
-    with ``tau = H (u_Y - j u_Z) exp(j alpha)`` and the impedance ``Z = B s^2 + c s + k_r``. Constant torques
-    on the outer axis shift the tilt only if the servo does not integrate; then ``k_p e = M_x - M_c sign(w)``
-    adds to ``e``. A turning base adds ``((B + A - C) w - (C - A) Omega_x) Omega_Z1/H``: the float itself is
-    carried round. Left out: second order in ``e``, acceleration of alpha and of the base.
+    ``tau = H (u_Y cos(alpha) + u_Z sin(alpha)) - J_x (w' + Omega_x') - c_x w - M_c sign(w) + M_x`` goes
+    through the compliance, ``e = G(s) tau``; then ``w_twin - w = (Z(s) e + R)/H + e (u_Y sin(alpha) - u_Z
+    cos(alpha))`` with the impedance ``Z = B s^2 + c s + k_r``. ``R`` carries the float round with a turning
+    base: ``R = B q' - (C - A) p r + D (p^2 - r^2 - K^2 a_x^2)``, ``p = w + Omega_x``, ``q = Omega_Y1``,
+    ``r = Omega_Z1``. Errors are of second order in ``e``.
     """
     u = p.K * f - base_rate
-    torque = p.angular_momentum * (u[:, 1] - 1j * u[:, 2]) * np.exp(1j * alpha)
-    compliance = _compliance(p, rate)
-    tilt = (compliance * torque).real + static_tilt(p, rate)
-    direct = (inner_impedance(p, rate) * compliance * torque).real / p.angular_momentum
-    across = base_rate[:, 2] * np.cos(alpha) - base_rate[:, 1] * np.sin(alpha)
-    unequal = p.float_inertia_z - p.float_inertia_x
-    carried = ((p.float_inertia_y - unequal) * rate - unequal * base_rate[:, 0]) * across / p.angular_momentum
-    return np.asarray(direct + carried + tilt * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha)))
+    c, s = np.cos(alpha), np.sin(alpha)
+    across = u[:, 1] * s - u[:, 2] * c
+    w = u[:, 0] + math.tan(p.pick_off_null) * across
+    q, r = base_rate[:, 1] * c + base_rate[:, 2] * s, base_rate[:, 2] * c - base_rate[:, 1] * s
+    torque = p.angular_momentum * (u[:, 1] * c + u[:, 2] * s) - p.J_x * np.gradient(w + base_rate[:, 0], t)
+    torque += p.outer_torque - p.viscous_friction * w - p.coulomb_friction * np.tanh(w / p.coulomb_rate)
+    load = complex(u[0, 1], -u[0, 2]) * p.angular_momentum * np.exp(1j * alpha[0])
+    tilt, reaction = _through_loop(p, torque, load, float(w[0]), float(t[1] - t[0]))
+    turn, unequal = w + base_rate[:, 0], p.float_inertia_z - p.float_inertia_x
+    carried = p.float_inertia_y * np.gradient(q, t) - unequal * turn * r
+    carried += p.product_of_inertia * (turn**2 - r**2 - (p.K * f[:, 0]) ** 2)
+    return np.asarray((reaction + carried) / p.angular_momentum + tilt * across)
 
 
-def _compliance(p: TwinParameters, rate: Array) -> NDArray[np.complex128]:
-    """``G(j w)``; at a standstill an integrating servo yields nothing."""
-    moving = np.where(rate == 0.0, 1e-12, rate)
-    return np.asarray(
-        np.where(moving < 0.0, tilt_compliance(p, np.abs(moving)).conj(), tilt_compliance(p, moving))
-    )
+def _through_loop(
+    p: TwinParameters, torque: Array, load: complex, rate: float, step: float
+) -> tuple[Array, Array]:
+    """Tilt [rad] and torque ``Z e`` [N m] that the outer-axis ``torque`` makes, linear between samples.
 
+    Before the first sample the torque goes on as it would with the gimbal turning at ``rate``: ``load`` is
+    its rotating part there, as a complex number.
+    """
+    from scipy import signal
 
-def static_tilt(p: TwinParameters, rate: Array) -> Array:
-    """Tilt from pick-off null [rad] that constant outer torque and Coulomb friction hold, (n,)."""
-    if p.integral_gain > 0.0 or p.proportional_gain == 0.0:
-        return np.zeros(np.shape(rate))
-    friction = p.coulomb_friction * np.tanh(np.asarray(rate) / p.coulomb_rate)
-    return np.asarray((p.outer_torque - friction - p.viscous_friction * np.asarray(rate)) / p.proportional_gain)
+    count = math.ceil(30.0 / -float(np.max(loop_poles(p).real)) / step)
+    before = np.arange(-count, 0) * step
+    past = (load * (np.exp(1j * rate * before) - 1.0)).real + torque[0]
+    whole = np.concatenate([past, torque])
+    results = []
+    for numerator, denominator in tilt_transfer(p):
+        b, a, _ = signal.cont2discrete((numerator, denominator), step, method="foh")
+        results.append(signal.lfilter(np.atleast_1d(np.squeeze(b)), a, whole)[count:])
+    return results[0], results[1]
 
 
 def predicted_rectification(p: TwinParameters, a_t: float, rate: float) -> float:

@@ -72,7 +72,10 @@ class Imperfections:
         default=0.0, metadata=_about("1", 1, "transverse over axial motion of the vibration table")
     )
     rocking: float = field(
-        default=0.0, metadata=_about("rad", 1, "rotation of the vibration table at peak drive")
+        default=0.0,
+        metadata=_about(
+            "rad", 1, "rotation of the vibration table at peak drive, about the horizontal axis across it"
+        ),
     )
 
     def stand_specific(self) -> tuple[str, ...]:

@@ -6,13 +6,21 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.instrument.twin_parameters import TwinParameters
-from piga.instrument.twin_predictions import predicted_k2, predicted_rectification, predicted_second_harmonic
+from piga.instrument.twin_predictions import (
+    predicted_k2,
+    predicted_rate_error,
+    predicted_rectification,
+    predicted_second_harmonic,
+)
 from piga.records.terms import si_factor, unit_of
 from piga.stand.imperfections import Imperfections
 from piga.stand.simulate import SimulatedTest
 from piga.units import G0, parse_unit
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,20 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
         elif value:
             rows.append(TrueValue(entry.name, value / factor, unit))
     return tuple(rows)
+
+
+def predicted_angle_error(test: SimulatedTest) -> Array:
+    """Output angle of the twin less that of the quasi-steady model [rad], predicted at the rows of the log.
+
+    Integral of :func:`piga.instrument.twin_predictions.predicted_rate_error` along the test; zero for the
+    quasi-steady model. What a calibration of the log finds wrong is this, seen through its regressors.
+    """
+    if test.model != "twin":
+        return np.zeros(test.log.t.size)
+    profile = test.profile
+    error = predicted_rate_error(test.specimen.design, profile.t, test.alpha, profile.force, profile.base_rate)
+    steps = 0.5 * (error[1:] + error[:-1]) * np.diff(profile.t)
+    return np.interp(test.log.t, profile.t, np.concatenate([[0.0], np.cumsum(steps)]))
 
 
 def predictions(test: SimulatedTest) -> tuple[TrueValue, ...]:

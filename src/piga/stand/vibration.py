@@ -165,10 +165,11 @@ class VibrationTable:
         local_up, local_rate = horizontal_axis_frame(self.site, 0.0)
         to_base = mount(self.up) @ _UP_FIRST @ small_turn(0.0, *errors.levelling)
         up, earth = to_base @ local_up, to_base @ local_rate
-        along, across, third = mount(self.axis)[:, 2], mount(self.axis)[:, 0], mount(self.axis)[:, 1]
+        along, across = mount(self.axis)[:, 2], mount(self.axis)[:, 0]
         gravity = (self.site.local_gravity + errors.gravity) * up
         force = gravity + np.outer(wave, along + errors.transverse_motion * across)
-        swing = errors.rocking * wave / peak
-        force -= np.outer(swing, np.cross(third, gravity))
-        rate = earth + np.outer(errors.rocking * wave_rate / peak, third)
+        pivot = np.cross(along, mount(self.up)[:, 2])
+        pivot = pivot if np.any(pivot) else across
+        force -= np.outer(errors.rocking * wave / peak, np.cross(pivot, gravity))
+        rate = earth + np.outer(errors.rocking * wave_rate / peak, pivot)
         return force, rate
