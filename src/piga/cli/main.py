@@ -8,7 +8,10 @@ import traceback
 import typer
 
 from piga._version import __version__
+from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
+from piga.cli.compensate import compensate
+from piga.cli.demo import demo
 from piga.cli.simulate import simulate
 from piga.errors import PigaError
 
@@ -31,12 +34,15 @@ def _version(value: bool) -> None:
 
 @app.callback()
 def _options(
-    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     pass
 
 
-app.command()(simulate)
+for command in (demo, check, calibrate, compensate, simulate):
+    app.command()(command)
 
 
 def main() -> None:

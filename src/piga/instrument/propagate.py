@@ -1,4 +1,4 @@
-r"""Exact motion under recorded input: specific force samples, linear between sample times.
+r"""Exact motion under recorded specific force, linear between sample times.
 
 Each step is the exponential of a matrix of sl(2, R) acting on the half-angle pair; the Magnus
 expansion [Blanes2009] makes it fourth order for input that is linear between samples, and exact
@@ -8,66 +8,58 @@ Derived in docs/theory/motion.
 
 from __future__ import annotations
 
-from typing import Literal, overload
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.motion import propagate_samples, split_turns
+from piga._kernels.motion import TWO_PI, split_turns, unwrapped
+from piga._kernels.motion_records import GOOD, propagate_samples, reduce_samples
+from piga._kernels.trig import double_arctangent
 from piga.errors import ArgumentError
+from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
 
 Array = NDArray[np.float64]
-_EMPTY = np.empty(0)
-_EMPTY_VECTORS = np.empty((0, 3))
+_EMPTY = float_array("empty", np.empty(0))
+_EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
+_NO_OUTPUT = np.empty(0)
+_REDUCTION_COST = {True: 0.5, False: 0.65}
+"""Time to reduce a sample to its matrix, relative to putting out angle (True) or rate alone (False)."""
+_LEAST_CHUNK = 16384
+"""Samples below which another thread costs more than it saves."""
 
 
-def checked_times(t: ArrayLike) -> Array:
-    """Sample times as a float64 array; they must be finite and increase.
+@dataclass(frozen=True)
+class SampledInput:
+    """A checked record: what the kernels take, for a whole record or a stretch of it."""
 
-    Raises
-    ------
-    ArgumentError
-        Naming the first index at fault.
-    """
-    times = np.asarray(t, dtype=float)
-    if times.ndim != 1 or times.size == 0:
-        raise ArgumentError(
-            f"t: shape {times.shape} instead of (n,) with n >= 1", remedy="give one time per sample"
-        )
-    if not np.isfinite(times).all():
-        index = int(np.flatnonzero(~np.isfinite(times))[0])
-        raise ArgumentError(f"t: {times[index]} at index {index} is not a finite number")
-    steps = np.diff(times)
-    if steps.size and not steps.min() > 0.0:
-        index = int(np.flatnonzero(~(steps > 0.0))[0]) + 1
-        raise ArgumentError(
-            f"t: {times[index]} s at index {index} is not after {times[index - 1]} s at index {index - 1}",
-            remedy="sort the samples by time and drop repeated ones",
-        )
-    return times
+    t: Array
+    f: Array
+    base_rate: Array
+    extra: Array
+    extra_mean: Array
+    K: float
+    tan_beta: float
+    offset_y: float
+    offset_z: float
 
+    def arguments(self, start: int, stop: int) -> tuple[Any, ...]:
+        """Kernel arguments for the samples ``start`` to ``stop - 1``."""
+        return (
+            self.t[start:stop], self.f[start:stop], self.base_rate[start:stop],
+            self.extra[start:stop], self.extra_mean[start : max(start, stop - 1)],
+            self.K, self.tan_beta, self.offset_y, self.offset_z,
+        )  # fmt: skip
 
-def checked_samples(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """``values`` as a float64 array of ``shape``, all finite.
-
-    Raises
-    ------
-    ArgumentError
-        Naming the shape met, or the first index at fault.
-    """
-    array = np.asarray(values, dtype=float)
-    if array.shape != shape:
-        raise ArgumentError(
-            f"{name}: shape {array.shape} instead of {shape}", remedy="give one row per sample time"
-        )
-    if not np.isfinite(array).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ArgumentError(
-            f"{name}: {array[index]} at index {index if len(index) > 1 else index[0]} is not a finite number",
-            remedy="repair or leave out the samples that are missing",
-        )
-    return array
+    def require(self, status: int) -> None:
+        """Raise an ArgumentError that names the fault unless a kernel returned GOOD."""
+        if status != GOOD:
+            explain(self.t, status, f=self.f, base_rate=self.base_rate)
 
 
 def _error_rates(
@@ -83,11 +75,135 @@ def _error_rates(
             "temperature: missing although the error model has k0_T or k1_T",
             remedy="give the temperature [K] at each sample time",
         )
-    kelvin = None if temperature is None else checked_samples("temperature", temperature, t.shape)
+    kelvin = None if temperature is None else float_array("temperature", temperature, t.shape)
+    if kelvin is not None:
+        require_finite("temperature", kelvin)
     at_samples = K * model.specific_force(t, f, kelvin)
     middle_kelvin = None if kelvin is None else 0.5 * (kelvin[1:] + kelvin[:-1])
     middle = K * model.specific_force(0.5 * (t[1:] + t[:-1]), 0.5 * (f[1:] + f[:-1]), middle_kelvin)
     return at_samples, (2.0 / 3.0) * (middle - 0.5 * (at_samples[1:] + at_samples[:-1]))
+
+
+def sampled_input(
+    inst: Instrument,
+    t: ArrayLike,
+    f: ArrayLike,
+    base_rate: ArrayLike | None = None,
+    error_model: ErrorModel | None = None,
+    temperature: ArrayLike | None = None,
+) -> SampledInput:
+    """Check shapes and prepare the input of :func:`propagate`; nothing is copied that is float64, C-order.
+
+    Raises
+    ------
+    ArgumentError
+        If an input is empty or has another shape, or a single sample is not finite.
+    """
+    times = time_array("t", t)
+    force = float_array("f", f, (times.size, 3))
+    omega = _EMPTY_VECTORS
+    if base_rate is not None:
+        constant = np.shape(base_rate) == (3,)
+        omega = float_array(
+            "base_rate", np.broadcast_to(base_rate, force.shape) if constant else base_rate, force.shape
+        )
+    extra, extra_mean, offset_y, offset_z = _EMPTY, _EMPTY, 0.0, 0.0
+    if error_model is not None:
+        K = inst.scale_factor
+        at_samples, mean = _error_rates(K, error_model, times, force, temperature)
+        extra, extra_mean = float_array("error", at_samples), float_array("error", mean)
+        offset_y, offset_z = K * error_model.s1, -K * error_model.c1
+    if times.size == 1:
+        for name, array in (("t", times), ("f", force), ("base_rate", omega)):
+            require_finite(name, array)
+    return SampledInput(
+        times, force, omega, extra, extra_mean, inst.scale_factor, inst.tan_beta, offset_y, offset_z
+    )
+
+
+def initial_state(alpha0: float) -> Array:
+    """Turns and half-angle pair of ``alpha0`` [rad], shape (3,)."""
+    turns, rest = split_turns(alpha0)
+    return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
+
+
+def _chunks(n: int, workers: int, cost: float) -> list[tuple[int, int]]:
+    """Samples ``start`` to ``stop`` (shared with the next chunk) of each worker.
+
+    Worker i > 0 first reduces chunk i - 1, so chunks shrink: ``L_i + cost L_{i-1}`` is the same for all.
+    """
+    workers = max(1, min(workers, n // _LEAST_CHUNK))
+    lengths = [1.0]
+    for _ in range(workers - 1):
+        lengths.append(1.0 - cost * lengths[-1])
+    edges = np.rint(np.cumsum([0.0, *lengths]) / sum(lengths) * (n - 1)).astype(int)
+    return [(int(a), int(b) + 1) for a, b in pairwise(edges)]
+
+
+def _start_pairs(states: Array, products: Array) -> None:
+    """Half-angle pairs at the start of chunks 1, 2, ... from the first and the matrices of the chunks."""
+    for i in range(1, len(states)):
+        pair = products[i - 1] @ states[i - 1, 1:]
+        states[i, 0] = 0.0
+        states[i, 1:] = pair / math.copysign(math.hypot(pair[0], pair[1]), pair[1])
+
+
+def _add_turns(chunks: list[tuple[int, int]], starts: Array, ends: Array, alpha: Array) -> None:
+    """Add to each chunk the whole turns that were completed before it."""
+    turns = 0.0
+    for i, (start, stop) in enumerate(chunks):
+        if i:
+            before = double_arctangent(ends[i - 1, 1], ends[i - 1, 2])
+            alpha[start] = unwrapped(ends[i - 1, 0], before)
+            turns = ends[i - 1, 0] + np.rint((before - double_arctangent(starts[i, 1], starts[i, 2])) / TWO_PI)
+            if turns:
+                alpha[start + 1 : stop] += turns * TWO_PI
+        ends[i, 0] += turns
+
+
+def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, workers: int) -> None:
+    """Fill ``alpha`` and ``rate`` (each (n,) or empty) on up to ``workers`` threads.
+
+    The first chunk is put out while the others, but for the last, are reduced to one matrix each;
+    the products of the matrices give the pair at the start of every chunk. The turns completed before
+    a chunk are added at the end.
+
+    Raises
+    ------
+    ArgumentError
+        If a sample is not finite or a time does not increase.
+    """
+    chunks = _chunks(record.t.size, workers, _REDUCTION_COST[bool(alpha.size)])
+    products = np.empty((len(chunks), 2, 2))
+    starts = np.tile(initial_state(alpha0), (len(chunks), 1))
+    ends = np.empty_like(starts)
+
+    def output(i: int) -> int:
+        start, stop = chunks[i]
+        ends[i] = starts[i]
+        last = stop if stop == record.t.size else stop - 1
+        with np.errstate(all="ignore"):
+            return propagate_samples(
+                *record.arguments(start, stop), ends[i], alpha[start:stop], rate[start:last]
+            )
+
+    def reduce(i: int) -> int:
+        with np.errstate(all="ignore"):
+            return reduce_samples(*record.arguments(*chunks[i]), products[i])
+
+    if len(chunks) == 1:
+        record.require(output(0))
+        return
+    with ThreadPoolExecutor(len(chunks)) as pool:
+        outputs = [pool.submit(output, 0)]
+        for status in [pool.submit(reduce, i) for i in range(len(chunks) - 1)]:
+            record.require(status.result())
+        _start_pairs(starts, products)
+        outputs += [pool.submit(output, i) for i in range(1, len(chunks))]
+        for status in outputs:
+            record.require(status.result())
+    if alpha.size:
+        _add_turns(chunks, starts, ends, alpha)
 
 
 @overload
@@ -100,6 +216,7 @@ def propagate(
     *,
     error_model: ErrorModel | None = ...,
     temperature: ArrayLike | None = ...,
+    workers: int = ...,
 ) -> Array: ...
 
 
@@ -113,6 +230,7 @@ def propagate(
     with_rate: Literal[True],
     error_model: ErrorModel | None = ...,
     temperature: ArrayLike | None = ...,
+    workers: int = ...,
 ) -> tuple[Array, Array]: ...
 
 
@@ -125,13 +243,15 @@ def propagate(
     *,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
+    workers: int = 1,
 ) -> Array | tuple[Array, Array]:
     r"""Outer-gimbal angle under a recorded specific force, equation (2) of docs/theory/motion.
 
     .. math:: \alpha' = u_x + \tan\beta\,(u_Y\sin\alpha - u_Z\cos\alpha) + K e, \qquad u = K f - \Omega
 
     Fourth order in the sample interval for input that is linear between samples, exact where its
-    direction is constant. Turns are counted exactly, also for steps of many revolutions.
+    direction is constant. Turns are counted exactly, also for steps of many revolutions. Needs no
+    memory beside input and output (an error model takes two vectors of the record's length).
 
     Parameters
     ----------
@@ -150,6 +270,9 @@ def propagate(
         Errors of a real instrument; None: none.
     temperature:
         Temperature at the sample times [K], shape (n,); needed by ``k0_T`` and ``k1_T``.
+    workers:
+        Threads for one long record. The result differs from that of one thread by rounding only
+        (below 1e-12 rad for 1e7 samples).
 
     Returns
     -------
@@ -173,24 +296,29 @@ def propagate(
     >>> round(float(alpha[-1]), 9)
     9.707147027
     """
-    times = checked_times(t)
-    force = checked_samples("f", f, (times.size, 3))
-    omega = _EMPTY_VECTORS
-    if base_rate is not None:
-        given = np.asarray(base_rate, dtype=float)
-        omega = np.broadcast_to(given, force.shape).copy() if given.shape == (3,) else given
-        omega = checked_samples("base_rate", omega, force.shape)
-    extra = extra_mean = _EMPTY
-    offset_y = offset_z = 0.0
-    if error_model is not None:
-        K = inst.scale_factor
-        extra, extra_mean = _error_rates(K, error_model, times, force, temperature)
-        offset_y, offset_z = K * error_model.s1, -K * error_model.c1
-    alpha = np.empty(times.size)
-    rate = np.empty(times.size if with_rate else 0)
-    propagate_samples(
-        times, force, omega, extra, extra_mean,
-        inst.scale_factor, inst.tan_beta, offset_y, offset_z,
-        np.array(split_turns(inst.alpha0)), alpha, rate,
-    )  # fmt: skip
+    record = sampled_input(inst, t, f, base_rate, error_model, temperature)
+    alpha = np.empty(record.t.size)
+    rate = np.empty(record.t.size if with_rate else 0)
+    run_samples(record, inst.alpha0, alpha, rate, workers)
+    alpha[0] = inst.alpha0
     return (alpha, rate) if with_rate else alpha
+
+
+def propagate_rate(
+    inst: Instrument,
+    t: ArrayLike,
+    f: ArrayLike,
+    base_rate: ArrayLike | None = None,
+    *,
+    error_model: ErrorModel | None = None,
+    temperature: ArrayLike | None = None,
+    workers: int = 1,
+) -> Array:
+    """Rate of the outer gimbal [rad/s] at the sample times, shape (n,), without its angle.
+
+    Arguments and errors as in :func:`propagate`. Faster, as no angle is ever computed.
+    """
+    record = sampled_input(inst, t, f, base_rate, error_model, temperature)
+    rate = np.empty(record.t.size)
+    run_samples(record, inst.alpha0, _NO_OUTPUT, rate, workers)
+    return rate

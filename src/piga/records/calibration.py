@@ -6,14 +6,13 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-SCHEMA = "piga.calibration/1"
 
 
 @dataclass(frozen=True)
@@ -70,11 +69,11 @@ class SegmentSummary:
 class Residuals:
     """Residual angle per used sample (not stored in the JSON; ``residuals.parquet`` holds it).
 
-    ``row`` is the 1-based data row, ``t`` [s], ``psi`` [rad] the output angle, ``before`` [rad] the
-    angle less the nominal uncoupled model, ``after`` [rad] less the fitted model, ``innovation`` [1]
-    the whitened residual (unit variance, white, when the model and noise levels are right),
-    ``coupling_before``/``coupling_after`` [m/s^2] equivalent specific force of the residual per sample,
-    ``segment`` the segment index of each sample.
+    ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: the rate),
+    ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle less the nominal uncoupled instrument,
+    ``after`` [rad] less the fitted model; each stretch from its own mean (rates [rad/s] for a rate log).
+    ``innovation`` [1] is the whitened residual: unit variance and white when model and noise levels are
+    right. ``segment`` is the segment index of each sample.
     """
 
     row: NDArray[np.int64]
@@ -126,6 +125,7 @@ class Calibration:
     diagnostics: dict[str, Any]
     segments: tuple[SegmentSummary, ...]
     provenance: Provenance
+    temperature_reference: float = 293.15
     residuals: Residuals | None = None
     history: dict[str, Array] | None = None
 
@@ -134,3 +134,22 @@ class Calibration:
             if coefficient.key == key or (coefficient.segment is None and coefficient.name == key):
                 return coefficient
         raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")
+
+    def to_json(self, path: str | Path) -> None:
+        """Write ``calibration.json`` (schema ``piga.calibration/1``)."""
+        from piga.records.calibration_json import write_calibration
+
+        write_calibration(self, Path(path))
+
+    @staticmethod
+    def from_json(path: str | Path) -> Calibration:
+        """Read ``calibration.json``.
+
+        Raises
+        ------
+        CalibrationError
+            If the file is no calibration record of a known schema.
+        """
+        from piga.records.calibration_json import read_calibration
+
+        return read_calibration(Path(path))

@@ -73,6 +73,11 @@ def si_factor(name: str) -> float:
     return parse_unit(unit_of(name)).factor
 
 
+def check_name(name: str) -> bool:
+    """True for a coefficient name that this version knows."""
+    return name in UNITS or harmonic(name) is not None
+
+
 def meaning_of(name: str) -> str:
     """The coefficient in words."""
     base = name.split("[", maxsplit=1)[0]

@@ -1,0 +1,239 @@
+r"""Compensation of angle records: the exact inverse of the motion over each sample interval.
+
+With ``delta`` half the angle turned and ``alpha_m`` the middle of the two angles read, equation (4) of the
+motion [own derivation, docs/theory/compensation] says, without approximation,
+
+.. math:: A \cos\delta = 2 q\cot q\,\sin\delta - (Y \sin\alpha_m - Z \cos\alpha_m), \qquad
+          q^2 = (A^2 - Y^2 - Z^2)/4 .
+
+``Y, Z`` are known from the reference, ``A`` is wanted; with ``e = A - 2 delta`` the equation is solved for the
+small ``e``, so that no digit of the angle is lost. Input that is linear between samples is brought to
+constant increments by the fourth-order Magnus terms, the slope of ``a_x`` taken from the intervals before.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels import compensate_layout as at
+from piga._kernels.jit import exact
+from piga._kernels.sine_cosine import LIMIT, fast_sine_cosine
+
+Array = NDArray[np.float64]
+
+FAR_TURN = 0.25
+"""Half the angle turned in an interval [rad] up to which the series hold."""
+FAR_PRODUCT = 1e-9
+"""``(Y^2 + Z^2) delta^2`` up to which two corrections reach rounding."""
+NEWTON = 60
+
+
+@exact
+def load_block(
+    t: Array, psi: Array, y: Array, z: Array, omega: Array, warmth: Array, p: Array, state: Array, w: Array
+) -> None:
+    """Bring a block of samples and the last sample before it into the work array."""
+    K, tangent = p[at.P_K], p[at.P_TAN_BETA]
+    coupling, offset_y, offset_z = K * tangent, p[at.P_OFFSET_Y], p[at.P_OFFSET_Z]
+    w[at.TIME], w[at.PSI] = state[at.S_TIME], state[at.S_PSI]
+    w[at.FORCE_Y], w[at.FORCE_Z] = state[at.S_FORCE_Y], state[at.S_FORCE_Z]
+    w[at.OMEGA_X], w[at.WARMTH] = state[at.S_OMEGA_X], state[at.S_WARMTH]
+    w[at.RATE_Y] = coupling * state[at.S_FORCE_Y] + offset_y - tangent * state[at.S_OMEGA_Y]
+    w[at.RATE_Z] = coupling * state[at.S_FORCE_Z] + offset_z - tangent * state[at.S_OMEGA_Z]
+    w[at.STEP], w[at.FIRST], w[at.FORCE] = state[at.S_STEP], state[at.S_FIRST], state[at.S_FORCE]
+    for j in range(t.size):
+        w[at.TIME + 1 + j] = t[j]
+        w[at.PSI + 1 + j] = psi[j]
+        w[at.FORCE_Y + 1 + j] = y[j]
+        w[at.FORCE_Z + 1 + j] = z[j]
+        w[at.RATE_Y + 1 + j] = coupling * y[j] + offset_y
+        w[at.RATE_Z + 1 + j] = coupling * z[j] + offset_z
+    for j in range(omega.shape[0]):
+        w[at.OMEGA_X + 1 + j] = omega[j, 0]
+        w[at.RATE_Y + 1 + j] -= tangent * omega[j, 1]
+        w[at.RATE_Z + 1 + j] -= tangent * omega[j, 2]
+    for j in range(warmth.size):
+        w[at.WARMTH + 1 + j] = warmth[j] - p[at.P_TEMPERATURE_REFERENCE]
+
+
+@exact
+def save_last(n: int, omega: Array, state: Array, w: Array) -> None:
+    """Keep what the next block needs to know of this one."""
+    state[at.S_VALID] = 1.0
+    state[at.S_TIME], state[at.S_PSI] = w[at.TIME + n], w[at.PSI + n]
+    state[at.S_FORCE_Y], state[at.S_FORCE_Z] = w[at.FORCE_Y + n], w[at.FORCE_Z + n]
+    state[at.S_WARMTH] = w[at.WARMTH + n]
+    state[at.S_STEP], state[at.S_FIRST], state[at.S_FORCE] = w[at.STEP + n], w[at.FIRST + n], w[at.FORCE + n]
+    if omega.shape[0]:
+        for axis in range(3):
+            state[at.S_OMEGA_X + axis] = omega[n - 1, axis]
+
+
+@exact
+def find_steps(n: int, begins: NDArray[np.bool_], valid: bool, w: Array) -> None:
+    """Interval lengths; 0 where a stretch begins."""
+    for j in range(1, n + 1):
+        w[at.STEP + j] = w[at.TIME + j] - w[at.TIME + j - 1]
+    for j in range(begins.size):
+        if begins[j]:
+            w[at.STEP + j + 1] = 0.0
+    if not valid:
+        w[at.STEP + 1] = 0.0
+
+
+@exact
+def find_angles(n: int, phi: float, w: Array) -> None:
+    """Effective angle of every interval (the middle of the angles read), its sine and cosine."""
+    far = 0
+    for j in range(1, n + 1):
+        angle = phi + 0.5 * (w[at.PSI + j - 1] + w[at.PSI + j])
+        w[at.ANGLE + j] = angle
+        sine, cosine = fast_sine_cosine(angle)
+        w[at.SINE + j] = sine
+        w[at.COSINE + j] = cosine
+        far |= abs(angle) > LIMIT
+    if far:
+        library_angles(n, w)
+
+
+@exact
+def library_angles(n: int, w: Array) -> None:
+    """Sine and cosine of angles beyond the fast reduction."""
+    for j in range(1, n + 1):
+        angle = w[at.ANGLE + j]
+        if abs(angle) > LIMIT:
+            w[at.SINE + j] = math.sin(angle)
+            w[at.COSINE + j] = math.cos(angle)
+
+
+@exact
+def estimate_first(n: int, w: Array) -> None:
+    """First estimate of the mean ``u_x``: output rate less the coupling at the effective angle."""
+    for j in range(1, n + 1):
+        step = w[at.STEP + j]
+        delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+        mean_y = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
+        mean_z = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
+        rate = 2.0 * delta / (step if step != 0.0 else 1.0)
+        coupling = mean_y * w[at.SINE + j] - mean_z * w[at.COSINE + j]
+        w[at.FIRST + j] = rate - coupling
+
+
+@exact
+def solve_small(delta: float, square: float, coupling: float) -> float:
+    """``e = A - 2 delta`` for small turns: series of ``q cot q`` about ``delta^2``, two corrections."""
+    d = delta * delta
+    sine = delta * (1.0 + d * (-1 / 6 + d * (1 / 120 + d * (-1 / 5040 + d / 362880))))
+    cosine = 1.0 + d * (-1 / 2 + d * (1 / 24 + d * (-1 / 720 + d / 40320)))
+    first = -1 / 3 + d * (-2 / 45 + d * (-6 / 945 + d * (-4 / 4725 + d * (-10 / 93555))))
+    second = -1 / 45 + d * (-6 / 945 + d * (-6 / 4725))
+    weight = 2.0 * sine
+    inverse = 1.0 / (cosine - weight * delta * first)
+    e = -coupling * inverse
+    for _ in range(3):
+        eta = delta * e + 0.25 * (e * e - square)
+        e -= (e * cosine - weight * eta * (first + eta * second) + coupling) * inverse
+    return e
+
+
+@exact
+def solve_far(delta: float, square: float, coupling: float) -> float:
+    """``e = A - 2 delta`` for any turn and any regime: Newton's method on the equation times ``sin q / q``."""
+    sine, cosine = math.sin(delta), math.cos(delta)
+    A = 2.0 * delta - coupling * (sine / delta if abs(delta) > 1e-8 else 1.0)
+    for _ in range(NEWTON):
+        x = 0.25 * (square - A * A)
+        if abs(x) < 1e-3:
+            C = 1.0 + x * (1 / 2 + x * (1 / 24 + x * (1 / 720 + x / 40320)))
+            S = 1.0 + x * (1 / 6 + x * (1 / 120 + x * (1 / 5040 + x / 362880)))
+            slope = 1 / 6 + x * (1 / 60 + x * (1 / 1680 + x / 90720))
+        elif x > 0.0:
+            root = math.sqrt(x)
+            C, S = 1.0, math.tanh(root) / root
+            slope = 0.5 * (C - S) / x
+        else:
+            root = math.sqrt(-x)
+            C, S = math.cos(root), math.sin(root) / root
+            slope = 0.5 * (C - S) / x
+        value = S * (A * cosine + coupling) - 2.0 * C * sine
+        derivative = S * cosine - 0.5 * A * (slope * (A * cosine + coupling) - S * sine)
+        correction = value / derivative
+        A -= correction
+        if abs(correction) <= 4e-16 * max(abs(A), abs(delta)):
+            break
+    return A - 2.0 * delta
+
+
+@exact
+def invert_motion(n: int, K: float, w: Array) -> None:
+    """Indicated mean specific force along X0 of every interval [m/s^2], and the slope used."""
+    far = 0
+    for j in range(1, n + 1):
+        step, before = w[at.STEP + j], w[at.STEP + j - 1]
+        y0, y1, z0, z1 = w[at.RATE_Y + j - 1], w[at.RATE_Y + j], w[at.RATE_Z + j - 1], w[at.RATE_Z + j]
+        mean_y, mean_z = 0.5 * (y0 + y1), 0.5 * (z0 + z1)
+        a = w[at.FIRST + j]
+        joined = (step != 0.0) & (before != 0.0)
+        rise = (a - w[at.FIRST + j - 1]) * 2.0 * step / (step + before if joined else 1.0)
+        rise = rise if joined else 0.0
+        cross = step * step / 12.0
+        Y = step * mean_y + cross * (a * (z1 - z0) - rise * mean_z)
+        Z = step * mean_z - cross * (a * (y1 - y0) - rise * mean_y)
+        delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+        square = Y * Y + Z * Z
+        coupling = Y * w[at.SINE + j] - Z * w[at.COSINE + j]
+        e = solve_small(delta, square, coupling) - cross * (y0 * z1 - z0 * y1)
+        w[at.INPUT + j] = (2.0 * delta + e) / (K * (step if step != 0.0 else 1.0))
+        w[at.SLOPE + j] = rise / K
+        w[at.SQUARE + j] = square
+        w[at.PARTIAL + j] = coupling
+        w[at.REGRESSOR + j] = delta
+        far |= (abs(delta) > FAR_TURN) | (square * delta * delta > FAR_PRODUCT)
+    if far:
+        invert_far(n, K, w)
+
+
+@exact
+def invert_far(n: int, K: float, w: Array) -> None:
+    """The intervals that turn too far for the series."""
+    for j in range(1, n + 1):
+        delta, square, step = w[at.REGRESSOR + j], w[at.SQUARE + j], w[at.STEP + j]
+        if step != 0.0 and (abs(delta) > FAR_TURN or square * delta * delta > FAR_PRODUCT):
+            cross = step * step / 12.0
+            outer = w[at.RATE_Y + j - 1] * w[at.RATE_Z + j] - w[at.RATE_Z + j - 1] * w[at.RATE_Y + j]
+            e = solve_far(delta, square, w[at.PARTIAL + j]) - cross * outer
+            w[at.INPUT + j] = (2.0 * delta + e) / (K * step)
+
+
+@exact
+def published_formula(n: int, K: float, w: Array) -> None:
+    """The published compensation: output rate less the coupling at the phase [Wei2024, eq. 20]."""
+    for j in range(1, n + 1):
+        w[at.INPUT + j] = w[at.FIRST + j] / K
+        w[at.SLOPE + j] = 0.0
+
+
+@exact
+def add_base_rate(n: int, K: float, w: Array) -> None:
+    """Base rotation about X0 adds to the output: ``alpha' + Omega_x = K a_x + ...``."""
+    for j in range(1, n + 1):
+        w[at.INPUT + j] += 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j]) / K
+
+
+@exact
+def describe_intervals(n: int, K: float, w: Array) -> None:
+    """Means and changes of the known inputs over every interval, for the error model and the uncertainty."""
+    for j in range(1, n + 1):
+        w[at.MEAN_Y + j] = 0.5 * (w[at.FORCE_Y + j - 1] + w[at.FORCE_Y + j])
+        w[at.MEAN_Z + j] = 0.5 * (w[at.FORCE_Z + j - 1] + w[at.FORCE_Z + j])
+        w[at.MEAN_T + j] = 0.5 * (w[at.WARMTH + j - 1] + w[at.WARMTH + j])
+        w[at.CHANGE_Y + j] = w[at.FORCE_Y + j] - w[at.FORCE_Y + j - 1]
+        w[at.CHANGE_Z + j] = w[at.FORCE_Z + j] - w[at.FORCE_Z + j - 1]
+        w[at.CHANGE_T + j] = w[at.WARMTH + j] - w[at.WARMTH + j - 1]
+        w[at.MEAN_TIME + j] = 0.5 * (w[at.TIME + j - 1] + w[at.TIME + j])
+        step = w[at.STEP + j]
+        w[at.LENGTH + j] = step if step != 0.0 else 1.0
+        w[at.TURN + j] = (w[at.PSI + j] - w[at.PSI + j - 1]) / (K * w[at.LENGTH + j])

@@ -1,0 +1,93 @@
+"""Where things stand in the flat arrays of the compensation kernels.
+
+One flat work array with rows of ``STRIDE`` numbers: all rows have one base, so the compiler sees that they
+do not overlap. Entry 0 of a row is the last sample (or interval) of what came before, entry ``j`` belongs
+to sample ``j - 1`` of the block, or to the interval that ends there.
+"""
+
+from __future__ import annotations
+
+BLOCK = 1024
+"""Samples worked off at a time: the work array stays in the fast caches."""
+STRIDE = BLOCK + 8
+
+TIME = 0 * STRIDE
+PSI = 1 * STRIDE
+RATE_Y = 2 * STRIDE  # tan_beta u_Y (+ harmonic) [rad/s]
+RATE_Z = 3 * STRIDE
+FORCE_Y = 4 * STRIDE  # reference [m/s^2]
+FORCE_Z = 5 * STRIDE
+OMEGA_X = 6 * STRIDE  # base rate about X0 [rad/s]
+WARMTH = 7 * STRIDE  # temperature less its reference [K]
+STEP = 8 * STRIDE  # interval [s]; 0 where no increment is formed
+FIRST = 9 * STRIDE  # first estimate of the mean u_x [rad/s]
+SINE = 10 * STRIDE  # of the effective angle
+COSINE = 11 * STRIDE
+SLOPE = 12 * STRIDE  # change of a_x over the interval [m/s^2]
+INPUT = 13 * STRIDE  # indicated mean specific force along X0 [m/s^2]
+FORCE = 14 * STRIDE  # compensated a_x [m/s^2]
+LENGTH = 15 * STRIDE  # time that a row stands for in the noise [s]
+TURN = 16 * STRIDE  # output rate over K [m/s^2]
+MEAN_Y = 17 * STRIDE
+MEAN_Z = 18 * STRIDE
+CHANGE_Y = 19 * STRIDE
+CHANGE_Z = 20 * STRIDE
+MEAN_T = 21 * STRIDE
+CHANGE_T = 22 * STRIDE
+MEAN_TIME = 23 * STRIDE
+DERIVATIVE = 24 * STRIDE  # of the indicated force by a_x [1]
+REGRESSOR = 25 * STRIDE
+SQUARE = 26 * STRIDE
+PARTIAL = 27 * STRIDE
+ANGLE = 28 * STRIDE  # effective angle [rad]
+WORK = 29 * STRIDE
+
+P_K = 0
+P_TAN_BETA = 1
+P_PHI = 2
+P_OFFSET_Y = 3  # K s1 [rad/s]
+P_OFFSET_Z = 4  # -K c1 [rad/s]
+P_TIME_REFERENCE = 5
+P_TEMPERATURE_REFERENCE = 6
+P_WHITE = 7  # variance of the white angle noise [rad^2]
+P_WALK = 8  # of the random walk [rad^2/s]
+P_TERMS = 10  # coefficients by code, CODES below
+TERMS = (
+    "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+)  # fmt: skip
+"""Terms of the error model in the order of their codes; SI."""
+SCALE_FACTOR = 20
+TAN_BETA = 21
+PHI = 22
+HARMONIC = 100  # 100 + 2 n sine, 101 + 2 n cosine of order n
+PARAMETERS = 32
+
+S_VALID = 0  # 1 once a sample has been seen
+S_TIME = 1
+S_PSI = 2
+S_FORCE_Y = 3
+S_FORCE_Z = 4
+S_OMEGA_X = 5
+S_OMEGA_Y = 6
+S_OMEGA_Z = 7
+S_WARMTH = 8
+S_STEP = 9  # last interval [s]; 0 when there was none
+S_FIRST = 10
+S_FORCE = 11
+S_TURNS = 12  # rate logs: whole turns and rest of alpha
+S_REST = 13
+S_START = 14  # published formula: psi of the first sample
+S_PHI = 15  # phase that S_REST holds
+STATE = 16
+
+EXACT, PUBLISHED = 0, 1
+
+NO_INCREMENT = 1
+LOCKED = 2
+NEAR_CRITICAL = 4
+OUT_OF_RANGE = 8
+TEMPERATURE = 16
+AGE = 32
+COARSE = 64
+PHASE = 128
+FAULT = 256

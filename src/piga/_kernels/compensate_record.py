@@ -1,0 +1,227 @@
+"""Drivers: a chunk of any size through the stages, block by block, state in and state out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels import compensate as angle
+from piga._kernels import compensate_layout as at
+from piga._kernels import compensate_terms as terms
+from piga._kernels.jit import exact
+from piga._kernels.motion import advance, magnus_increments, unwrapped
+from piga._kernels.sine_cosine import sine_cosine
+
+Array = NDArray[np.float64]
+
+
+@exact
+def finish_block(
+    n: int,
+    p: Array,
+    has_terms: bool,
+    orders: Array,
+    sines: Array,
+    cosines: Array,
+    codes: NDArray[np.int64],
+    factor: Array,
+    limits: Array,
+    base_flag: int,
+    warm: bool,
+    w: Array,
+    u: Array,
+    flags: NDArray[np.int32],
+) -> None:
+    """Error model, uncertainty and flags of a block whose indicated force is known."""
+    terms.subtract_harmonics(n, orders, sines, cosines, w)
+    if has_terms:
+        terms.invert_terms(n, p, w)
+    else:
+        terms.take_input(n, w)
+    if u.size:
+        terms.find_uncertainty(n, p, codes, factor, w, u)
+    if flags.size:
+        terms.find_flags(n, p[at.P_TAN_BETA], limits, w, base_flag, warm, flags)
+
+
+@exact
+def compensate_angles(
+    t: Array,
+    psi: Array,
+    y: Array,
+    z: Array,
+    begins: NDArray[np.bool_],
+    omega: Array,
+    temperature: Array,
+    formula: int,
+    p: Array,
+    has_terms: bool,
+    orders: Array,
+    sines: Array,
+    cosines: Array,
+    codes: NDArray[np.int64],
+    factor: Array,
+    limits: Array,
+    base_flag: int,
+    state: Array,
+    w: Array,
+    ax: Array,
+    dv: Array,
+    u: Array,
+    flags: NDArray[np.int32],
+) -> None:
+    """Angle record (n,) to ``ax`` [m/s^2] and ``dv`` [m/s] of the interval that ends at each sample.
+
+    Empty ``begins``, ``omega``, ``temperature``, ``u`` and ``flags`` mean: none, not wanted.
+    """
+    K = p[at.P_K]
+    for start in range(0, t.size, at.BLOCK):
+        n = min(at.BLOCK, t.size - start)
+        stop = start + n
+        valid = state[at.S_VALID] != 0.0
+        if formula == at.PUBLISHED and not valid:
+            state[at.S_START] = psi[start]
+        angle.load_block(
+            t[start:stop], psi[start:stop], y[start:stop], z[start:stop], omega[start:stop],
+            temperature[start:stop], p, state, w,
+        )  # fmt: skip
+        angle.find_steps(n, begins[start:stop], valid, w)
+        angle.find_angles(n, p[at.P_PHI] - state[at.S_START], w)
+        angle.estimate_first(n, w)
+        if formula == at.PUBLISHED:
+            angle.published_formula(n, K, w)
+        else:
+            angle.invert_motion(n, K, w)
+        if omega.shape[0]:
+            angle.add_base_rate(n, K, w)
+        if has_terms or u.size or flags.size:
+            angle.describe_intervals(n, K, w)
+        finish_block(
+            n, p, has_terms, orders, sines, cosines, codes, factor, limits, base_flag, temperature.size > 0, w,
+            u[start:stop], flags[start:stop],
+        )  # fmt: skip
+        write_intervals(n, w, ax[start:stop], dv[start:stop], u[start:stop], flags[start:stop])
+        angle.save_last(n, omega[start:stop], state, w)
+
+
+@exact
+def write_intervals(n: int, w: Array, ax: Array, dv: Array, u: Array, flags: NDArray[np.int32]) -> None:
+    """Results of a block; rows without an increment hold no force, no uncertainty and no velocity."""
+    for j in range(1, n + 1):
+        step = w[at.STEP + j]
+        ax[j - 1] = w[at.FORCE + j] if step != 0.0 else math.nan
+        dv[j - 1] = w[at.FORCE + j] * step
+    for j in range(1, u.size + 1):
+        u[j - 1] = u[j - 1] if w[at.STEP + j] != 0.0 else math.nan
+    for j in range(1, flags.size + 1):
+        flags[j - 1] = flags[j - 1] if w[at.STEP + j] != 0.0 else at.NO_INCREMENT
+
+
+@exact
+def follow_rate(n: int, rate: Array, p: Array, valid: bool, state: Array, w: Array) -> None:
+    """Angle of a rate log by the exact motion, and ``u_x`` at every sample.
+
+    The input that the rate and the transverse force give at both ends of an interval drives the motion over
+    it; the end value depends on the angle there, three rounds settle it.
+    """
+    turns, rest = state[at.S_TURNS], state[at.S_REST]
+    if not valid:
+        turns, rest = 0.0, p[at.P_PHI]
+    else:
+        rest += p[at.P_PHI] - state[at.S_PHI]
+    for j in range(1, n + 1):
+        step = w[at.STEP + j]
+        y1, z1 = w[at.RATE_Y + j], w[at.RATE_Z + j]
+        if step != 0.0:
+            y0, z0, a0 = w[at.RATE_Y + j - 1], w[at.RATE_Z + j - 1], w[at.FIRST + j - 1]
+            half = 0.5 * rest
+            sine, cosine = math.sin(half), math.cos(half)
+            angle_turns, angle_rest = turns, rest + step * rate[j - 1]
+            for _ in range(3):
+                s, c = math.sin(angle_rest), math.cos(angle_rest)
+                a1 = rate[j - 1] - (y1 * s - z1 * c)
+                A, Y, Z = magnus_increments(step, a0, y0, z0, a1, y1, z1)
+                angle_turns, angle_rest, _, _ = advance(turns, rest, sine, cosine, A, Y, Z)
+            turns, rest = angle_turns, angle_rest
+        s, c = sine_cosine(rest)
+        w[at.SINE + j], w[at.COSINE + j] = s, c
+        w[at.ANGLE + j] = rest
+        w[at.PSI + j] = unwrapped(turns, rest)
+        w[at.FIRST + j] = rate[j - 1] - (y1 * s - z1 * c)
+    state[at.S_TURNS], state[at.S_REST], state[at.S_PHI] = turns, rest, p[at.P_PHI]
+
+
+@exact
+def describe_samples(n: int, rate: Array, K: float, typical: float, w: Array) -> None:
+    """The inputs at the samples, in the rows that hold means for intervals."""
+    for j in range(1, n + 1):
+        w[at.MEAN_Y + j], w[at.MEAN_Z + j] = w[at.FORCE_Y + j], w[at.FORCE_Z + j]
+        w[at.CHANGE_Y + j] = w[at.CHANGE_Z + j] = w[at.CHANGE_T + j] = w[at.SLOPE + j] = 0.0
+        w[at.MEAN_T + j], w[at.MEAN_TIME + j] = w[at.WARMTH + j], w[at.TIME + j]
+        w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) / K
+        w[at.TURN + j] = rate[j - 1] / K
+        w[at.LENGTH + j] = w[at.STEP + j] if w[at.STEP + j] != 0.0 else typical
+
+
+@exact
+def sample_harmonics(n: int, orders: Array, sines: Array, cosines: Array, w: Array) -> None:
+    """Second and higher harmonics of the output angle at the samples."""
+    for k in range(orders.size):
+        for j in range(1, n + 1):
+            angle_k = orders[k] * w[at.ANGLE + j]
+            w[at.INPUT + j] -= sines[k] * math.sin(angle_k) + cosines[k] * math.cos(angle_k)
+
+
+@exact
+def compensate_rates(
+    t: Array,
+    rate: Array,
+    y: Array,
+    z: Array,
+    begins: NDArray[np.bool_],
+    omega: Array,
+    temperature: Array,
+    typical: float,
+    p: Array,
+    has_terms: bool,
+    orders: Array,
+    sines: Array,
+    cosines: Array,
+    codes: NDArray[np.int64],
+    factor: Array,
+    limits: Array,
+    base_flag: int,
+    state: Array,
+    w: Array,
+    ax: Array,
+    dv: Array,
+    u: Array,
+    flags: NDArray[np.int32],
+) -> None:
+    """Rate record (n,) to ``ax`` at the samples and ``dv`` over the interval before (ax linear in it)."""
+    none = np.zeros(0)
+    for start in range(0, t.size, at.BLOCK):
+        n = min(at.BLOCK, t.size - start)
+        stop = start + n
+        valid = state[at.S_VALID] != 0.0
+        angle.load_block(
+            t[start:stop], rate[start:stop], y[start:stop], z[start:stop], omega[start:stop],
+            temperature[start:stop], p, state, w,
+        )  # fmt: skip
+        angle.find_steps(n, begins[start:stop], valid, w)
+        follow_rate(n, rate[start:stop], p, valid, state, w)
+        describe_samples(n, rate[start:stop], p[at.P_K], typical, w)
+        sample_harmonics(n, orders, sines, cosines, w)
+        finish_block(
+            n, p, has_terms, none, none, none, codes, factor, limits, base_flag, temperature.size > 0, w,
+            u[start:stop], flags[start:stop],
+        )  # fmt: skip
+        for j in range(1, n + 1):
+            ax[start + j - 1] = w[at.FORCE + j]
+            dv[start + j - 1] = 0.5 * w[at.STEP + j] * (w[at.FORCE + j - 1] + w[at.FORCE + j])
+        for j in range(1, flags[start:stop].size + 1):
+            if w[at.STEP + j] == 0.0:
+                flags[start + j - 1] |= at.NO_INCREMENT
+        angle.save_last(n, omega[start:stop], state, w)

@@ -1,0 +1,197 @@
+"""What compensation needs of a calibration, in SI and in the form the kernels take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels import compensate_layout as at
+from piga.compensation.validity import Limits
+from piga.errors import CalibrationError
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.terms import harmonic, si_factor
+
+Array = NDArray[np.float64]
+
+METHODS = ("exact", "published")
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Phase of the output zero [rad] with its standard uncertainty, as identified at power-up."""
+
+    value: float
+    std: float = 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """One instrument for one phase: parameters by kernel index, harmonics, covariance factor, limits.
+
+    ``factor`` (coefficients, rank) times its transpose is the covariance of the coefficients ``codes``.
+    """
+
+    parameters: Array
+    has_terms: bool
+    orders: Array
+    sines: Array
+    cosines: Array
+    codes: NDArray[np.int64]
+    factor: Array
+    limits: Array
+    formula: int
+    base_flag: int
+    needs_temperature: bool
+    needs_time: bool
+
+    @property
+    def scale_factor(self) -> float:
+        """K [(rad/s)/(m/s^2)]."""
+        return float(self.parameters[at.P_K])
+
+    @property
+    def tan_beta(self) -> float:
+        """Tangent of the non-orthogonality angle."""
+        return float(self.parameters[at.P_TAN_BETA])
+
+
+def make_model(
+    calibration: Calibration,
+    *,
+    method: str = "exact",
+    segment: str | None = None,
+    phase: Phase | None = None,
+    time_reference: float = 0.0,
+    limits: Limits | None = None,
+    flag: int = 0,
+) -> Model:
+    """Take the coefficients of one segment (or the shared ones) from a calibration.
+
+    Raises
+    ------
+    CalibrationError
+        If the phase is needed and not there; says for which segment.
+    """
+    used = _used_coefficients(calibration, segment, phase)
+    values = {c.name: c.value * si_factor(c.name) for c in used}
+    if phase is not None:
+        values["phi"] = phase.value
+    parameters = np.zeros(at.PARAMETERS)
+    K = values.get("scale_factor", calibration.scale_factor_nominal)
+    parameters[at.P_K] = K
+    parameters[at.P_TAN_BETA] = values.get("tan_beta", 0.0)
+    parameters[at.P_PHI] = values.get("phi", 0.0)
+    parameters[at.P_OFFSET_Y], parameters[at.P_OFFSET_Z] = K * values.get("s1", 0.0), -K * values.get("c1", 0.0)
+    parameters[at.P_TIME_REFERENCE] = time_reference
+    parameters[at.P_TEMPERATURE_REFERENCE] = calibration.temperature_reference
+    parameters[at.P_WHITE], parameters[at.P_WALK] = calibration.angle_rms**2, calibration.angle_random_walk**2
+    for index, name in enumerate(at.TERMS):
+        parameters[at.P_TERMS + index] = values.get(name, 0.0)
+    orders = sorted({found[1] for name in values if (found := harmonic(name)) and found[1] > 1})
+    codes, factor = _covariance_factor(calibration, used, phase)
+    chosen = limits or Limits.of(calibration)
+    return Model(
+        parameters=parameters,
+        has_terms=any(values.get(name, 0.0) != 0.0 for name in at.TERMS),
+        orders=np.array(orders, dtype=float),
+        sines=np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
+        cosines=np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
+        codes=codes,
+        factor=factor,
+        limits=chosen.as_array(calibration.temperature_reference),
+        formula=at.PUBLISHED if method == "published" else at.EXACT,
+        base_flag=flag,
+        needs_temperature=any(name in values for name in ("k0_T", "k1_T")),
+        needs_time="k0_t" in values,
+    )
+
+
+def needs_phase(calibration: Calibration) -> bool:
+    """True when a term of the calibration turns with the output angle."""
+    return any(c.name == "tan_beta" or harmonic(c.name) for c in calibration.coefficients)
+
+
+def phases(calibration: Calibration) -> dict[str | None, Coefficient]:
+    """The phases a calibration holds, by segment (None: shared)."""
+    return {c.segment: c for c in calibration.coefficients if c.name == "phi"}
+
+
+def _used_coefficients(
+    calibration: Calibration, segment: str | None, phase: Phase | None
+) -> tuple[Coefficient, ...]:
+    shared = tuple(c for c in calibration.coefficients if c.name != "phi")
+    known = phases(calibration)
+    if not known:
+        if any(c.name == "tan_beta" for c in shared) and phase is None:
+            raise CalibrationError(
+                "the calibration has tan_beta but no phi",
+                remedy="calibrate again, or identify the phase at power-up",
+            )
+        return shared
+    if phase is not None:
+        return (*shared, Coefficient("phi", phase.value, phase.std, "rad"))
+    if None in known:
+        return (*shared, known[None])
+    if segment in known:
+        return (*shared, known[segment])
+    have = ", ".join(str(name) for name in list(known)[:8])
+    wanted = "this record" if segment is None else f"segment '{segment}'"
+    raise CalibrationError(
+        f"the calibration holds no phase phi for {wanted} (it has per-segment phases: {have})",
+        remedy="identify the phase at power-up from a few revolutions at rest (phase='identify', --phase identify), "
+        "or give it",
+    )
+
+
+def _code(name: str) -> int:
+    found = harmonic(name)
+    if found:
+        return at.HARMONIC + 2 * found[1] + (0 if found[0] == "s" else 1)
+    special = {"scale_factor": at.SCALE_FACTOR, "tan_beta": at.TAN_BETA, "phi": at.PHI}
+    return special[name] if name in special else at.P_TERMS + at.TERMS.index(name)
+
+
+def _covariance_factor(
+    calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None
+) -> tuple[NDArray[np.int64], Array]:
+    """Codes of the used coefficients and a factor of their covariance in SI, by eigenvectors."""
+    index = {c.key: i for i, c in enumerate(calibration.coefficients)}
+    count = len(used)
+    matrix = np.zeros((count, count))
+    inside = [i for i, c in enumerate(used) if phase is None or c.name != "phi"]
+    rows = [index[used[i].key] for i in inside]
+    matrix[np.ix_(inside, inside)] = calibration.covariance[np.ix_(rows, rows)]
+    for i, coefficient in enumerate(used):
+        if i not in inside:
+            matrix[i, i] = coefficient.std**2
+    units = np.array([si_factor(c.name) for c in used])
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    keep = values > 1e-12
+    factor = (vectors[:, keep] * np.sqrt(values[keep])) * (scale * units)[:, None]
+    codes = np.array([_code(c.name) for c in used], dtype=np.int64)
+    return codes, np.ascontiguousarray(factor)
+
+
+def check_method(method: str | None, calibration: Calibration) -> str:
+    """The method asked for, or the one that fits how the calibration found its phase.
+
+    Raises
+    ------
+    CalibrationError
+        For an unknown name.
+    """
+    if method is None:
+        return "published" if calibration.phase_source == "input" else "exact"
+    if method not in METHODS:
+        raise CalibrationError(f"method: '{method}' is not known", remedy=f"one of: {', '.join(METHODS)}")
+    return method
+
+
+def dead_zone(model: Model, transverse: float) -> float:
+    """Half-width of the dead zone [m/s^2] for a transverse force [m/s^2]: ``a_t tan(beta)``."""
+    return math.fabs(model.tan_beta) * transverse

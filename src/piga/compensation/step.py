@@ -1,0 +1,111 @@
+"""One step of compensation: state in, chunk in; state out, result out. Batch is a loop over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels import compensate_layout as at
+from piga._kernels.compensate_record import compensate_angles, compensate_rates
+from piga.compensation.model import Model
+
+Array = NDArray[np.float64]
+
+NONE = np.zeros(0)
+NO_RATES = np.zeros((0, 3))
+NO_MARKS = np.zeros(0, dtype=np.bool_)
+NO_FLAGS = np.zeros(0, dtype=np.int32)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
+
+    ``begins`` marks samples that begin a stretch, ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may be
+    empty. All arrays are contiguous float64.
+    """
+
+    t: Array
+    output: Array
+    a_Y: Array
+    a_Z: Array
+    begins: NDArray[np.bool_]
+    base_rate: Array
+    temperature: Array
+
+
+@dataclass(frozen=True)
+class Step:
+    """Result of one chunk: ``ax`` [m/s^2], ``dv`` [m/s], ``u_ax`` [m/s^2] and ``flags`` (empty if unwanted)."""
+
+    ax: Array
+    dv: Array
+    u_ax: Array
+    flags: NDArray[np.int32]
+
+
+def init_state() -> Array:
+    """The state before the first sample."""
+    return np.zeros(at.STATE)
+
+
+def work_array() -> Array:
+    """Scratch memory of the kernels; one per thread."""
+    return np.zeros(at.WORK)
+
+
+def step(
+    model: Model,
+    state: Array,
+    chunk: Chunk,
+    *,
+    kind: str = "angle",
+    typical_step: float = 1.0,
+    uncertainty: bool = True,
+    work: Array | None = None,
+) -> tuple[Array, Step]:
+    """Compensate a chunk.
+
+    Parameters
+    ----------
+    model:
+        The instrument, from :func:`piga.compensation.model.make_model`.
+    state:
+        From :func:`init_state` or the step before; not changed.
+    kind:
+        ``"angle"`` or ``"rate"``.
+    typical_step:
+        Interval [s] taken for the noise of a rate sample that begins a stretch.
+    uncertainty:
+        Whether ``u_ax`` is computed.
+
+    Returns
+    -------
+    state, result:
+        The state behind the chunk, and one row per sample.
+    """
+    n = chunk.t.size
+    new = state.copy()
+    result = Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), np.empty(n, dtype=np.int32))
+    run_kernel(model, new, chunk, kind, typical_step, work_array() if work is None else work, result)
+    return new, result
+
+
+def run_kernel(
+    model: Model, state: Array, chunk: Chunk, kind: str, typical_step: float, work: Array, result: Step
+) -> None:
+    """Fill ``result`` and move ``state`` on."""
+    common: tuple[Any, ...] = (
+        model.parameters, model.has_terms, model.orders, model.sines, model.cosines, model.codes, model.factor,
+        model.limits, model.base_flag, state, work, result.ax, result.dv, result.u_ax, result.flags,
+    )  # fmt: skip
+    inputs: tuple[Any, ...] = (
+        chunk.t, chunk.output, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature,
+    )  # fmt: skip
+    if kind == "rate":
+        compensate_rates(*(*inputs, typical_step, *common))
+    else:
+        compensate_angles(*(*inputs, model.formula, *common))

@@ -1,0 +1,138 @@
+"""Files of compensated rows, written chunk by chunk in bounded memory."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation.flags import FLAGS, MEANING
+from piga.errors import ArgumentError
+
+UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
+"""Unit of each column that is no force and no increment."""
+
+FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
+"""Kind of file by suffix."""
+
+GROUP_ROWS = 1 << 18
+
+
+def unit_of_column(name: str) -> str:
+    """Unit of a column: forces in m/s^2, increments (``dv...``) in m/s."""
+    if name in UNITS:
+        return UNITS[name]
+    return "m/s" if name.startswith("dv") else "m/s^2"
+
+
+def format_of(path: Path) -> str:
+    """``parquet`` or ``csv``, by the suffix.
+
+    Raises
+    ------
+    ArgumentError
+        For any other suffix.
+    """
+    found = FORMATS.get(path.suffix.lower())
+    if found is None:
+        raise ArgumentError(
+            f"{path}: files of kind '{path.suffix}' are not written", remedy="end it in .parquet or .csv"
+        )
+    return found
+
+
+def schema_of(columns: Mapping[str, NDArray]) -> Any:
+    """Arrow schema: types, a unit per column, and the meaning of the flag bits."""
+    import pyarrow as pa
+
+    fields = [
+        pa.field(name, pa.int32() if name == "flags" else pa.float64(), metadata={"unit": unit_of_column(name)})
+        for name in columns
+    ]
+    metadata = {
+        "piga.flags": json.dumps(FLAGS),
+        "piga.flag_meanings": json.dumps(MEANING),
+        "piga.units": json.dumps({name: unit_of_column(name) for name in columns}),
+    }
+    return pa.schema(fields, metadata=metadata)
+
+
+class TableWriter:
+    """Write rows to a Parquet or CSV file; a context manager.
+
+    CSV columns are named ``name [unit]``; a missing value is an empty cell there and nan in Parquet.
+    """
+
+    def __init__(self, path: Path, kind: str | None = None) -> None:
+        self._path = path
+        self._kind = kind or format_of(path)
+        self._writer: Any = None
+        self._schema: Any = None
+        self.rows = 0
+
+    def write(self, columns: Mapping[str, NDArray]) -> None:
+        """Append rows; the columns are the same in every call."""
+        import pyarrow as pa
+
+        if self._writer is None:
+            self._open(columns)
+        arrays = [pa.array(column) for column in columns.values()]
+        if self._kind == "csv":
+            arrays = [_empty_where_nan(array) for array in arrays]
+        batch = pa.Table.from_arrays(arrays, schema=self._schema)
+        self._writer.write_table(batch, GROUP_ROWS)
+        self.rows += batch.num_rows
+
+    def _open(self, columns: Mapping[str, NDArray]) -> None:
+        import pyarrow as pa
+        from pyarrow import csv, parquet
+
+        schema = schema_of(columns)
+        if self._kind == "csv":
+            names = [name if name == "flags" else f"{name} [{unit_of_column(name)}]" for name in columns]
+            self._schema = pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
+            options = csv.WriteOptions(quoting_style="none", quoting_header="none")
+            self._writer = csv.CSVWriter(str(self._path), self._schema, write_options=options)
+        else:
+            self._schema = schema
+            self._writer = parquet.ParquetWriter(
+                str(self._path), schema, compression="none", use_dictionary=False, write_statistics=False
+            )
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _empty_where_nan(array: Any) -> Any:
+    import pyarrow as pa
+    from pyarrow import compute
+
+    if not pa.types.is_floating(array.type):
+        return array
+    return compute.if_else(compute.is_nan(array), pa.scalar(None, array.type), array)
+
+
+def write_table(path: Path, columns: Mapping[str, NDArray], kind: str) -> None:
+    """Write whole columns at once."""
+    with TableWriter(path, kind) as writer:
+        rows = len(next(iter(columns.values())))
+        for start in range(0, max(rows, 1), GROUP_ROWS):
+            writer.write(
+                {name: np.asarray(column)[start : start + GROUP_ROWS] for name, column in columns.items()}
+            )

@@ -1,0 +1,293 @@
+"""``calibration.json``: the calibration record on disk (schema ``piga.calibration/1``)."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from piga.errors import CalibrationError
+from piga.units import conversion_factor, from_si
+
+if TYPE_CHECKING:
+    from piga.records.calibration import Calibration
+
+SCHEMA = "piga.calibration/1"
+MAX_BYTES = 256 << 20
+
+
+class _Quantity(msgspec.Struct, frozen=True):
+    value: float
+    unit: str
+
+
+class _Instrument(msgspec.Struct, frozen=True):
+    serial: str
+    scale_factor_nominal: _Quantity
+
+
+class _Model(msgspec.Struct, frozen=True):
+    terms: tuple[str, ...]
+    phase: str
+    phase_source: str
+    method: str
+    temperature_reference: _Quantity = _Quantity(293.15, "K")
+
+
+class _Coefficient(msgspec.Struct, frozen=True):
+    name: str
+    value: float
+    std: float
+    unit: str
+    segment: str | None = None
+
+
+class _Covariance(msgspec.Struct, frozen=True):
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+class _Noise(msgspec.Struct, frozen=True):
+    angle_rms: _Quantity
+    angle_random_walk: _Quantity
+
+
+class _Residual(msgspec.Struct, frozen=True):
+    rms: _Quantity
+    rms_before: _Quantity
+    max_before: _Quantity
+    max_after: _Quantity
+
+
+class _Event(msgspec.Struct, frozen=True):
+    kind: str
+    count: int
+    first_row: int | None = None
+    detail: str = ""
+
+
+class _Quality(msgspec.Struct, frozen=True):
+    rows: int
+    used: int
+    masked: int
+    events: tuple[_Event, ...] = ()
+
+
+class _Identifiability(msgspec.Struct, frozen=True):
+    condition: float | None
+    notes: tuple[str, ...] = ()
+
+
+class _Segment(msgspec.Struct, frozen=True):
+    label: str
+    rows: int
+    duration: float
+    mean_a_x: float
+    turns: float
+    rms: float
+    rms_before: float
+    max_after: float
+
+
+class _Provenance(msgspec.Struct, frozen=True):
+    input_sha256: str | dict[str, str]
+    software: str
+    created: str
+    options: dict[str, Any] = {}
+
+
+class _Document(msgspec.Struct, frozen=True):
+    schema: str
+    instrument: _Instrument
+    model: _Model
+    coefficients: tuple[_Coefficient, ...]
+    covariance: _Covariance
+    noise: _Noise
+    residual: _Residual
+    quality: _Quality
+    identifiability: _Identifiability
+    provenance: _Provenance
+    uncertainty_budget: tuple[dict[str, Any], ...] = ()
+    degrees_of_freedom: float = math.inf
+    diagnostics: dict[str, Any] = {}
+    segments: tuple[_Segment, ...] = ()
+
+
+def to_document(calibration: Calibration) -> dict[str, Any]:
+    """The record as plain JSON values (file units; see ``interface.md``)."""
+    c = calibration
+    unit = "rad/s" if c.diagnostics.get("residual_kind") == "rate" else "rad"
+
+    def angle(value: float) -> dict[str, Any]:
+        return {"value": value, "unit": unit}
+
+    return {
+        "schema": SCHEMA,
+        "instrument": {
+            "serial": c.serial,
+            "scale_factor_nominal": {"value": from_si(c.scale_factor_nominal, "rad/s/g"), "unit": "rad/s/g"},
+        },
+        "model": {
+            "terms": list(c.terms),
+            "phase": c.phase,
+            "phase_source": c.phase_source,
+            "method": c.method,
+            "temperature_reference": {"value": c.temperature_reference, "unit": "K"},
+        },
+        "coefficients": [
+            {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
+            | ({"segment": k.segment} if k.name == "phi" else {})
+            for k in c.coefficients
+        ],
+        "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
+        "noise": {
+            "angle_rms": {"value": c.angle_rms, "unit": "rad"},
+            "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
+        },
+        "residual": {
+            "rms": angle(c.residual_rms),
+            "rms_before": angle(c.residual_rms_before),
+            "max_before": angle(c.residual_max_before),
+            "max_after": angle(c.residual_max_after),
+        },
+        "degrees_of_freedom": c.degrees_of_freedom,
+        "quality": msgspec.to_builtins(c.quality),
+        "identifiability": {
+            "condition": c.condition if math.isfinite(c.condition) else None,
+            "notes": list(c.notes),
+        },
+        "diagnostics": c.diagnostics,
+        "segments": [msgspec.to_builtins(s) for s in c.segments],
+        "uncertainty_budget": list(c.budget),
+        "provenance": msgspec.to_builtins(c.provenance),
+    }
+
+
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
+    text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a record.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing, is no calibration record, or is of a newer schema.
+    """
+    from piga.records.calibration import (
+        Calibration,
+        Coefficient,
+        Event,
+        Provenance,
+        Quality,
+        SegmentSummary,
+    )
+
+    document = _decode(path)
+    matrix = np.array(document.covariance.matrix, dtype=float)
+    _check(path, document, matrix)
+    hashes = document.provenance.input_sha256
+    return Calibration(
+        serial=document.instrument.serial,
+        scale_factor_nominal=_in_si(document.instrument.scale_factor_nominal, "rad/s/(m/s^2)", path),
+        terms=document.model.terms,
+        phase=document.model.phase,
+        phase_source=document.model.phase_source,
+        method=document.model.method,
+        coefficients=tuple(
+            Coefficient(c.name, c.value, c.std, c.unit, c.segment) for c in document.coefficients
+        ),
+        covariance=matrix,
+        degrees_of_freedom=document.degrees_of_freedom,
+        angle_rms=_in_si(document.noise.angle_rms, "rad", path),
+        angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
+        residual_rms=document.residual.rms.value,
+        residual_rms_before=document.residual.rms_before.value,
+        residual_max_before=document.residual.max_before.value,
+        residual_max_after=document.residual.max_after.value,
+        quality=Quality(
+            document.quality.rows,
+            document.quality.used,
+            document.quality.masked,
+            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in document.quality.events),
+        ),
+        condition=math.inf
+        if document.identifiability.condition is None
+        else document.identifiability.condition,
+        notes=document.identifiability.notes,
+        budget=document.uncertainty_budget,
+        diagnostics=document.diagnostics,
+        segments=tuple(SegmentSummary(**msgspec.structs.asdict(s)) for s in document.segments),
+        provenance=Provenance(
+            {"input": hashes} if isinstance(hashes, str) else hashes,
+            document.provenance.software,
+            document.provenance.created,
+            document.provenance.options,
+        ),
+        temperature_reference=_in_si(document.model.temperature_reference, "K", path),
+    )
+
+
+def _decode(path: Path) -> _Document:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
+        raw = path.read_bytes()
+        kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
+            raise CalibrationError(
+                f"{path}: schema '{kind}' is not known to this version",
+                remedy="update piga, or calibrate again",
+            )
+        if kind != SCHEMA:
+            raise CalibrationError(
+                f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
+            )
+        return msgspec.json.decode(raw, type=_Document)
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
+        ) from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise CalibrationError(
+            f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
+        ) from None
+
+
+def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
+    return quantity.value * conversion_factor(quantity.unit, like, what=str(path))
+
+
+def _check(path: Path, document: _Document, matrix: Any) -> None:
+    """The parts must fit: names and units known, covariance square, symmetric and in the order of the names."""
+    from piga.records.terms import check_name, unit_of
+
+    keys = tuple(c.name if c.segment is None else f"{c.name}[{c.segment}]" for c in document.coefficients)
+    for coefficient in document.coefficients:
+        if not check_name(coefficient.name):
+            raise CalibrationError(f"{path}: unknown coefficient '{coefficient.name}'", remedy="update piga")
+        if coefficient.unit != unit_of(coefficient.name):
+            raise CalibrationError(
+                f"{path}: coefficient '{coefficient.name}' in '{coefficient.unit}', '{unit_of(coefficient.name)}' is needed",
+                remedy="convert it",
+            )
+        if not (math.isfinite(coefficient.value) and coefficient.std >= 0.0):
+            raise CalibrationError(
+                f"{path}: coefficient '{coefficient.name}' is no valid number", remedy="calibrate again"
+            )
+    if document.covariance.names != keys:
+        raise CalibrationError(
+            f"{path}: covariance names differ from the coefficients", remedy="calibrate again"
+        )
+    if matrix.shape != (len(keys), len(keys)) or not np.isfinite(matrix).all():
+        raise CalibrationError(f"{path}: the covariance is not a full square matrix", remedy="calibrate again")
+    spread = np.abs(matrix - matrix.T).max() if matrix.size else 0.0
+    if spread > 1e-9 * np.abs(matrix).max():
+        raise CalibrationError(f"{path}: the covariance is not symmetric", remedy="calibrate again")

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import piga
+from piga.compensation import FLAGS, Phase
+from piga.units import G0
+
+from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
+
+PHI = np.pi / 4
+CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("a_x", [1.0, -1.0, 0.01, 0.0, 5 * TAN_BETA, 0.03])
+def test_constant_force_comes_back_to_rounding_of_the_angle(a_x):
+    """All four regimes and the critical line; the angle's own rounding is 4 eps alpha / (K h)."""
+    t = np.arange(0.0, 5.0, 0.01)
+    f = constant_force(t, a_x, 4.0, 3.0)
+    run = run_of(t, f, phi=PHI)
+    found = piga.compensate(run, CAL)
+    rounding = 4 * np.finfo(float).eps * max(1.0, np.abs(run.output).max()) / (run.scale_factor * 0.01)
+    assert np.abs(found.ax[1:] - mean_force(f)).max() < max(rounding, 1e-14)
+
+
+@pytest.mark.compiled
+def test_rate_samples_come_back_to_1e12_g():
+    t = np.arange(0.0, 5.0, 0.01)
+    f = constant_force(t, 1.0, 5.0)
+    f *= (1.0 + 0.3 * np.sin(3.0 * t))[:, None]
+    found = piga.compensate(run_of(t, f, phi=PHI, kind="rate"), CAL)
+    assert np.abs(found.ax - f[:, 0]).max() < 1e-12 * G0
+
+
+ERRORS = {
+    "k0": 1.6e-3, "k1": -2.4e-3, "k2": 2e-3, "k3": 1e-4, "k2o": 3e-4, "m_Y": 2e-4, "m_Z": -1e-4, "k_XY": 1e-4,
+    "k_XZ": -2e-4, "k_YY": 3e-5, "k_ZZ": 2e-5, "k_YZ": -1e-5, "k0_T": 1e-5, "k1_T": 2e-5, "s1": 1e-5, "c1": 3e-5,
+}  # fmt: skip
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_full_error_model_is_inverted_to_rounding(kind):
+    t = np.arange(0.0, 3.0, 0.01)
+    f = constant_force(t, -1.3, 2.0, -0.7)
+    temperature = np.full(t.size, 301.0)
+    run = run_of(t, f, phi=PHI, kind=kind, errors=ERRORS, temperature=temperature)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **ERRORS})
+    found = piga.compensate(run, cal)
+    assert np.abs(found.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
+
+
+def test_base_rate_is_taken_out():
+    t = np.arange(0.0, 3.0, 0.01)
+    f = constant_force(t, 0.8, 1.0, 0.5)
+    base = np.tile([7e-5, -3e-3, 2e-3], (t.size, 1))
+    found = piga.compensate(run_of(t, f, phi=PHI, base_rate=base), CAL)
+    assert np.abs(found.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
+
+
+def test_sum_of_increments_is_the_change_of_the_indicated_velocity():
+    t = np.arange(0.0, 5.0, 0.01)
+    f = constant_force(t, 1.0, 5.0) * (1.0 + 0.2 * np.sin(2.0 * t))[:, None]
+    run = run_of(t, f, phi=PHI)
+    plain = calibration_of({"scale_factor": K_G, "tan_beta": 0.0, "phi": 0.0})
+    total = run.output[-1] / run.scale_factor
+    assert abs(np.sum(piga.compensate(run, plain).dv) / total - 1.0) < 4e-16 * np.sqrt(t.size)
+
+
+def test_missing_phase_names_the_segment():
+    t = np.arange(0.0, 1.0, 0.1)
+    run = run_of(t, constant_force(t, 1.0, 1.0))
+    cal = calibration_of({"tan_beta": 1e-3, "phi[3]": 0.1})
+    with pytest.raises(piga.CalibrationError, match=r"segment '0'.*per-segment phases: 3"):
+        piga.compensate(run, cal)
+    assert piga.compensate(run, cal, phase=Phase(0.1)).size == t.size
+
+
+def test_other_serial_is_refused_unless_forced():
+    t = np.arange(0.0, 1.0, 0.1)
+    run = run_of(t, constant_force(t, 1.0, 1.0), serial="A")
+    cal = calibration_of({"k0": 0.0}, serial="B")
+    with pytest.raises(piga.CalibrationError, match="instrument 'A', the calibration of 'B'"):
+        piga.compensate(run, cal)
+    assert piga.compensate(run, cal, force=True).serial == "A"
+
+
+def test_flags_tell_locked_near_critical_and_starts():
+    t = np.arange(0.0, 1.0, 0.1)
+    for a_x, name in ((0.5, "locked"), (1.1, "near_critical")):
+        run = run_of(t, constant_force(t, a_x * 5.0 * TAN_BETA, 5.0), phi=PHI)
+        found = piga.compensate(run, CAL)
+        assert found.flagged(name)[1:].all()
+        assert found.flags[0] == FLAGS["no_increment"]
+        assert np.isnan(found.ax[0])
+        assert found.dv[0] == 0.0
+
+
+def test_uncertainty_grows_in_the_dead_zone():
+    t = np.arange(0.0, 1.0, 0.1)
+    cal = calibration_of(
+        {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI}, {"phi": 1e-4, "tan_beta": 1e-6}
+    )
+    locked = piga.compensate(run_of(t, constant_force(t, 0.01, 5.0), phi=PHI), cal)
+    running = piga.compensate(run_of(t, constant_force(t, 1.0, 5.0), phi=PHI), cal)
+    assert locked.u_ax[5] > 5.0 * TAN_BETA * G0 / np.sqrt(3.0)
+    assert running.u_ax[5] < 1e-4 * G0
