@@ -8,6 +8,7 @@ import pytest
 
 from piga.earth import EARTH_RATE, Site
 from piga.errors import ArgumentError, DataError
+from piga.records.run_file import UNCERTAINTY_UNITS
 from piga.stand import (
     Centrifuge,
     Composite,
@@ -381,7 +382,11 @@ def test_imperfections_from_text():
     assert errors.levelling == pytest.approx((ARCSEC, 0.0))
     assert errors.angle_harmonics == ((1, pytest.approx(ARCSEC), pytest.approx(math.pi / 2)),)
     assert errors.gravity == pytest.approx(1e-6 * G0)
-    assert set(imperfection_units()) >= {"reference_scale", "arm_radius", "rocking"}
+
+
+def test_every_type_b_source_of_a_run_file_is_an_imperfection_with_that_unit():
+    units = imperfection_units()
+    assert {name: units[name] for name in UNCERTAINTY_UNITS} == UNCERTAINTY_UNITS
 
 
 @pytest.mark.parametrize(

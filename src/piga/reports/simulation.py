@@ -84,14 +84,14 @@ def _stand_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
     table: tuple[Block, ...] = ()
     if values:
         table = (_values_table(values, "Imperfections of the stand: true less assumed value."),)
-    return Section("The stand", "stand", (*_blocks(figures, "stand", "imperfections"), *table))
+    return Section("The stand", "the-stand", (*_blocks(figures, "stand", "imperfections"), *table))
 
 
 def _output_section(figures: dict[str, Figure]) -> Section:
     lead = Text(
         "The lab sees the counts only. The lower panel is the truth that a calibration has to find.", lead=True
     )
-    return Section("The output", "output", (lead, *_blocks(figures, "output")))
+    return Section("The output", "the-output", (lead, *_blocks(figures, "output")))
 
 
 def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
@@ -107,7 +107,7 @@ def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
             "What finite servo stiffness does beyond the quasi-steady model (linear prediction).",
         )
     )
-    return Section("The servo loop", "servo", tuple(blocks))
+    return Section("The servo loop", "the-servo", tuple(blocks))
 
 
 def _design_section(p: TwinParameters) -> Section:
@@ -129,7 +129,7 @@ def _design_section(p: TwinParameters) -> Section:
             (about["meaning"], about["symbol"], value, pretty_unit(about["unit"]), span, about["source"])
         )
     table = Table(columns, tuple(rows), "Parameters of the twin. Example values describe no real instrument.")
-    return Section("The design", "design", (table,))
+    return Section("The design", "the-design", (table,))
 
 
 def _number(value: float) -> str:
@@ -138,7 +138,7 @@ def _number(value: float) -> str:
 
 def _truth_section(test: SimulatedTest) -> Section:
     caption = "True coefficients, under the names and units of a calibration."
-    return Section("The truth", "truth", (_values_table(coefficients(test), caption),))
+    return Section("The truth", "the-truth", (_values_table(coefficients(test), caption),))
 
 
 def _name(value: TrueValue) -> str:
