@@ -13,7 +13,9 @@ from scipy.integrate import solve_ivp
 
 from piga._kernels import servo
 from piga.calibration import calibrate
+from piga.earth import Site
 from piga.instrument import ErrorModel, Instrument, propagate
+from piga.instrument.electronics import Electronics
 from piga.instrument.twin import run_twin
 from piga.instrument.twin_linear import analyse_loop
 from piga.instrument.twin_parameters import PRESETS
@@ -27,7 +29,7 @@ from piga.reports.calibration_figures import order_spectrum, scale_factor, spect
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.simulation_figures import loop_figures, servo_figure
 from piga.reports.static import write_figure
-from piga.stand import read_scenario, run_scenario
+from piga.stand import DividingHead, Specimen, read_scenario, run_scenario, simulate_test
 from piga.stand.truth import coefficients, predicted_angle_error
 from piga.stand.write_run import run_file_text, write_data
 from piga.units import ARCSEC, G0
@@ -149,7 +151,10 @@ def coulomb():
         Panel(
             Axis("Coulomb friction", "mNm"),
             Axis("shift of beta", "arcsec"),
-            (Series(1e3 * friction, shifts, name="twin", mark="points"), Series(1e3 * friction, predicted, name="-M_c/k_p", role="model")),
+            (
+                Series(1e3 * friction, shifts, name="twin", mark="points"),
+                Series(1e3 * friction, predicted, name="-M_c/k_p", role="model"),
+            ),
             "Tilt",
         ),
         Panel(
@@ -178,7 +183,10 @@ def k2():
     panel = Panel(
         Axis("product of inertia D", "mg m^2"),
         Axis("k2", "ug/g^2"),
-        (Series(1e6 * products, found, name="twin", mark="points"), Series(1e6 * products, predicted, name="D K² g/ml", role="model")),
+        (
+            Series(1e6 * products, found, name="twin", mark="points"),
+            Series(1e6 * products, predicted, name="D K² g/ml", role="model"),
+        ),
     )  # fmt: skip
     save(Figure("twin-k2", "The origin of k2", (panel,)))
 
@@ -196,7 +204,10 @@ def start_up():
         Panel(
             Axis("time", "ms", limits=(0.0, 40.0)),
             Axis("rate/(K a_x)", "1"),
-            tuple(Series(1e3 * t[:201], m.rate[:201] / (p.K * G0), name=n, role=s.role) for (n, m), s in zip(runs.items(), series, strict=True)),
+            tuple(
+                Series(1e3 * t[:201], m.rate[:201] / (p.K * G0), name=n, role=s.role)
+                for (n, m), s in zip(runs.items(), series, strict=True)
+            ),
             "Output rate",
         ),
     )  # fmt: skip
@@ -280,10 +291,6 @@ def round_trip():
 
 def missing_harmonic():
     """Spectrum of the residuals of a soft servo, calibrated without harmonics."""
-    from piga.earth import Site
-    from piga.instrument.electronics import Electronics
-    from piga.stand import DividingHead, Specimen, simulate_test
-
     scenario = read_scenario(Path(__file__).parents[1] / "examples" / "twin.toml")
     stand = DividingHead(Site(math.radians(40.0)), (math.pi / 4, 7 * math.pi / 4), dwell=120.0, move=5.0)
     soft = Specimen(

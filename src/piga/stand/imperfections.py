@@ -31,50 +31,52 @@ def _about(unit: str, size: int, meaning: str) -> dict[str, str | int]:
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Imperfections of a stand: true value less assumed value. ``metadata``: unit, size, meaning."""
+    """Imperfections of a stand: true value less assumed value. ``metadata``: unit as
+    reported, size, meaning.
+    """
 
     reference_scale: float = field(
-        default=0.0, metadata=_about("1", 1, "relative error of the specific-force reference")
+        default=0.0, metadata=_about("ppm", 1, "relative error of the specific-force reference")
     )
     reference_bias: Vector = field(
-        default=(0.0, 0.0, 0.0), metadata=_about("g", 3, "offset of the specific-force reference, base axes")
+        default=(0.0, 0.0, 0.0), metadata=_about("ug", 3, "offset of the specific-force reference, base axes")
     )
     reference_misalignment: Vector = field(
         default=(0.0, 0.0, 0.0),
-        metadata=_about("rad", 3, "small turn of the instrument on the stand about X0, Y0, Z0"),
+        metadata=_about("arcsec", 3, "small turn of the instrument on the stand about X0, Y0, Z0"),
     )
-    gravity: float = field(default=0.0, metadata=_about("g", 1, "local gravity"))
-    timing: float = field(default=0.0, metadata=_about("1", 1, "relative error of the clock's rate"))
+    gravity: float = field(default=0.0, metadata=_about("ug", 1, "local gravity"))
+    timing: float = field(default=0.0, metadata=_about("ppm", 1, "relative error of the clock's rate"))
     temperature: float = field(default=0.0, metadata=_about("K", 1, "offset of the thermometer"))
     levelling: Vector = field(
-        default=(0.0, 0.0), metadata=_about("rad", 2, "tilt of the stand about its two levelling axes")
+        default=(0.0, 0.0), metadata=_about("arcsec", 2, "tilt of the stand about its two levelling axes")
     )
-    angle_error: float = field(default=0.0, metadata=_about("rad", 1, "index error of the dividing head"))
+    angle_error: float = field(default=0.0, metadata=_about("arcsec", 1, "index error of the dividing head"))
     angle_harmonics: tuple[Harmonic, ...] = field(
-        default=(), metadata=_about("rad", 0, "dividing errors: order, amplitude, phase")
+        default=(), metadata=_about("arcsec", 0, "dividing errors: order, amplitude, phase")
     )
     settling: float = field(
-        default=0.0, metadata=_about("rad", 1, "angle still to go when a position is reached")
+        default=0.0, metadata=_about("arcsec", 1, "angle still to go when a position is reached")
     )
     arm_radius: float = field(
-        default=0.0, metadata=_about("m", 1, "effective radius of the centrifuge or lever arm on the table")
+        default=0.0, metadata=_about("um", 1, "effective radius of the centrifuge or lever arm on the table")
     )
     arm_stretch: float = field(
         default=0.0, metadata=_about("s^2/rad^2", 1, "relative growth of the radius per squared rate")
     )
     rate_error: float = field(
-        default=0.0, metadata=_about("1", 1, "relative error of the centrifuge or table rate")
+        default=0.0, metadata=_about("ppm", 1, "relative error of the centrifuge or table rate")
     )
     rate_ripple: float = field(
-        default=0.0, metadata=_about("1", 1, "relative ripple of the rate once a revolution")
+        default=0.0, metadata=_about("ppm", 1, "relative ripple of the rate once a revolution")
     )
     transverse_motion: float = field(
-        default=0.0, metadata=_about("1", 1, "transverse over axial motion of the vibration table")
+        default=0.0, metadata=_about("ppm", 1, "transverse over axial motion of the vibration table")
     )
     rocking: float = field(
         default=0.0,
         metadata=_about(
-            "rad", 1, "rotation of the vibration table at peak drive, about the horizontal axis across it"
+            "arcsec", 1, "rotation of the vibration table at peak drive, about the horizontal axis across it"
         ),
     )
 

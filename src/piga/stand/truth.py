@@ -99,7 +99,9 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
         value, unit = getattr(errors, entry.name), str(entry.metadata["unit"])
         factor = parse_unit(unit).factor
         if entry.name == "angle_harmonics":
-            rows += [TrueValue(f"{entry.name}[{n}]", a, unit, note=f"phase {p:g} rad") for n, a, p in value]
+            rows += [
+                TrueValue(f"{entry.name}[{n}]", a / factor, unit, note=f"phase {p:g} rad") for n, a, p in value
+            ]
         elif isinstance(value, tuple):
             names = ("X0", "Y0", "Z0") if len(value) == 3 else ("1", "2")
             rows += [
