@@ -14,8 +14,8 @@ from piga._kernels.servo import ServoConstants
 from piga.errors import ArgumentError
 from piga.units import G0, to_si
 
-_THEORY = "theory page, section 'The servo loop (the twin)'"
-_CHOICE = "example value of this project"
+_THEORY = "theory page, the twin"
+_CHOICE = "example value"
 
 
 def _entry(

@@ -117,7 +117,7 @@ def _design_section(p: TwinParameters) -> Section:
         Column("value"),
         Column("unit", align="text"),
         Column("plausible range"),
-        Column("source", align="text"),
+        Column("source of the default", align="text"),
     )
     rows = []
     for entry in parameter_table():

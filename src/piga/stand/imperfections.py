@@ -31,8 +31,9 @@ def _about(unit: str, size: int, meaning: str) -> dict[str, str | int]:
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Imperfections of a stand: true value less assumed value. ``metadata``: unit as
-    reported, size, meaning.
+    """Imperfections of a stand: true value less assumed value.
+
+    Fields are SI; their ``metadata`` holds the unit in which they are reported, the size and the meaning.
     """
 
     reference_scale: float = field(
