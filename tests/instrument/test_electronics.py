@@ -37,7 +37,7 @@ def test_counts_are_the_nearest_and_wrap_at_the_width():
 
 def test_phase_of_a_wrapping_counter_is_that_of_its_reading():
     e = Electronics(counts_per_revolution=1000, counter_bits=9, zero=0.2, sample_rate=100.0)
-    alpha = np.linspace(3.0, 40.0, 3000)
+    alpha = np.linspace(5.0, 40.0, 3000) + np.repeat([0.0, 10.0, 17.0], 1000)
     counts = read_output(e, alpha, alpha, RNG(0))
     segment = np.repeat(np.arange(3, dtype=np.int32), 1000)
     lost = np.zeros(3000, dtype=bool)

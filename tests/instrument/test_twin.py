@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from piga._kernels import servo
 from piga.errors import ArgumentError, PigaError
-from piga.instrument import Instrument, propagate
+from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin import quasi_steady_state, run_twin, slow_manifold
 from piga.instrument.twin_parameters import PRESETS, TwinParameters, parameter_table, twin_parameters
 from piga.instrument.twin_predictions import (
@@ -80,10 +80,13 @@ def test_equations_are_those_of_a_rigid_body(seed):
 
 def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
     """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
-    p = replace(EXAMPLE, rate_gain=0.1, pick_off_null=2e-3, alpha0=0.3, float_inertia_z=3e-5).stiffened(3.0)
+    p = replace(EXAMPLE, rate_gain=0.1, pick_off_null=2e-3, alpha0=0.3, float_inertia_z=3e-5)
+    p = replace(p, product_of_inertia=2e-5).stiffened(3.0)
     t, f, omega = constant((G0, 0.5 * G0, -0.2 * G0), 2.0, omega=(0.01, 0.4, -0.2))
     motion = run_twin(p, t, f, omega)
-    alpha = propagate(Instrument(p.K, p.pick_off_null, 0.3), t, f, omega)
+    alpha = propagate(
+        Instrument(p.K, p.pick_off_null, 0.3), t, f, omega, error_model=ErrorModel(k2=predicted_k2(p))
+    )
     predicted = predicted_rate_error(p, t, motion.alpha, f, omega)
     shift = np.concatenate([[0.0], np.cumsum(0.5 * (predicted[1:] + predicted[:-1]) * np.diff(t))])
     difference = motion.alpha - alpha
