@@ -73,6 +73,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    if sys.version_info < (3, 11):
-        sys.exit("piga needs Python 3.11 or later")
     main()

@@ -67,8 +67,8 @@ def test_wrapping_counters(folder: Path, bits: int) -> None:
 def test_the_scale_factor_carries_the_rectification_of_the_servo(folder: Path) -> None:
     """What stays is -3.2 ppm: the servo's rectification (docs/accuracy), far outside the fit's own uncertainty."""
     found = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))["scale_factor"]
-    assert found.value / TRUTH["scale_factor"] - 1.0 == pytest.approx(-3.2e-6, abs=0.5e-6)
-    assert found.std / found.value < 0.5e-6
+    assert found.value / TRUTH["scale_factor"] - 1.0 == pytest.approx(-3.2e-6, abs=0.7e-6)
+    assert found.std / found.value < 0.8e-6
 
 
 def test_the_ripple_is_gone(folder: Path) -> None:

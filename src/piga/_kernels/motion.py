@@ -70,6 +70,22 @@ def half_turns(x: float, increment: float) -> float:
 
 
 @kernel
+def magnus_increments(
+    h: float, a0: float, y0: float, z0: float, a1: float, y1: float, z1: float
+) -> tuple[float, float, float]:
+    """Increments ``A, Y, Z`` [rad] of a step with input linear from ``(a0, y0, z0)`` to ``(a1, y1, z1)``.
+
+    Mean of the ends plus the commutator of the fourth-order Magnus expansion [Blanes2009].
+    """
+    mean, cross = 0.5 * h, h * h / 12.0
+    return (
+        mean * (a0 + a1) + cross * (y0 * z1 - z0 * y1),
+        mean * (y0 + y1) + cross * (a0 * z1 - z0 * a1),
+        mean * (z0 + z1) - cross * (a0 * y1 - y0 * a1),
+    )
+
+
+@kernel
 def advance(
     turns: float, rest: float, p: float, q: float, A: float, Y: float, Z: float
 ) -> tuple[float, float, float, float]:
