@@ -12,6 +12,7 @@ from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
+from piga.cli.simulate import simulate
 from piga.errors import PigaError
 
 app = typer.Typer(
@@ -40,7 +41,7 @@ def _options(
     pass
 
 
-for command in (demo, check, calibrate, compensate):
+for command in (demo, check, calibrate, compensate, simulate):
     app.command()(command)
 
 
