@@ -101,14 +101,17 @@ def theory_lines(scenario: Scenario, compensator: Compensator, known: Knowledge,
     """Closed-form line amplitudes of a static base, day by day (redundancy angle at mid-day) [He2014].
 
     The turn about the polar axis that the model leaves, ``d_r(c)``, has amplitude D at one cycle per
-    case turn. Then east velocity ``g D cos(L) w_c / (w_c^2 - w_s^2)``, north velocity by the Coriolis
-    coupling ``2 Omega sin(L) / w_c`` of it, heading ``D sin(L)``, roll ``D cos(L) cos(heading)``, pitch
-    ``D cos(L) sin(heading)``. Position is not predicted (NaN).
+    case turn, and ``S = w_c^2 / (w_c^2 - w_s^2)`` with the Schuler rate w_s. Then east velocity
+    ``g D S cos(L) / w_c``, north velocity by the Coriolis coupling ``2 Omega sin(L) / w_c`` of it, heading
+    ``D S sin(L)``, roll ``D S cos(L) cos(heading)``, pitch ``D S cos(L) sin(heading)``. The literature
+    gives heading and roll without S; the longitude error, which turns the local axes about the same
+    pole, adds it (docs/platform.md section 8). Position is not predicted (NaN).
     """
     latitude, rate = scenario.place.latitude, scenario.polar_rotation.rate
     left = np.array([_left_about_pole(scenario, compensator, known, 0.5 * float(times[d.start] + times[d.stop - 1])) for d in days])
     force = gravity(latitude, scenario.place.height)
-    east = force * left * np.cos(latitude) * rate / (rate**2 - _SCHULER**2)
+    left = left * rate**2 / (rate**2 - _SCHULER**2)
+    east = force * left * np.cos(latitude) / rate
     level = left * np.cos(latitude)
     amplitude = {
         "east_velocity": east,

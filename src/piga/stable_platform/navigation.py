@@ -188,9 +188,9 @@ def earth_radii(latitude: Array) -> tuple[Array, Array]:
 
 
 def true_start(truth: Truth) -> Start:
-    """Start from the true position and velocity with the triad along inertial axes, as simulated."""
+    """Start from the true position and velocity and the true attitude of the triad; no drift taken out."""
     position, velocity = truth.motion.start_inertial()
-    return Start(position, velocity, np.eye(3), np.zeros(3))
+    return Start(position, velocity, truth.triad_start.T.copy(), np.zeros(3))
 
 
 def site_start(latitude: float, longitude: float, height: float, triad: Array, drift: Array) -> Start:

@@ -129,7 +129,11 @@ class Compensation:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A whole platform run in SI units; ``duration`` and ``step`` [s], ``redundancy`` eta at the start [rad]."""
+    """A whole platform run in SI units; ``duration`` and ``step`` [s], ``redundancy`` eta at the start [rad].
+
+    ``triad``: rotation vector [rad] that carries inertial axes into the triad G at the start (what
+    alignment has to find).
+    """
 
     place: Place
     duration: float
@@ -141,6 +145,7 @@ class Scenario:
     polar: Gyro = field(default_factory=Gyro)
     equatorial: Gyro = field(default_factory=Gyro)
     redundancy: float = 0.0
+    triad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sensors: Sensors = field(default_factory=Sensors)
     compensation: Compensation = field(default_factory=Compensation)
     calibration_time: float = 7200.0
@@ -207,6 +212,7 @@ class _Reader:
             polar=self.gyro(f.polar, "polar"),
             equatorial=self.gyro(f.equatorial, "equatorial"),
             redundancy=self.si(f.redundancy.initial, "rad", "[redundancy] initial"),
+            triad=self.triad(f),
             sensors=self.sensors(f),
             compensation=self.compensation(f),
             calibration_time=self.positive(f.identification.duration, "s", "[identification] duration"),
@@ -237,6 +243,10 @@ class _Reader:
         latitude = self.si(f.site.latitude, "rad", "[site] latitude")
         longitude = self.si(f.site.longitude, "rad", "[site] longitude")
         return Place(latitude, longitude, self.si(f.site.height, "m", "[site] height"))
+
+    def triad(self, f: ScenarioFile) -> tuple[float, float, float]:
+        x, y, z = (self.si(angle, "rad", "[triad] attitude") for angle in f.triad.attitude)
+        return x, y, z
 
     def rotations(self, f: ScenarioFile) -> tuple[Rotation, Rotation]:
         c, turns = f.case_rotation, 0

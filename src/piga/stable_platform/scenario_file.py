@@ -69,6 +69,12 @@ class RedundancyFile(Struct, forbid_unknown_fields=True, frozen=True):
     initial: Quantity = "0 deg"
 
 
+class TriadFile(Struct, forbid_unknown_fields=True, frozen=True):
+    """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
+
+    attitude: tuple[Quantity, Quantity, Quantity] = ("0 deg", "0 deg", "0 deg")
+
+
 class PigaFile(Struct, forbid_unknown_fields=True, frozen=True):
     """``[sensors.piga]``: three gyro accelerometers on the platform."""
 
@@ -130,6 +136,7 @@ class ScenarioFile(Struct, forbid_unknown_fields=True, frozen=True):
     polar: GyroFile = field(default_factory=GyroFile)
     equatorial: GyroFile = field(default_factory=GyroFile)
     redundancy: RedundancyFile = field(default_factory=RedundancyFile)
+    triad: TriadFile = field(default_factory=TriadFile)
     sensors: SensorsFile = field(default_factory=SensorsFile)
     compensation: CompensationFile = field(default_factory=CompensationFile)
     identification: IdentificationFile = field(default_factory=IdentificationFile)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.platform_motion import simulate_platform
+from piga.frames import rotation_vector_to_matrix
 from piga.stable_platform.case_rotation import encoder_angle
 from piga.stable_platform.geometry import harmonic_arrays
 from piga.stable_platform.motion import BaseMotion, base_motion
@@ -77,10 +78,11 @@ def _phasor(angle: Array) -> Array:
 
 @dataclass(frozen=True)
 class Truth:
-    """What really happened: base motion, redundancy angle (n + 1,) [rad], triad attitude at the end ``C_i^G``."""
+    """What really happened: base motion, redundancy angle (n + 1,) [rad], triad ``C_i^G`` at start and end."""
 
     motion: BaseMotion
     eta: Array
+    triad_start: Array
     triad_end: Array
 
 
@@ -108,7 +110,8 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
     increments, force = np.empty((n, 3)), np.empty((n + 1, 3))
     gimbals, ring, eta = np.empty((n + 1, 3)), np.empty(n + 1), np.empty(n + 1)
     spin = np.empty((n if scenario.sensors.piga else 0, 3))
-    triad = np.eye(3)
+    start = rotation_vector_to_matrix(np.array(scenario.triad)).T
+    triad = start.copy()
     simulate_platform(
         _gyro_constants(scenario.polar, scenario.equatorial),
         *harmonic_arrays(scenario.polar),
@@ -127,7 +130,7 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
 
         increments = through_pigas(scenario.sensors.piga, times, force, spin)
     readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
-    return Run(scenario, readouts, Truth(motion, eta, triad))
+    return Run(scenario, readouts, Truth(motion, eta, start, triad))
 
 
 def _gyro_constants(polar: Gyro, equatorial: Gyro) -> Array:
