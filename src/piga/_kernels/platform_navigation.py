@@ -184,7 +184,10 @@ def local_level(r, v, gimbals, z1, z2, tan_eta, sec_eta, tips, a1, b1, a2, b2, c
         ex, ey, ez = compensation_angles(
             z1[i, 0], z1[i, 1], z2[i, 0], z2[i, 1], tan_eta[k], sec_eta[k], tips, a1, b1, a2, b2
         )
-        # local axes in inertial, then triad, then platform, then body: three columns (north, east, down)
+        ci1, si1 = math.cos(gimbals[i, 0]), math.sin(gimbals[i, 0])
+        ci2, si2 = math.cos(gimbals[i, 1]), math.sin(gimbals[i, 1])
+        ci3, si3 = math.cos(gimbals[i, 2]), math.sin(gimbals[i, 2])
+        # local axes in inertial, then triad, platform and, by (R3(sigma) R2(theta) R3(psi))^T, body axes
         ci, si = ce * co - se * so, se * co + ce * so
         for column in range(3):
             if column == 0:
@@ -199,7 +202,9 @@ def local_level(r, v, gimbals, z1, z2, tan_eta, sec_eta, tips, a1, b1, a2, b2, c
             if rate > 0.0:
                 bx, by, bz = turn(bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * times[i])
             px, py, pz = bx - ey * bz + ez * by, by - ez * bx + ex * bz, bz - ex * by + ey * bx
-            bodyx, bodyy, bodyz = platform_to_body(px, py, pz, gimbals[i])
+            px, py = ci3 * px - si3 * py, si3 * px + ci3 * py
+            px, bodyz = ci2 * px + si2 * pz, ci2 * pz - si2 * px
+            bodyx, bodyy = ci1 * px - si1 * py, si1 * px + ci1 * py
             if column == 0:
                 b00 = bodyx
             elif column == 1:
@@ -221,14 +226,3 @@ def turn(x, y, z, ax, ay, az, angle):
         c * y + s * (az * x - ax * z) + dot * ay,
         c * z + s * (ax * y - ay * x) + dot * az,
     )
-
-
-@inline
-def platform_to_body(x, y, z, gimbals):
-    """Components in body axes of a vector in platform axes: ``(R3(sigma) R2(theta) R3(psi))^T``."""
-    c, s = math.cos(gimbals[2]), math.sin(gimbals[2])
-    x, y = c * x - s * y, s * x + c * y
-    c, s = math.cos(gimbals[1]), math.sin(gimbals[1])
-    x, z = c * x + s * z, c * z - s * x
-    c, s = math.cos(gimbals[0]), math.sin(gimbals[0])
-    return c * x - s * y, s * x + c * y, z

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,22 +41,26 @@ def line_amplitudes(times: Array, values: Array, rate: float, latitude: float) -
     neighbours at ``rate +- Earth rate`` (on stretches of half a day and more), twice the rate, the
     Schuler oscillation with its Foucault split, and a cubic. The amplitude is that at mid-stretch.
     """
-    design = _line_design(times - times.mean(), rate, latitude)
-    norms = np.linalg.norm(design, axis=0)
-    scaled = design / norms
-    moment = scaled.T @ (values - values.mean(axis=0))
-    solution = np.linalg.lstsq(scaled.T @ scaled, moment, rcond=1e-12)[0]
+    n = len(times)
+    scaled, gram, norms = _line_design(n, float(times[-1] - times[0]) / (n - 1), rate, latitude)
+    solution = np.linalg.lstsq(gram, scaled.T @ (values - values.mean(axis=0)), rcond=1e-12)[0]
     return np.hypot(solution[0] / norms[0], solution[1] / norms[1])
 
 
-def _line_design(t: Array, rate: float, latitude: float) -> Array:
-    x = t / max(abs(t[0]), abs(t[-1]), 1.0)
+@lru_cache(maxsize=4)
+def _line_design(n: int, step: float, rate: float, latitude: float) -> tuple[Array, Array, Array]:
+    """Scaled regressors, their Gram matrix and their norms for ``n`` samples about mid-stretch."""
+    t = (np.arange(n) - 0.5 * (n - 1)) * step
+    x = t / max(t[-1], 1.0)
     foucault = earth.EARTH_RATE * np.sin(latitude)
     rates = [rate, 2.0 * rate, _SCHULER]
-    if t[-1] - t[0] > 0.5 * DAY:
+    if n * step > 0.5 * DAY:
         rates += [rate - earth.EARTH_RATE, rate + earth.EARTH_RATE, _SCHULER - foucault, _SCHULER + foucault]
     waves = [f(w * t) for w in rates for f in (np.cos, np.sin)]
-    return np.stack([*waves, x * waves[0], x * waves[1], np.ones_like(x), x, x * x, x**3], axis=1)
+    design = np.stack([*waves, x * waves[0], x * waves[1], np.ones_like(x), x, x * x, x**3], axis=1)
+    norms = np.linalg.norm(design, axis=0)
+    design /= norms
+    return design, design.T @ design, norms
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,8 @@ def daily_lines(errors: Errors, rate: float, latitude: float) -> Lines:
         fitted = line_amplitudes(errors.times[group[0]], values, rate, latitude).reshape(len(group), len(CHANNELS))
         rows += list(zip((parts.index(part) for part in group), fitted, strict=True))
     amplitude = np.array([fitted for _, fitted in sorted(rows, key=lambda row: row[0])])
-    position = np.array([errors.horizontal[part].max() for part in parts])
+    horizontal = errors.horizontal
+    position = np.array([horizontal[part].max() for part in parts])
     return Lines(
         np.arange(1, len(parts) + 1), {name: amplitude[:, k] for k, name in enumerate(CHANNELS)}, position
     )
@@ -102,7 +108,7 @@ def theory_lines(scenario: Scenario, compensator: Compensator, known: Knowledge,
 
     The turn about the polar axis that the model leaves, ``d_r(c)``, has amplitude D at one cycle per
     case turn, and ``S = w_c^2 / (w_c^2 - w_s^2)`` with the Schuler rate w_s. Then east velocity
-    ``g D S cos(L) / w_c``, north velocity by the Coriolis coupling ``2 Omega sin(L) / w_c`` of it, heading
+    ``g D S cos(L) / w_c``, north velocity by the Coriolis coupling ``2 Omega sin(L) S / w_c`` of it, heading
     ``D S sin(L)``, roll ``D S cos(L) cos(heading)``, pitch ``D S cos(L) sin(heading)``. The literature
     gives heading and roll without S; the longitude error, which turns the local axes about the same
     pole, adds it (docs/platform.md section 8). Position is not predicted (NaN).
@@ -115,7 +121,7 @@ def theory_lines(scenario: Scenario, compensator: Compensator, known: Knowledge,
     level = left * np.cos(latitude)
     amplitude = {
         "east_velocity": east,
-        "north_velocity": east * 2.0 * earth.EARTH_RATE * np.sin(latitude) / rate,
+        "north_velocity": east * 2.0 * earth.EARTH_RATE * np.sin(latitude) * rate / (rate**2 - _SCHULER**2),
         "heading": left * np.sin(latitude),
         "roll": level * abs(np.cos(scenario.motion.heading)),
         "pitch": level * abs(np.sin(scenario.motion.heading)),

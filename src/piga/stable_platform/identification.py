@@ -230,7 +230,7 @@ def disturbance_rows(readouts: Readouts, x: Unknowns, size: int) -> Group:
 
     The mean over one case turn of the force, turned back to the triad with what is known so far, stands
     for the undisturbed force; force and regressors alike are smoothed
-    over an eighth of a turn (Hann) and freed of that mean, so that motion faster than the case rotation
+    over a fifth of a turn (two Hann windows) and freed of that mean, so that motion faster than the case rotation
     and the slow turn of gravity drop out. ``rows`` counts the independent samples left.
     """
     from scipy.signal import oaconvolve
@@ -239,24 +239,25 @@ def disturbance_rows(readouts: Readouts, x: Unknowns, size: int) -> Group:
     encoders = [0.5 * (angle[1:] + angle[:-1]) for angle in (readouts.encoder1, readouts.encoder2)]
     force = readouts.increments / readouts.step
     turn = int(round(_case_period(readouts) / readouts.step)) // 2 * 2 + 1
-    fine = max(turn // 16 * 2 + 1, 3)
-    hann = np.hanning(fine + 2)[1:-1]
     box = np.ones(turn)
     if readouts.step * turn > _case_period(readouts):
         box[0] = box[-1] = 0.5
-    band = -box / box.sum()
+    box /= box.sum()
+    hann = np.hanning(max(turn // 10, 3) + 2)[1:-1]
+    smooth = np.convolve(hann, hann) / hann.sum() ** 2
+    highpass = -box
     middle = turn // 2
-    band[middle - fine // 2 : middle + fine // 2 + 1] += hann / hann.sum()
-    kernel = box / box.sum()
+    highpass[middle] += 1.0
+    band = np.convolve(highpass, smooth)
     attitude, _ = exact_platform(x, t, *encoders)
     undone = np.einsum("nji,nj->ni", attitude, force)
-    mean = np.stack([np.convolve(column, kernel, mode="valid") for column in undone.T], axis=1)
+    mean = np.stack([np.convolve(column, box, mode="valid") for column in undone.T], axis=1)
     mean = np.pad(mean, ((middle, middle), (0, 0)), mode="edge")
     predicted = np.einsum("nij,nj->ni", attitude, mean)
     e, _ = misalignment_regressors(x, t, *encoders)
     columns = np.cross(mean[:, :, None], e, axis=1)[:, :, :size]
     stacked = np.concatenate([(force - predicted)[:, :, None], columns], axis=2)
-    kept = oaconvolve(stacked[middle : len(t) - middle], band[:, None, None], mode="valid", axes=0)
+    kept = oaconvolve(stacked, band[:, None, None], mode="valid", axes=0)
     gain = float(np.sum(band**2))
     rows = np.ascontiguousarray(kept[:, :, 1:].reshape(-1, kept.shape[2] - 1))
     if rows.shape[1] < size:
