@@ -18,9 +18,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def kernel(function: F) -> F:
     """Compile a hot loop (cached on disk, releases the GIL)."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
 
 
 def inline(function: F) -> F:
     """Compile a small scalar function that is inlined into the kernels that call it."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+
+
+def exact(function: F) -> F:
+    """Compile arithmetic whose rounding errors are part of the method: nothing is contracted."""
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))

@@ -1,0 +1,171 @@
+"""The instrument's parameters: the cross-coupled ideal instrument, and the errors of a real one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.units import to_si
+
+_MAX_BETA = 0.5 * math.pi
+Quantity = float | str
+"""A number in SI, or text with its unit such as ``"0.8884 rad/s/g"``."""
+
+
+def _set(instance: object, name: str, value: float) -> None:
+    object.__setattr__(instance, name, value)
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """A PIGA whose rotor axis is not orthogonal to its outer-gimbal axis, free of other errors.
+
+    Every argument takes a number in SI or text with a unit; the fields are SI numbers.
+
+    Parameters
+    ----------
+    scale_factor:
+        ``K = ml/H`` [(rad/s)/(m/s^2)]: pendulosity over rotor angular momentum. Positive; 0.055 to
+        0.09, i.e. 0.55 to 0.89 (rad/s)/g, is usual.
+    beta:
+        Non-orthogonality of rotor axis and outer-gimbal axis [rad], between -pi/2 and pi/2;
+        1e-5 to 5e-3 is usual.
+    alpha0:
+        Outer-gimbal angle at the start [rad], from ``Y0`` towards ``Z0``. Any number of turns.
+
+    Raises
+    ------
+    ArgumentError
+        If the scale factor is not positive, or ``beta`` reaches a right angle.
+    UnitError
+        If a text has no unit or one of another kind, or a number is not finite.
+
+    Examples
+    --------
+    >>> inst = Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec")
+    >>> round(inst.tan_beta, 9)
+    0.004848175
+    """
+
+    scale_factor: float
+    beta: float = 0.0
+    alpha0: float = 0.0
+
+    def __init__(self, scale_factor: Quantity, beta: Quantity = 0.0, alpha0: Quantity = 0.0) -> None:
+        _set(self, "scale_factor", to_si(scale_factor, "rad/s/g", what="Instrument scale_factor"))
+        _set(self, "beta", to_si(beta, "rad", what="Instrument beta"))
+        _set(self, "alpha0", to_si(alpha0, "rad", what="Instrument alpha0"))
+        if self.scale_factor <= 0.0:
+            raise ArgumentError(
+                f"Instrument scale_factor: {scale_factor!r} is not positive",
+                remedy="turn the input axis round instead of giving a negative scale factor",
+            )
+        if abs(self.beta) >= _MAX_BETA:
+            raise ArgumentError(
+                f"Instrument beta: {beta!r} is not between -90 and 90 degrees",
+                remedy="give the small angle by which rotor axis and outer axis miss 90 degrees",
+            )
+
+    @property
+    def tan_beta(self) -> float:
+        """Tangent of ``beta`` [1]: the cross-coupling coefficient."""
+        return math.tan(self.beta)
+
+
+_ERROR_UNITS = {
+    "k0": "g", "k1": "1", "k2": "g/g^2", "k3": "g/g^3", "k2o": "g/g^2", "m_Y": "rad", "m_Z": "rad",
+    "k_XY": "g/g^2", "k_XZ": "g/g^2", "k_YY": "g/g^2", "k_ZZ": "g/g^2", "k_YZ": "g/g^2",
+    "s1": "g", "c1": "g", "k0_t": "g/s", "k0_T": "g/K", "k1_T": "1/K", "T_ref": "degC",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    r"""Errors of a real instrument, as specific force added to the input axis.
+
+    .. math::
+
+       e = k_0 + k_1 a_x + k_2 a_x^2 + k_3 a_x^3 + k_{2o} a_x |a_x| + m_Y a_Y + m_Z a_Z
+         + k_{XY} a_x a_Y + k_{XZ} a_x a_Z + k_{YY} a_Y^2 + k_{ZZ} a_Z^2 + k_{YZ} a_Y a_Z
+         + s_1 \sin\alpha + c_1 \cos\alpha + k_{0t} t + (k_{0T} + k_{1T} a_x)(T - T_{ref})
+
+    and the gimbal turns with ``alpha' = u_x + tan(beta)(u_Y sin(alpha) - u_Z cos(alpha)) + K e``.
+    Numbers are SI (``k2`` in (m/s^2)/(m/s^2)^2, ``k0`` in m/s^2, ``T_ref`` in kelvin); text carries
+    its unit (``k2="2e-6 g/g^2"``, ``T_ref="20 degC"``). Names follow IEEE 1293 by analogy; that
+    standard excludes this instrument.
+
+    ``s1`` and ``c1`` act like transverse specific force and are propagated exactly. Harmonics of
+    second and higher order do not fit the two-by-two matrices of the exact motion: they are
+    calibrated (``piga.calibrate``), not propagated, and are no fields of this class.
+
+    ``t`` is the time as given to :func:`piga.propagate` (not counted from its first sample).
+    """
+
+    k0: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k2o: float = 0.0
+    m_Y: float = 0.0
+    m_Z: float = 0.0
+    k_XY: float = 0.0
+    k_XZ: float = 0.0
+    k_YY: float = 0.0
+    k_ZZ: float = 0.0
+    k_YZ: float = 0.0
+    s1: float = 0.0
+    c1: float = 0.0
+    k0_t: float = 0.0
+    k0_T: float = 0.0
+    k1_T: float = 0.0
+    T_ref: float = 293.15
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            unit = _ERROR_UNITS[field.name]
+            _set(self, field.name, to_si(getattr(self, field.name), unit, what=f"ErrorModel {field.name}"))
+
+    @classmethod
+    def from_terms(cls, terms: Mapping[str, Quantity]) -> ErrorModel:
+        """Error model from term names and values (SI numbers, or text with unit).
+
+        Raises
+        ------
+        ArgumentError
+            If a name is unknown, or is a harmonic that the exact motion cannot carry.
+        """
+        for name in terms:
+            if name not in _ERROR_UNITS:
+                raise ArgumentError(
+                    f"ErrorModel: term '{name}' cannot be propagated",
+                    remedy=f"known terms: {' '.join(_ERROR_UNITS)}; higher harmonics are only calibrated",
+                )
+        return cls(**terms)  # type: ignore[arg-type]  # text is converted in __post_init__
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether a temperature must be given along with the specific force."""
+        return self.k0_T != 0.0 or self.k1_T != 0.0
+
+    def specific_force(
+        self,
+        t: NDArray[np.float64],
+        f: NDArray[np.float64],
+        temperature: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """The part of ``e`` [m/s^2] that does not depend on alpha, shape (n,).
+
+        ``t`` (n,) [s], ``f`` (n, 3) [m/s^2], ``temperature`` (n,) [K].
+        """
+        x, y, z = f[:, 0], f[:, 1], f[:, 2]
+        slope = self.k1 + self.k2 * x + self.k3 * x * x + self.k2o * np.abs(x) + self.k_XY * y + self.k_XZ * z
+        error = self.k0 + slope * x + (self.m_Y + self.k_YY * y + self.k_YZ * z) * y
+        error = error + (self.m_Z + self.k_ZZ * z) * z + self.k0_t * t
+        if temperature is not None:
+            error = error + (self.k0_T + self.k1_T * x) * (temperature - self.T_ref)
+        return error
