@@ -1,0 +1,358 @@
+"""The calibration report: a page for the screen and for print, and a summary for the terminal."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from piga.records.calibration import Calibration
+from piga.reports.calibration_figures import calibration_figures, elapsed_time
+from piga.reports.calibration_tables import (
+    budget_table,
+    coefficient_table,
+    common_coefficients,
+    correlation_table,
+    coverage,
+    facts_table,
+    meaning,
+    quality_table,
+    scalars,
+    segment_table,
+)
+from piga.reports.figure import Figure
+from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
+from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
+from piga.units import ARCSEC
+
+__all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
+
+WELL_SEPARATED, SEPARATED = 1e3, 1e6
+"""Condition numbers up to which the coefficients count as well separated, and as separable."""
+
+_METHODS = {
+    "information": "whitened linear least squares in the angle domain",
+    "rate": "linear least squares on the rate",
+    "recursive": "whitened least squares in the angle domain, sample by sample",
+    "published": "the published nonlinear recursion",
+    "revolutions": "mean rate over whole revolutions",
+}
+
+
+def write_calibration_report(cal: Calibration, path: Path) -> Path:
+    """Write the calibration report as one HTML file that opens offline."""
+    return write_page(calibration_page(cal), path)
+
+
+def calibration_page(cal: Calibration) -> Page:
+    """The calibration report as a page."""
+    figures = {figure.key: figure for figure in calibration_figures(cal)}
+    sections = (
+        _tested(cal),
+        _coefficients(cal),
+        _residuals(figures),
+        _orders(figures),
+        _segments(cal, figures),
+        _budget(cal),
+        _identifiability(cal, figures),
+        _quality(cal),
+        _provenance(cal),
+    )
+    return Page(
+        title=f"Calibration of {cal.serial}",
+        subtitle=_subtitle(cal),
+        tiles=_tiles(cal),
+        sections=sections,
+        kicker="piga · gyro accelerometer calibration",
+        footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. This file holds all it shows: "
+        "it opens without a network, and prints on A4.",
+    )
+
+
+def _files(cal: Calibration) -> str:
+    names = [Path(name).name for name in cal.provenance.input_sha256]
+    data = [name for name in names if not name.endswith(".toml")] or names
+    return ", ".join(data) or "a record in memory"
+
+
+def _duration(cal: Calibration) -> float:
+    if cal.segments:
+        return math.fsum(segment.duration for segment in cal.segments)
+    return float(elapsed_time(cal.residuals)[-1]) if cal.residuals is not None and cal.residuals.t.size else 0.0
+
+
+def _period(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{significant(seconds, 3)} s"
+    return (
+        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
+    )
+
+
+def _segments_in_words(cal: Calibration) -> str:
+    return "one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments"
+
+
+def _subtitle(cal: Calibration) -> str:
+    extent = f"{_segments_in_words(cal)}, {_period(_duration(cal))}"
+    return f"{_files(cal)}: {extent}, {count(cal.quality.used)} samples used."
+
+
+def _improvement(before: float, after: float) -> str:
+    return f"{short(before / after)} times less" if after > 0.0 and before > after else "no improvement"
+
+
+def _tiles(cal: Calibration) -> tuple[Tile, ...]:
+    better: Tone = "good" if cal.residual_rms < cal.residual_rms_before else "bad"
+    tiles = [
+        Tile(
+            "Residual angle, rms",
+            f"{short(cal.residual_rms_before / ARCSEC)} → {short(cal.residual_rms / ARCSEC)}",
+            "arcsec",
+            f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
+            better,
+        ),
+        Tile(
+            "Residual angle, largest",
+            f"{short(cal.residual_max_before / ARCSEC)} → {short(cal.residual_max_after / ARCSEC)}",
+            "arcsec",
+            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
+            if cal.residual_rms
+            else "",
+        ),
+        *_coefficient_tiles(cal),
+        _freedom_tile(cal),
+        _condition_tile(cal),
+        _whiteness_tile(cal),
+        _data_tile(cal),
+    ]
+    return tuple(tile for tile in tiles if tile is not None)
+
+
+def _coefficient_tiles(cal: Calibration) -> list[Tile]:
+    tiles = []
+    for coefficient in common_coefficients(cal):
+        if coefficient.name in {"scale_factor", "tan_beta"}:
+            value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
+            label = "Scale factor" if coefficient.name == "scale_factor" else "Cross-coupling tan β"
+            detail = f"standard uncertainty {relative(value, std)}"
+            tone: Tone = "doubtful" if std > 0.3 * abs(value) else ""
+            tiles.append(Tile(label, printed(rounded(value, std).concise), pretty_unit(unit), detail, tone))
+    return tiles
+
+
+def _freedom_tile(cal: Calibration) -> Tile:
+    freedom = "∞" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
+    detail = f"coverage factor k = {coverage(cal):.3f} for 95 %, {len(cal.coefficients)} coefficients"
+    return Tile("Degrees of freedom", freedom, "", detail, "doubtful" if cal.degrees_of_freedom < 10.0 else "")
+
+
+def _condition_tile(cal: Calibration) -> Tile:
+    verdicts: tuple[tuple[float, str, Tone], ...] = (
+        (WELL_SEPARATED, "the coefficients are well separated", "good"),
+        (SEPARATED, "some coefficients are hard to separate", "doubtful"),
+        (math.inf, "the record hardly separates the coefficients", "bad"),
+    )
+    words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
+    return Tile("Condition number", printed(short(cal.condition, 2)), "", words, tone)
+
+
+def _whiteness_tile(cal: Calibration) -> Tile | None:
+    if cal.residuals is None or not np.isfinite(cal.residuals.innovation).any():
+        return None
+    innovation = np.asarray(cal.residuals.innovation, dtype=float)
+    rms = math.sqrt(float(np.nanmean(innovation**2)))
+    fits = 0.9 < rms < 1.1
+    words = "model and noise levels agree" if fits else "1 expected: model or noise levels do not fit"
+    return Tile("Whitened residual, rms", f"{rms:.3f}", "", words, "good" if fits else "doubtful")
+
+
+def _data_tile(cal: Calibration) -> Tile:
+    share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
+    found = sum(event.count for event in cal.quality.events)
+    detail = (
+        f"of {count(cal.quality.rows)} rows; {count(found)} findings"
+        if found
+        else f"of {count(cal.quality.rows)} rows"
+    )
+    return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
+
+
+def _tested(cal: Calibration) -> Section:
+    terms = ", ".join(f"{term} ({meaning(term)})" for term in cal.terms)
+    shared, seen = cal.phase == "shared", cal.quality
+    phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
+    rows = [
+        ("Instrument", cal.serial),
+        ("Data", _files(cal)),
+        ("Duration", f"{_period(_duration(cal))} in {_segments_in_words(cal)}"),
+        ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
+        ("Model terms", terms),
+        ("Phase of the output", f"{phase}; source: {cal.phase_source}"),
+        ("Method", f"{cal.method}: {_METHODS[cal.method]}" if cal.method in _METHODS else cal.method),
+    ]
+    lead = "Which instrument, which record and which model this report is about."
+    return Section("What was tested", "tested", (Text(lead, lead=True), facts_table(rows)))
+
+
+def _coefficients(cal: Calibration) -> Section:
+    lead = (
+        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: "
+        "uncertainties "
+        "far below the values, and below what the use of the instrument asks for."
+    )
+    blocks: list[Block] = [Text(lead, lead=True), coefficient_table(cal)]
+    correlation = correlation_table(cal)
+    if correlation is not None:
+        text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
+        blocks += [Text(text, lead=True), correlation]
+    return Section("Coefficients", "coefficients", tuple(blocks))
+
+
+def _shown(figures: dict[str, Figure], key: str, missing: str) -> Block:
+    return FigureBlock(figures[key]) if key in figures else Notice("info", missing)
+
+
+def _residuals(figures: dict[str, Figure]) -> Section:
+    lead = (
+        "What is left of the measured angle when the model is taken away: what the calibration explains is "
+        "gone after "
+        "it, and what it leaves should be noise."
+    )
+    missing = "The residuals are not part of this record: run the calibration again to see them."
+    return Section(
+        "Residuals against time",
+        "residuals",
+        (Text(lead, lead=True), _shown(figures, "residual-time", missing)),
+    )
+
+
+def _orders(figures: dict[str, Figure]) -> Section:
+    lead = (
+        "The same residuals against the rotation of the output: errors of the instrument repeat with the "
+        "turn, noise "
+        "does not. Good: lines and lobes before calibration, none after."
+    )
+    missing = (
+        "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
+    )
+    if not {"residual-order", "ripple-polar"} & figures.keys():
+        return Section(
+            "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))
+        )
+    shown = [FigureBlock(figures[key]) for key in ("residual-order", "ripple-polar") if key in figures]
+    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *shown))
+
+
+def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
+    lead = (
+        "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
+    )
+    blocks: list[Block] = [Text(lead, lead=True)]
+    blocks += [FigureBlock(figures["segment-rms"])] if "segment-rms" in figures else []
+    return Section("Segments", "segments", (*blocks, segment_table(cal)))
+
+
+def _budget(cal: Calibration) -> Section:
+    lead = (
+        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit "
+        "(type A) and "
+        "the largest source of type B are of the same size; otherwise the larger one is what to improve."
+    )
+    blocks: list[Block] = [Text(lead, lead=True), budget_table(cal)]
+    if not any(row.get("type") == "B" for row in cal.budget):
+        text = (
+            "No source of type B was stated, so reference scale, alignment and local gravity are taken as "
+            "exact. "
+            "Add an [uncertainty] table to the run file to include them."
+        )
+        blocks.append(Notice("warning", text))
+    return Section("Uncertainty budget", "budget", tuple(blocks))
+
+
+def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
+    lead = (
+        "How well this record tells the coefficients apart, and whether the residuals are the noise they "
+        "should be. "
+        "Good: no remark, and whitened residuals that look like white noise of size one."
+    )
+    blocks: list[Block] = [Text(lead, lead=True)]
+    blocks += [Notice("warning", note) for note in cal.notes]
+    if not cal.notes:
+        blocks.append(Notice("good", "The record separates all requested coefficients."))
+    blocks += [FigureBlock(figures["whiteness"])] if "whiteness" in figures else []
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    rows = [
+        ("Condition number", printed(short(cal.condition))),
+        ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
+        ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
+        *scalars(cal.diagnostics),
+    ]
+    return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
+
+
+def _quality(cal: Calibration) -> Section:
+    lead = (
+        "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
+    )
+    blocks: tuple[Block, ...] = (Notice("good", "Nothing was found to repair or leave out."),)
+    if cal.quality.masked:
+        blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
+    if cal.quality.events:
+        blocks = (quality_table(cal),)
+    return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
+
+
+def _provenance(cal: Calibration) -> Section:
+    lead = "What it takes to trace and repeat this result: same input, software and options, same numbers."
+    rows = [(f"SHA-256 of {name}", digest) for name, digest in cal.provenance.input_sha256.items()]
+    rows += [("Software", cal.provenance.software), ("Created", cal.provenance.created)]
+    rows += [(f"Option {name}", text) for name, text in scalars(cal.provenance.options)]
+    return Section("Provenance", "provenance", (Text(lead, lead=True), facts_table(rows, code=True)))
+
+
+def calibration_text(cal: Calibration) -> str:
+    """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
+    used = f"{cal.quality.used} of {cal.quality.rows}"
+    head = [
+        f"Calibration of {cal.serial} from {_files(cal)}",
+        f"  {_segments_in_words(cal)}, {_period(_duration(cal))}, {used} rows used",
+        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
+        "",
+    ]
+    return "\n".join(
+        [*head, *_text_table(cal), "", *_text_figures(cal), *[f"note: {note}" for note in cal.notes]]
+    )
+
+
+def _text_table(cal: Calibration) -> list[str]:
+    factor = coverage(cal)
+    lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
+    for coefficient in cal.coefficients:
+        value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
+        number, wide = rounded(value, std), rounded(value, factor * std)
+        lines.append((coefficient.key, number.value, number.uncertainty, wide.uncertainty, unit))
+    width = [max(len(line[column]) for line in lines) for column in range(5)]
+    return [
+        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit}".rstrip()
+        for name, value, u, wide, unit in ((c.replace("–", "-") for c in line) for line in lines)
+    ]
+
+
+def _text_figures(cal: Calibration) -> list[str]:
+    def angle(before: float, after: float) -> str:
+        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} arcsec (before -> after)"
+
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
+    rows = [
+        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
+        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
+        ("noise of the angle", noise),
+        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g}"),
+        ("condition number", short(cal.condition)),
+    ]
+    rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
+    wide = max(len(name) for name, _ in rows)
+    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

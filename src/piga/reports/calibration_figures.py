@@ -1,0 +1,285 @@
+"""Figures of a calibration: residuals against time, revolution order and output angle; whiteness; segments."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.records.calibration import Calibration, Residuals
+from piga.reports.decimate import POINTS, envelope_rows
+from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
+from piga.units import ARCSEC, G0, conversion_factor
+
+Array = NDArray[np.float64]
+
+MICRO_G = G0 * 1e-6
+_LAGS = 40
+
+
+def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
+    """All figures that this calibration has the data for, in reading order.
+
+    Without ``cal.residuals`` (a calibration read back from JSON) only the segment figure is left.
+    """
+    figures: list[Figure] = []
+    if cal.residuals is not None and cal.residuals.t.size:
+        figures.append(residual_figure(cal.residuals))
+        figures += [whiteness_figure(cal.residuals)] if np.isfinite(cal.residuals.innovation).any() else []
+        spectrum = order_spectrum(cal.residuals, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
+        turned = ripple(cal.residuals, scale_factor(cal))
+        figures += [spectrum_figure(spectrum)] if spectrum.segments else []
+        figures += [ripple_figure(turned)] if turned.segments else []
+    if len(cal.segments) > 1:
+        figures.append(segment_figure(cal))
+    return tuple(figures)
+
+
+def scale_factor(cal: Calibration) -> float:
+    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value where it was not estimated."""
+    for coefficient in cal.coefficients:
+        if coefficient.name == "scale_factor":
+            return coefficient.value * conversion_factor(coefficient.unit, "rad/s/(m/s^2)")
+    return cal.scale_factor_nominal
+
+
+def elapsed_time(residuals: Residuals) -> Array:
+    """Time since the first sample [s]; segments whose clock starts again follow each other."""
+    t = np.array(residuals.t, dtype=float)
+    end = None
+    for part in segment_slices(residuals.segment):
+        if end is not None and t[part.start] < end:
+            t[part] += end - t[part.start]
+        end = t[part.stop - 1]
+    return t - t[0]
+
+
+def _starts(x: Array, residuals: Residuals) -> NDArray[np.bool_]:
+    """Rows where a curve starts anew: the next segment, or after a hole of more than ten usual steps."""
+    starts = np.zeros(x.size, dtype=bool)
+    steps = np.diff(x)
+    if steps.size:
+        starts[1:] = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps))
+    return starts
+
+
+def _with_gaps(x: Array, y: Array, residuals: Residuals) -> tuple[Array, Array]:
+    """Reduced curve with gaps between the segments and at holes."""
+    parts = segment_slices(np.cumsum(_starts(x, residuals)))
+    limit = max(12, POINTS // len(parts) - 1)
+    pieces_x, pieces_y = [], []
+    for part in parts:
+        rows = part.start + envelope_rows(y[part], limit)
+        pieces_x += [x[rows], x[rows[-1:]]]
+        pieces_y += [y[rows], np.array([np.nan])]
+    return np.concatenate(pieces_x), np.concatenate(pieces_y)
+
+
+def residual_figure(residuals: Residuals) -> Figure:
+    """Residual angle against time, before and after."""
+    t = elapsed_time(residuals)
+    unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
+    panels = []
+    for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
+        x, y = _with_gaps(t / scale, np.asarray(values) / ARCSEC, residuals)
+        series = Series(x, y, name=title.lower(), role="before" if role == "before" else "after")
+        panels.append(
+            Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title)
+        )
+    return Figure(
+        key="residual-time",
+        title="Residual angle against time.",
+        panels=tuple(panels),
+        caption="Before: measured angle less the nominal model without cross-coupling. After: less the fitted "
+        "model. The scales differ. Good: a band of noise around zero, without waves, steps or trends.",
+        height=2.1,
+    )
+
+
+def whiteness_figure(residuals: Residuals) -> Figure:
+    """Distribution and autocorrelation of the whitened residuals."""
+    innovation = np.asarray(residuals.innovation, dtype=float)
+    innovation = innovation[np.isfinite(innovation)]
+    density, edges = np.histogram(innovation, bins=np.linspace(-5.0, 5.0, 51), density=True)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
+    lags, correlation = autocorrelation(innovation, _LAGS)
+    bound = 1.96 / math.sqrt(max(innovation.size, 1))
+    return Figure(
+        key="whiteness",
+        title="Whitened residuals.",
+        panels=(
+            Panel(
+                Axis("whitened residual", "1"),
+                Axis("density", "1"),
+                (
+                    Series(centre, density, name="found", mark="steps", role="after"),
+                    Series(centre, normal, name="expected of pure noise", role="reference", dashed=True),
+                ),
+                title="Distribution",
+            ),
+            Panel(
+                Axis("lag", "samples"),
+                Axis("autocorrelation", "1"),
+                (
+                    Series(
+                        lags,
+                        lags * 0 - bound,
+                        mark="band",
+                        upper=lags * 0 + bound,
+                        name="95 % of white noise",
+                        role="reference",
+                    ),
+                    Series(lags, correlation, name="found", mark="line+points", role="after"),
+                ),
+                title="Autocorrelation",
+            ),
+        ),
+        caption="Each residual divided by what the noise model expects of it. Good: the found distribution "
+        "lies on the expected one, and the autocorrelation stays inside its band.",
+        columns=2,
+        height=2.6,
+    )
+
+
+def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
+    """Autocorrelation of ``values`` at lags 1 to ``lags``."""
+    lags = min(lags, max(values.size - 2, 0))
+    centred = values - values.mean() if values.size else values
+    total = float(centred @ centred) or 1.0
+    found = [float(centred[lag:] @ centred[:-lag]) / total for lag in range(1, lags + 1)]
+    return np.arange(1.0, lags + 1.0), np.array(found)
+
+
+def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
+    """Ripple amplitude against revolution order."""
+    y = Axis("ripple amplitude", "µg", log=True)
+    series = (
+        Series(spectrum.order, spectrum.before / MICRO_G, name="before", role="before"),
+        Series(spectrum.order, spectrum.after / MICRO_G, name="after", role="after"),
+        Series(
+            spectrum.order,
+            spectrum.noise / MICRO_G,
+            name="expected of the noise",
+            role="reference",
+            dashed=True,
+        ),
+    )
+    return Figure(
+        key="residual-order",
+        title="Residual against revolution order.",
+        panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
+        caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn "
+        "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole "
+        "order is a harmonic that the model lacks (order 1: cross-coupling; 2: servo stiffness, unequal "
+        "inertia; others: encoder and bearings).",
+        height=2.9,
+        notes=(f"From {_segments_that_turn(spectrum.segments)}.",),
+    )
+
+
+def ripple_figure(turned: Ripple) -> Figure:
+    """Ripple against output angle: polar, and unrolled on its own scale."""
+    before, after = turned.before / MICRO_G, turned.after / MICRO_G
+    scatter = turned.scatter / MICRO_G
+    step = _nice(float(np.nanmax(np.abs(np.concatenate((before, after))))))
+    degrees = np.degrees(turned.psi)
+    error = scatter if np.isfinite(scatter).all() and scatter.size else None
+    outer = 3.2 * step
+    scattered = "" if error is None else " Error bars: standard uncertainty from the scatter between segments."
+    turned_note = (
+        f"Mean over {_segments_that_turn(turned.segments)}, each turned so that its own ripple before "
+        "calibration points to ψ = 0."
+    )
+    polar = Panel(
+        Axis("radius × cos ψ", "µg", limits=(-outer, outer)),
+        Axis("radius × sin ψ", "µg", limits=(-outer, outer)),
+        (
+            *_polar_grid(step),
+            _closed(turned.psi, before, 2.0 * step, "before", "before"),
+            _closed(turned.psi, after, 2.0 * step, "after", "after"),
+        ),
+        title="Polar",
+        equal=True,
+    )
+    flat = Panel(
+        Axis("output angle ψ", "deg", limits=(0.0, 360.0)),
+        Axis("residual specific force", "µg"),
+        (
+            Series(degrees, degrees * 0.0, role="reference", dashed=True),
+            Series(degrees, after, name="after", mark="line+points", role="after", error=error),
+        ),
+        title="After, enlarged",
+    )
+    return Figure(
+        key="ripple-polar",
+        title="Cross-coupling ripple in one turn of the output.",
+        panels=(polar, flat),
+        caption="Residual specific force around the turn, drawn outwards from the ring of "
+        f"{2 * step:g} µg, which means zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve "
+        "sideways. Good: after calibration the curve lies on the ring, and on the enlarged scale only scatter "
+        "is left.",
+        columns=2,
+        height=3.4,
+        notes=(turned_note + scattered,),
+    )
+
+
+def _segments_that_turn(number: int) -> str:
+    return "the one segment that turns far enough" if number == 1 else f"{number} segments that turn far enough"
+
+
+def _nice(size: float) -> float:
+    """The next of 1, 2, 5 times a power of ten above ``size``."""
+    if not size > 0.0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(size))
+    return next(power * factor for factor in (1.0, 2.0, 5.0, 10.0) if power * factor >= size * 0.999)
+
+
+def _polar_grid(step: float) -> tuple[Series, ...]:
+    turn = np.linspace(0.0, 2.0 * math.pi, 181)
+    rings = [Series(r * np.cos(turn), r * np.sin(turn), role="muted") for r in (step, 3.0 * step)]
+    zero = Series(
+        2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple"
+    )
+    spokes_x, spokes_y = [], []
+    for angle in np.arange(0.0, 2.0 * math.pi - 1e-9, math.pi / 6.0):
+        spokes_x += [step * math.cos(angle), 3.0 * step * math.cos(angle), math.nan]
+        spokes_y += [step * math.sin(angle), 3.0 * step * math.sin(angle), math.nan]
+    return (*rings, Series(np.array(spokes_x), np.array(spokes_y), role="muted"), zero)
+
+
+def _closed(psi: Array, values: Array, radius: float, name: str, role: str) -> Series:
+    psi, values = np.append(psi, psi[:1]), np.append(values, values[:1])
+    text = tuple(f"ψ {np.degrees(p):.0f}°, ripple {v:.3g} µg" for p, v in zip(psi, values, strict=True))
+    x, y = (radius + values) * np.cos(psi), (radius + values) * np.sin(psi)
+    return Series(x, y, name=name, role="before" if role == "before" else "after", text=text)
+
+
+def segment_figure(cal: Calibration) -> Figure:
+    """Residual rms of each segment against its mean specific force."""
+    a_x = np.array([segment.mean_a_x for segment in cal.segments]) / G0
+    rows = np.argsort(a_x, kind="stable")
+    labels = tuple(f"segment {cal.segments[row].label}" for row in rows)
+    before = np.array([segment.rms_before for segment in cal.segments])[rows] / ARCSEC
+    after = np.array([segment.rms for segment in cal.segments])[rows] / ARCSEC
+    return Figure(
+        key="segment-rms",
+        title="Residual of each segment.",
+        panels=(
+            Panel(
+                Axis("mean specific force along the input axis", "g"),
+                Axis("residual angle, rms", "arcsec", log=True),
+                (
+                    Series(a_x[rows], before, name="before", mark="points", role="before", text=labels),
+                    Series(a_x[rows], after, name="after", mark="points", role="after", text=labels),
+                ),
+            ),
+        ),
+        caption="Each point is one segment. Good: all points after calibration lie at one level, whatever the "
+        "input; a level that rises with the input asks for another model term.",
+        height=2.7,
+    )

@@ -1,0 +1,260 @@
+"""Tables of a calibration: coefficients, correlation, uncertainty budget, segments, quality, provenance."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+
+from piga.records.calibration import Calibration, Coefficient
+from piga.reports.numbers import (
+    count,
+    coverage_factor,
+    fixed,
+    friendly,
+    pretty_unit,
+    printed,
+    relative,
+    rounded,
+    short,
+)
+from piga.reports.page import Cell, Column, Table
+from piga.units import ARCSEC, G0
+
+_MEANING = {
+    "scale_factor": "scale factor ml/H",
+    "tan_beta": "cross-coupling, tilt β of the rotor axis",
+    "phi": "phase of the output zero",
+    "k0": "bias",
+    "k1": "scale-factor error",
+    "k2": "second-order nonlinearity",
+    "k3": "third-order nonlinearity",
+    "k2o": "odd second-order nonlinearity (a_x |a_x|)",
+    "m_Y": "misalignment towards Y0",
+    "m_Z": "misalignment towards Z0",
+    "k_XY": "cross term a_x a_Y",
+    "k_XZ": "cross term a_x a_Z",
+    "k_YY": "cross term a_Y²",
+    "k_ZZ": "cross term a_Z²",
+    "k_YZ": "cross term a_Y a_Z",
+    "k0_t": "bias drift with time",
+    "k0_T": "bias with temperature",
+    "k1_T": "scale factor with temperature",
+}
+_SHOWN_SEGMENTS = 60
+_SHOWN_NAMES = 14
+
+
+def meaning(name: str) -> str:
+    """A coefficient's meaning in words."""
+    harmonic = re.fullmatch(r"([sc])(\d+)", name)
+    if harmonic:
+        return f"{'sine' if harmonic[1] == 's' else 'cosine'} harmonic of the output, order {harmonic[2]}"
+    return _MEANING.get(name, name)
+
+
+def common_coefficients(cal: Calibration) -> list[Coefficient]:
+    """Coefficients of the instrument (the phases of single segments are left to the segment table)."""
+    return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
+
+
+def coverage(cal: Calibration) -> float:
+    """Coverage factor of 95 % intervals; nan where the degrees of freedom do not allow one."""
+    return coverage_factor(cal.degrees_of_freedom)
+
+
+def coefficient_table(cal: Calibration) -> Table:
+    """Coefficients with standard and expanded uncertainty."""
+    factor = coverage(cal)
+    rows = [_coefficient_row(coefficient, factor) for coefficient in common_coefficients(cal)]
+    columns = (
+        Column("Coefficient", align="text"),
+        Column("Value"),
+        Column("Standard uncertainty u"),
+        Column("Expanded uncertainty U"),
+        Column("Unit", align="text"),
+        Column("u / value"),
+        Column("Meaning", align="text"),
+    )
+    return Table(columns, tuple(rows), notes=_coefficient_notes(cal, factor))
+
+
+def _coefficient_row(coefficient: Coefficient, factor: float) -> tuple[str | Cell, ...]:
+    value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
+    number, wide = rounded(value, std), rounded(value, factor * std)
+    small = std > abs(value)
+    return (
+        coefficient.name,
+        printed(number.value),
+        printed(number.uncertainty),
+        printed(wide.uncertainty),
+        pretty_unit(unit),
+        Cell(relative(value, std), "doubtful" if small else ""),
+        Cell(meaning(coefficient.name), "quiet"),
+    )
+
+
+def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
+    freedom = "infinitely many" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
+    basis = f"k = {factor:.3f} from Student's t with {freedom} degrees of freedom"
+    notes = [f"U is for 95 % coverage: {basis}. The unit g is 9.80665 m/s² exactly."]
+    for coefficient in common_coefficients(cal):
+        if coefficient.name == "tan_beta":
+            beta = math.atan(coefficient.value) / ARCSEC
+            text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
+            notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
+        if coefficient.std > abs(coefficient.value):
+            notes.append(
+                f"{coefficient.name} is smaller than its own uncertainty: this record does not show it."
+            )
+    return tuple(notes)
+
+
+def correlation_table(cal: Calibration) -> Table | None:
+    """Correlation matrix of the common coefficients, or None when there is but one."""
+    common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
+    index = common[:_SHOWN_NAMES]
+    if len(index) < 2:
+        return None
+    covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
+    std = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        matrix = covariance / np.outer(std, std)
+    names = [cal.coefficients[row].key for row in index]
+    rows: list[tuple[str | Cell, ...]] = []
+    for i, name in enumerate(names):
+        rows.append((name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))))
+    columns = (Column("", align="text"), *(Column(name) for name in names))
+    return Table(columns, tuple(rows))
+
+
+def _correlation(value: float, diagonal: bool) -> Cell:
+    if diagonal:
+        return Cell("1", "quiet")
+    return Cell(printed(f"{value:+.2f}"), heat=value) if math.isfinite(value) else Cell("–")
+
+
+def budget_table(cal: Calibration) -> Table:
+    """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
+
+    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "input": text, "contributions":
+    {coefficient key: standard uncertainty in the coefficient's unit}}``. Without a row of type A the
+    standard uncertainties of the fit are put first.
+    """
+    coefficients = common_coefficients(cal)[:_SHOWN_NAMES]
+    sources: list[dict[str, Any]] = list(cal.budget)
+    if not any(source.get("type") == "A" for source in sources):
+        fit = {coefficient.key: coefficient.std for coefficient in coefficients}
+        sources.insert(0, {"source": "Fit to the record", "type": "A", "input": "noise", "contributions": fit})
+    names = [_friendly_unit(coefficient) for coefficient in coefficients]
+    columns = (
+        Column("Source", align="text"),
+        Column("Type", align="text"),
+        Column("Input", align="text"),
+        *(Column(c.name, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
+    )
+    rows = [_budget_row(source, coefficients) for source in sources]
+    total = {c.key: math.hypot(*(_contribution(source, c) for source in sources)) for c in coefficients}
+    if len(sources) > 1:
+        rows.append(_budget_row({"source": "Combined", "type": "", "contributions": total}, coefficients))
+    return Table(columns, tuple(rows))
+
+
+def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
+    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+    return unit, scale
+
+
+def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
+    return float(source.get("contributions", {}).get(coefficient.key, 0.0))
+
+
+def _budget_row(source: dict[str, Any], coefficients: list[Coefficient]) -> tuple[str | Cell, ...]:
+    cells = []
+    for coefficient in coefficients:
+        amount = _contribution(source, coefficient) * _friendly_unit(coefficient)[1]
+        cells.append(Cell(printed(short(amount, 2))) if amount else Cell("–", "quiet"))
+    return (str(source.get("source", "")), str(source.get("type", "")), str(source.get("input", "")), *cells)
+
+
+def segment_table(cal: Calibration) -> Table:
+    """One row per segment; of very many the ones with the largest residuals."""
+    shown = list(cal.segments)
+    notes: tuple[str, ...] = ()
+    if len(shown) > _SHOWN_SEGMENTS:
+        worst = sorted(range(len(shown)), key=lambda row: -shown[row].rms)[:_SHOWN_SEGMENTS]
+        shown = [shown[row] for row in sorted(worst)]
+        notes = (f"The {_SHOWN_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
+    phases = {c.segment: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
+    typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
+    columns = [
+        Column("Segment", align="text"),
+        Column("Samples"),
+        Column("Duration", "s"),
+        Column("Mean a_x", "g"),
+        Column("Turns", "rev"),
+        Column("rms before", "arcsec"),
+        Column("rms after", "arcsec"),
+        Column("Largest after", "arcsec"),
+    ]
+    rows: list[tuple[str | Cell, ...]] = []
+    for segment in shown:
+        row: list[str | Cell] = [
+            segment.label,
+            count(segment.rows),
+            f"{segment.duration:.1f}",
+            printed(fixed(segment.mean_a_x / G0, 5)),
+            printed(fixed(segment.turns, 2)),
+            short(segment.rms_before / ARCSEC),
+            Cell(short(segment.rms / ARCSEC), "doubtful" if segment.rms > 3.0 * typical else ""),
+            short(segment.max_after / ARCSEC),
+        ]
+        if phases:
+            phase = phases.get(segment.label)
+            row.append(printed(rounded(phase.value, phase.std).concise) if phase else "–")
+        rows.append(tuple(row))
+    if phases:
+        columns.append(Column("Phase φ", "rad"))
+    return Table(tuple(columns), tuple(rows), notes=notes)
+
+
+def quality_table(cal: Calibration) -> Table:
+    """What was found in the data."""
+    columns = (
+        Column("Finding", align="text"),
+        Column("Count"),
+        Column("First row"),
+        Column("Detail", align="text"),
+    )
+    rows = tuple(
+        (
+            event.kind,
+            count(event.count),
+            "–" if event.first_row is None else count(event.first_row),
+            event.detail,
+        )
+        for event in cal.quality.events
+    )
+    return Table(columns, rows)
+
+
+def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
+    """Two columns: what, and which."""
+    return Table((Column("Item", align="text"), Column("Value", align="text")), tuple(rows), code=code)
+
+
+def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
+    """Plain entries of a free-form dictionary, for a facts table; nested entries get dotted names."""
+    rows: list[tuple[str, str]] = []
+    for key, value in document.items():
+        if isinstance(value, dict):
+            rows += [(f"{key}.{name}", text) for name, text in scalars(value)]
+        elif isinstance(value, float):
+            rows.append((key, printed(short(value, 4))))
+        elif isinstance(value, (str, int)):
+            rows.append((key, str(value)))
+        elif isinstance(value, (list, tuple)) and len(value) <= _SHOWN_NAMES:
+            rows.append((key, ", ".join(str(item) for item in value)))
+    return rows

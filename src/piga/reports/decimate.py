@@ -1,0 +1,54 @@
+"""Fewer points for a curve that shows the same: extremes and gaps are kept."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+POINTS = 2000
+"""Points that a drawn curve keeps at most."""
+
+
+def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
+    """Rows of ``y`` that keep its outline: lowest, highest and one gap row of each bucket, and both ends.
+
+    Parameters
+    ----------
+    y:
+        Values in drawing order, shape ``(n,)``; rows that are not finite are gaps of the curve.
+    limit:
+        Largest number of rows to return, at least 8. A shorter curve is returned whole.
+
+    Returns
+    -------
+    rows:
+        Increasing row numbers, at most ``limit``. The lowest and the highest value of ``y`` are among
+        them, and so is a gap row wherever a bucket holds one. Memory beyond ``y`` is one bucket.
+    """
+    values = np.asarray(y)
+    if values.size <= limit:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, (limit - 2) // 3 + 1).astype(np.int64)
+    kept = [0, values.size - 1]
+    for start, stop in pairwise(edges.tolist()):
+        kept += [start + row for row in _bucket_rows(values[start:stop])]
+    return np.unique(np.array(kept, dtype=np.int64))
+
+
+def _bucket_rows(values: NDArray) -> list[int]:
+    low, high = int(np.argmin(values)), int(np.argmax(values))
+    if np.isfinite(values[low]) and np.isfinite(values[high]):
+        return [low, high]
+    finite = np.flatnonzero(np.isfinite(values))
+    gap = int(np.argmin(np.isfinite(values)))
+    if finite.size == 0:
+        return [gap]
+    return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
+
+
+def thin(x: ArrayLike, y: ArrayLike, limit: int = POINTS) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``x`` and ``y`` reduced to at most ``limit`` points by :func:`envelope_rows`."""
+    rows = envelope_rows(y, limit)
+    return np.asarray(x, dtype=float)[rows], np.asarray(y, dtype=float)[rows]

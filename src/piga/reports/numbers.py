@@ -1,0 +1,177 @@
+"""Numbers for people: rounded by their uncertainty, in units that keep them short.
+
+Uncertainties are given with two significant digits and the value to the same decimal place, as the
+GUM (JCGM 100, 7.2.6) recommends; ``3.5876(12)e-4`` puts the uncertainty in units of the last digits.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from decimal import ROUND_HALF_EVEN, Decimal
+
+_SCALABLE = ("g", "rad")
+_LARGE = 0.01
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """Text of a value and of its uncertainty, both to the same decimal place and power of ten."""
+
+    value: str
+    uncertainty: str
+    concise: str
+    exponent: int = 0
+
+
+def _place(uncertainty: Decimal, digits: int) -> int:
+    """Decimal exponent of the last kept digit (after rounding, which may carry: 0.0996 becomes 0.10)."""
+    place = uncertainty.adjusted() - digits + 1
+    rounded = uncertainty.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN)
+    return rounded.adjusted() - digits + 1
+
+
+def _fixed(number: Decimal, place: int) -> str:
+    return f"{number.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN):f}"
+
+
+def _is_plain(leading: int, place: int) -> bool:
+    return -3 <= leading < 6 and place <= 0
+
+
+def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
+    """Round a value by its uncertainty.
+
+    Parameters
+    ----------
+    value, uncertainty:
+        In the same unit. An uncertainty that is zero, negative or not finite says nothing: the value then
+        gets six significant digits and the uncertainty a dash.
+    digits:
+        Significant digits of the uncertainty.
+
+    Examples
+    --------
+    >>> rounded(3.58762e-4, 1.2e-8).concise
+    '3.58762(12)e-4'
+    >>> rounded(1600.04, 5.21).value, rounded(1600.04, 5.21).uncertainty
+    ('1600.0', '5.2')
+    """
+    if not math.isfinite(value):
+        return Rounded("not finite", "–", "not finite")
+    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
+        return Rounded(significant(value), "–", significant(value))
+    number, spread = Decimal(repr(float(value))), Decimal(repr(float(uncertainty)))
+    place = _place(spread, digits)
+    number = number.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN)
+    spread = spread.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN)
+    leading = max(number.adjusted() if number else place, spread.adjusted())
+    exponent = 0 if _is_plain(leading, place) else leading
+    number, spread, place = number.scaleb(-exponent), spread.scaleb(-exponent), place - exponent
+    power = f"e{exponent}" if exponent else ""
+    value_text, spread_text = _fixed(number, place), _fixed(spread, place)
+    last = spread_text if spread >= 1 and place < 0 else str(int(spread.scaleb(-place)))
+    return Rounded(value_text + power, spread_text + power, f"{value_text}({last}){power}", exponent)
+
+
+def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
+    """A number with so many significant digits, trailing zeros only on request; never ``-0`` nor ``nan``."""
+    if not math.isfinite(value):
+        return "–"
+    number = Decimal(f"{value + 0.0:.{digits - 1}e}")
+    exponent = 0 if _is_plain(number.adjusted(), 0) or not number else number.adjusted()
+    text = f"{number.scaleb(-exponent):f}"
+    text = text.rstrip("0").rstrip(".") if "." in text and not zeros else text
+    return f"{text}e{exponent}" if exponent else text
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals; what rounds to zero has no sign."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def short(value: float, digits: int = 3) -> str:
+    """A number of three significant digits for tables and tiles; powers of ten only when far from 1.
+
+    Examples
+    --------
+    >>> short(12345.6), short(2.8), short(0.001234), short(1.2e-7)
+    ('12 346', '2.80', '0.00123', '1.20e-7')
+    """
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    if 1e3 <= abs(value) < 1e7:
+        return count(round(value))
+    return significant(value, digits, zeros=True)
+
+
+def count(number: int) -> str:
+    """A whole number with thin unbreakable spaces between thousands, from five digits on."""
+    return f"{number:,}".replace(",", " ") if abs(number) >= 10000 else str(number)
+
+
+def friendly(value: float, uncertainty: float, unit: str) -> tuple[float, float, str]:
+    """The same quantity in micro-units where it is small: ``0.0016 g`` becomes ``1600 ug``.
+
+    Only units whose numerator is a plain ``g`` or ``rad`` change, and only those that are not rates
+    (``rad/s/g`` stays: it is how the field quotes the scale factor).
+    """
+    head, _, tail = unit.partition("/")
+    if head not in _SCALABLE or tail.startswith("s") or not abs(value) < _LARGE:
+        return value, uncertainty, unit
+    return value * 1e6, uncertainty * 1e6, f"u{unit}"
+
+
+def relative(value: float, uncertainty: float) -> str:
+    """Uncertainty as a share of the value, in %, ppm or ppb.
+
+    Examples
+    --------
+    >>> relative(1600.0, 5.2), relative(0.8885, 2e-6), relative(1.0, 3.0)
+    ('0.33 %', '2.3 ppm', '> 100 %')
+    """
+    if not (value and math.isfinite(uncertainty) and math.isfinite(value)):
+        return "–"
+    share = abs(uncertainty / value)
+    if share > 1.0:
+        return "> 100 %"
+    scale, name = (1e2, "%") if share >= 1e-3 else (1e6, "ppm") if share >= 1e-7 else (1e9, "ppb")
+    return f"{significant(share * scale, 2, zeros=True)} {name}"
+
+
+def printed(number: str) -> str:
+    """A number as it is printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
+    mantissa, mark, power = number.partition("e")
+    text = mantissa.replace("-", "−")
+    return f"{text} × 10{power.translate(_SUPERSCRIPT)}" if mark and power.lstrip("-").isdigit() else text
+
+
+def pretty_unit(unit: str) -> str:
+    """Unit as it is printed: ``ug/g^2`` becomes ``µg/g²``; the plain number ``1`` is left empty."""
+    if unit in ("", "1"):
+        return ""
+    text = unit
+    for plain, printed in _PRETTY:
+        text = text.replace(plain, printed)
+    for name in ("ug", "urad", "us"):
+        if text == name or text.startswith((f"{name}/", f"{name}·")):
+            text = "µ" + text[1:]
+    return text
+
+
+def coverage_factor(degrees_of_freedom: float, probability: float = 0.95) -> float:
+    """Coverage factor of Student's t distribution (JCGM 100, G.3) for an interval of that probability.
+
+    Infinite degrees of freedom give the normal value 1.96; fewer than one, or an unknown number, give nan.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    if math.isinf(degrees_of_freedom):
+        return float(ndtri(0.5 + probability / 2.0))
+    if not degrees_of_freedom >= 1.0:
+        return math.nan
+    return float(stdtrit(degrees_of_freedom, 0.5 + probability / 2.0))

@@ -1,0 +1,277 @@
+"""Residuals seen against the rotation of the output: spectrum in revolution order, ripple per revolution.
+
+A specific force ``c cos(n psi) + s sin(n psi)`` that the model does not know leaves the residual angle
+``K (c int cos(n psi) dt + s int sin(n psi) dt)``. Both integrals are taken in closed form between samples
+(``psi`` linear there), so uneven sampling, gaps and changing rates do no harm; fitting them, an offset and
+a drift to each segment gives the amplitude of the ripple in units of specific force. The samples are
+weighted by a raised cosine over the turns of the segment, so that a strong order does not leak into the
+others (resolution: two orders over the number of turns). Own derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga.records.calibration import Residuals
+
+Array = NDArray[np.float64]
+
+TURNS_NEEDED = 2.0
+"""Cycles of a ripple that a segment must hold: fewer cannot be told from drift or from other orders."""
+
+_TAPER_LOSS = 1.5  # variance of an amplitude under the raised cosine, against equal weights
+
+_CHUNK = 16384
+_STANDING = 1e-7
+
+
+@dataclass(frozen=True)
+class OrderSpectrum:
+    """Ripple amplitude [m/s^2] by revolution order, root-mean-square over the segments.
+
+    ``noise`` is the amplitude that the stated noise levels alone would show. ``segments`` is how many
+    segments turned far enough to be used; orders that none of them can show are nan.
+    """
+
+    order: Array
+    before: Array
+    after: Array
+    noise: Array
+    segments: int
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Mean residual specific force [m/s^2] against output angle [rad], per bin of one revolution."""
+
+    psi: Array
+    before: Array
+    after: Array
+    scatter: Array
+    segments: int
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """Finite samples of one segment; ``residual`` has the rows before and after."""
+
+    t: Array
+    psi: Array
+    residual: Array
+
+    @property
+    def turns(self) -> float:
+        return float(np.ptp(self.psi)) / (2.0 * math.pi)
+
+
+def segment_slices(segment: ArrayLike) -> list[slice]:
+    """Runs of equal segment index."""
+    index = np.asarray(segment)
+    if index.size == 0:
+        return []
+    edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), index.size]
+    return [slice(start, stop) for start, stop in pairwise(edges)]
+
+
+def _segments(residuals: Residuals, least: int = 8) -> Iterator[_Segment]:
+    for part in segment_slices(residuals.segment):
+        t = residuals.t[part]
+        residual = np.stack((residuals.before[part], residuals.after[part]))
+        good = np.isfinite(t) & np.isfinite(residuals.psi[part]) & np.isfinite(residual).all(axis=0)
+        if np.count_nonzero(good) >= least:
+            yield _Segment(t[good], residuals.psi[part][good], residual[:, good])
+
+
+def order_grid(highest: float = 6.0, step: float = 0.125) -> Array:
+    """Revolution orders ``step, 2 step, ..., highest``; whole orders are among them."""
+    return np.arange(1.0, round(highest / step) + 1.0) * step
+
+
+def order_spectrum(
+    residuals: Residuals,
+    scale_factor: float,
+    noise: tuple[float, float] = (0.0, 0.0),
+    step: float = 0.125,
+    highest: float = 6.0,
+) -> OrderSpectrum:
+    """Amplitude spectrum of the residuals in revolution order, as equivalent specific force.
+
+    Parameters
+    ----------
+    residuals:
+        Residual angle per sample before and after calibration [rad].
+    scale_factor:
+        ``K`` [(rad/s)/(m/s^2)].
+    noise:
+        White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)].
+    step, highest:
+        Spacing of the orders and the last one.
+
+    Returns
+    -------
+    spectrum:
+        For each order the amplitudes of the segments, combined as root mean square, each weighted by the
+        information it holds on that order. Segments that turn less than half as far as the farthest, or
+        show less than two cycles of the order, are left out: they would blur the lines.
+    """
+    order = order_grid(highest, step)
+    power, weight, used = np.zeros((3, order.size)), np.zeros(order.size), 0
+    segments = list(_segments(residuals))
+    enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
+    for segment in segments:
+        shown = (order * segment.turns >= TURNS_NEEDED) & (segment.turns >= enough)
+        if not shown.any():
+            continue
+        square, information = _segment_power(segment, step, order.size, scale_factor)
+        square = np.vstack((square, _noise_power(segment, order, noise) / scale_factor**2))
+        good = shown & (information > 0.0)
+        power[:, good] += information[good] * square[:, good]
+        weight[good] += information[good]
+        used += 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        amplitude = np.sqrt(power / weight)
+    return OrderSpectrum(order, amplitude[0], amplitude[1], amplitude[2], used)
+
+
+def _noise_power(segment: _Segment, order: Array, noise: tuple[float, float]) -> Array:
+    """Expected squared amplitude [rad^2/s^2] of white angle noise and random walk over the segment."""
+    white, walk = noise
+    duration = segment.t[-1] - segment.t[0]
+    angular = order * float(np.ptp(segment.psi)) / duration
+    density = walk**2 + white**2 * duration / segment.t.size * angular**2
+    return 4.0 * _TAPER_LOSS * density / duration
+
+
+def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: float) -> tuple[Array, Array]:
+    """Squared amplitudes (before, after) and information of one segment, per order."""
+    moments = np.zeros((orders, 6, 2))
+    plain = np.zeros((4, 4))
+    carry = np.zeros(orders, dtype=complex)
+    half = 0.5 * (segment.t[-1] - segment.t[0])
+    middle = segment.t[0] + half
+    taper = np.sin(math.pi * (segment.psi - segment.psi.min()) / np.ptp(segment.psi)) ** 2
+    for start in range(0, segment.t.size, _CHUNK):
+        # One sample of overlap: the integral runs on across the chunks.
+        rows = slice(max(start - 1, 0), start + _CHUNK)
+        fixed = np.stack(
+            (np.ones_like(segment.t[rows]), (segment.t[rows] - middle) / half, *segment.residual[:, rows])
+        )
+        skip = 1 if start else 0
+        light = taper[rows].copy()
+        light[:skip] = 0.0
+        plain += (fixed * light) @ fixed.T
+        _add_moments(moments, carry, segment.t[rows], segment.psi[rows] - segment.psi[0], fixed, light, step)
+    moments[:, :4] *= scale_factor
+    moments[:, 4:] *= scale_factor**2
+    return _fit_orders(moments, plain)
+
+
+def _add_moments(
+    moments: Array,
+    carry: NDArray[np.complex128],
+    t: Array,
+    psi: Array,
+    fixed: Array,
+    weight: Array,
+    step: float,
+) -> None:
+    """Weighted sums of the integrals ``int exp(i n psi) dt`` with 1, t, the residuals, and themselves."""
+    weighted = fixed * weight
+    turn = np.exp(1j * step * psi)
+    dt, dpsi = np.diff(t), np.diff(psi)
+    standing = np.abs(dpsi) < _STANDING
+    rate = np.where(standing, 0.0, dt / np.where(standing, 1.0, dpsi))
+    still = np.where(standing, dt, 0.0) if standing.any() else None
+    root = np.sqrt(weight)
+    phasor, integral = np.ones_like(turn), np.empty(t.size, dtype=complex)
+    for row in range(moments.shape[0]):
+        phasor *= turn
+        pieces = np.diff(phasor)
+        pieces *= rate / (1j * step * (row + 1))
+        if still is not None:
+            pieces += still * phasor[:-1]
+        integral[0] = carry[row]
+        np.cumsum(pieces, out=integral[1:])
+        integral[1:] += carry[row]
+        carry[row] = integral[-1]
+        parts = integral.view(float).reshape(-1, 2)
+        moments[row, :4] += weighted @ parts
+        integral *= root
+        moments[row, 4:] += parts.T @ parts
+
+
+def _fit_orders(moments: Array, plain: Array) -> tuple[Array, Array]:
+    """Least squares of both residuals on cosine and sine integral, offset and drift projected out."""
+    base = plain[:2, :2]
+    inside = np.linalg.solve(base, moments[:, :2])  # offset and drift in the integrals
+    gram = moments[:, 4:] - np.swapaxes(moments[:, :2], 1, 2) @ inside
+    right = moments[:, 2:4] - np.swapaxes(np.linalg.solve(base, plain[:2, 2:4]), 0, 1) @ moments[:, :2]
+    information = 0.5 * np.trace(gram, axis1=1, axis2=2)
+    determinant = np.linalg.det(gram)
+    good = determinant > 1e-9 * information**2
+    gram[~good] = np.eye(2)
+    amplitude = np.linalg.solve(gram, np.swapaxes(right, 1, 2))
+    squares = np.swapaxes(np.sum(amplitude**2, axis=1), 0, 1)
+    return squares, np.where(good, information, 0.0)
+
+
+def ripple(residuals: Residuals, scale_factor: float, bins: int = 36) -> Ripple:
+    """Residual specific force against output angle: the mean of each bin over all turns.
+
+    Every segment is turned until its own first-order ripple before calibration points to zero, so that
+    positions with different transverse force add up instead of cancelling; ``after`` is turned alike.
+    Segments of less than two turns cannot show a ripple and are left out.
+
+    Parameters
+    ----------
+    residuals, scale_factor:
+        As for :func:`order_spectrum`.
+    bins:
+        Bins of one revolution; fewer are taken where the output turns further between samples.
+    """
+    segments = [segment for segment in _segments(residuals) if segment.turns >= TURNS_NEEDED]
+    if segments:
+        stride = max(float(np.median(np.abs(np.diff(segment.psi)))) for segment in segments)
+        bins = min(bins, max(12, int(2.0 * math.pi / stride) if stride > 0.0 else bins))
+    total, span = np.zeros((2, bins)), np.zeros(bins)
+    means, weights = [], []
+    for segment in segments:
+        change, time = _binned(segment, bins)
+        total += change
+        span += time
+        with np.errstate(invalid="ignore", divide="ignore"):
+            means.append(change[1] / time / scale_factor)
+        weights.append(time)
+    centre = (np.arange(bins) + 0.5) * 2.0 * math.pi / bins
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = total / span / scale_factor
+    return Ripple(centre, mean[0], mean[1], _scatter(means, weights), len(segments))
+
+
+def _scatter(means: list[Array], weights: list[Array]) -> Array:
+    """Standard uncertainty of the mean of each bin, from the scatter of the segments."""
+    if len(means) < 3:
+        return np.full(means[0].size if means else 0, np.nan)
+    value = np.where(np.isfinite(means), means, 0.0)
+    weight = np.asarray(weights) / np.sum(weights, axis=0)
+    spread = value - np.sum(weight * value, axis=0)
+    return np.sqrt(np.sum(weight**2 * spread**2, axis=0) * len(means) / (len(means) - 1))
+
+
+def _binned(segment: _Segment, bins: int) -> tuple[Array, Array]:
+    """Change of the drift-free residual, and time, per bin of the output angle turned to its ripple."""
+    t = segment.t - segment.t.mean()
+    drift = segment.residual @ t / (t @ t)
+    residual = segment.residual - drift[:, None] * t
+    middle = 0.5 * (segment.psi[1:] + segment.psi[:-1])
+    change, dt = np.diff(residual), np.diff(segment.t)
+    phase = math.atan2(float(np.sin(middle) @ change[0]), float(np.cos(middle) @ change[0]))
+    index = np.floor((middle - phase) / (2.0 * math.pi) * bins).astype(np.int64) % bins
+    sums = [np.bincount(index, weights=row, minlength=bins) for row in (*change, dt)]
+    return np.array(sums[:2], dtype=float), np.array(sums[2], dtype=float)
