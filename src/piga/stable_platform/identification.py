@@ -257,7 +257,7 @@ def disturbance_rows(readouts: Readouts, x: Unknowns, size: int) -> Group:
     e, _ = misalignment_regressors(x, t, *encoders)
     columns = np.cross(mean[:, :, None], e, axis=1)[:, :, :size]
     stacked = np.concatenate([(force - predicted)[:, :, None], columns], axis=2)
-    kept = oaconvolve(stacked, band[:, None, None], mode="valid", axes=0)
+    kept = oaconvolve(stacked[middle : len(t) - middle], band[:, None, None], mode="valid", axes=0)
     gain = float(np.sum(band**2))
     rows = np.ascontiguousarray(kept[:, :, 1:].reshape(-1, kept.shape[2] - 1))
     if rows.shape[1] < size:

@@ -64,6 +64,18 @@ class Compensator:
         return tangent, np.sqrt(1.0 + tangent * tangent)
 
 
+def modelled_angles(made: Compensator, readouts: Readouts) -> Array:
+    """Small angles e (n + 1, 3) [rad] of the platform against the triad at the nodes, as the model has them."""
+    (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
+    m1 = made.tips[4] + _series(made.harmonics[0], made.harmonics[1], c1, s1)
+    m2 = made.tips[5] + _series(made.harmonics[2], made.harmonics[3], c2, s2)
+    tangent, secant = made.tangent_secant()
+    ex = m1 * (c1 * made.tips[0] - s1 * made.tips[1])
+    ey = m1 * (s1 * made.tips[0] + c1 * made.tips[1])
+    ez = m2 * (s2 * made.tips[2] + c2 * made.tips[3]) * secant - ex * tangent
+    return np.stack([ex, ey, ez], axis=1)
+
+
 def compensator(model: Model, known: Knowledge, readouts: Readouts, *, redundancy: str = "pick-off") -> Compensator:
     """Prepare a model.
 

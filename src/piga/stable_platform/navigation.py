@@ -12,7 +12,7 @@ from piga._kernels.platform_navigation import local_level, navigate_chunk
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix
 from piga.stable_platform.geodesy import KERNEL_EARTH, geodetic_to_earth, gravitation
-from piga.stable_platform.models import Compensator
+from piga.stable_platform.models import Compensator, modelled_angles
 from piga.stable_platform.simulate import Readouts, Truth
 
 Array = NDArray[np.float64]
@@ -139,7 +139,10 @@ class Errors:
 
 def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damping_time: float = 100.0,
              every: int = 1) -> Navigation:  # fmt: skip
-    """Navigate a whole record of readouts; a row for every ``every``-th step (the rest at the end is left out)."""
+    """Navigate a whole record of readouts; a row for every ``every``-th step (the rest at the end is left out).
+
+    Gyro accelerometers read the platform's own turn; what the model knows of it is added back.
+    """
     n = len(readouts.increments) // every * every
     node, middle = slice(every, n + 1, every), slice(0, n)
     navigator = Navigator(compensator, start, readouts.step, damping_time)
@@ -149,7 +152,10 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
     altitude = readouts.altitude[1:][middle] if len(readouts.altitude) > 1 else readouts.altitude
     z1, z2 = readouts.case_middles
     case1, case2 = readouts.case_nodes
-    position, velocity = navigator.push(readouts.increments[middle], z1[middle], z2[middle], *mid, altitude, every)
+    increments = readouts.increments
+    if readouts.turn_sensitivity > 0.0:
+        increments = increments + np.diff(modelled_angles(compensator, readouts), axis=0) * readouts.turn_sensitivity
+    position, velocity = navigator.push(increments[middle], z1[middle], z2[middle], *mid, altitude, every)
     times = readouts.times[node]
     table = np.empty((len(times), 9))
     local_level(

@@ -26,7 +26,8 @@ class Readouts:
     ``times`` (n + 1,) [s]; ``increments`` (n, 3) velocity increments along platform axes [m/s], row k
     over times k to k + 1; ``gimbals`` (n + 1, 3) outer, middle, inner [rad]; ``pickoff`` (n + 1,)
     redundancy-axis angle Y [rad]; ``encoder1, encoder2`` (n + 1,) case angles from their own zero [rad];
-    ``altitude`` (n + 1,) or (1,) reference height [m].
+    ``altitude`` (n + 1,) or (1,) reference height [m]; ``turn_sensitivity`` 1/K [(m/s)/rad] of gyro
+    accelerometers, which read the platform's own turn as ``-turn/K``; 0 for ideal ones.
     """
 
     times: Array
@@ -36,6 +37,7 @@ class Readouts:
     encoder1: Array
     encoder2: Array
     altitude: Array
+    turn_sensitivity: float = 0.0
 
     @property
     def step(self) -> float:
@@ -66,6 +68,7 @@ class Readouts:
             self.encoder1[node],
             self.encoder2[node],
             self.altitude[node] if len(self.altitude) > 1 else self.altitude,
+            self.turn_sensitivity,
         )
 
 
@@ -78,9 +81,13 @@ def _phasor(angle: Array) -> Array:
 
 @dataclass(frozen=True)
 class Truth:
-    """What really happened: base motion, redundancy angle (n + 1,) [rad], triad ``C_i^G`` at start and end."""
+    """What really happened: base motion, redundancy angle (n + 1,) [rad], triad ``C_i^G`` at start and end.
+
+    ``force`` (n + 1, 3): specific force in platform axes at the nodes [m/s^2].
+    """
 
     motion: BaseMotion
+    force: Array
     eta: Array
     triad_start: Array
     triad_end: Array
@@ -130,7 +137,7 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
 
         increments = through_pigas(scenario.sensors.piga, times, force, spin)
     readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
-    return Run(scenario, readouts, Truth(motion, eta, start, triad))
+    return Run(scenario, readouts, Truth(motion, force, eta, start, triad))
 
 
 def _gyro_constants(polar: Gyro, equatorial: Gyro) -> Array:
@@ -152,6 +159,7 @@ def _read(s: Scenario, times: Array, increments: Array, gimbals: Array, ring: Ar
         encoder1=encoder_angle(s.polar_rotation, times),
         encoder2=encoder_angle(s.equatorial_rotation, times),
         altitude=_altitude(sensors, height, len(times), streams[3]),
+        turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.piga else 0.0,
     )
 
 
