@@ -46,7 +46,7 @@ class Navigator:
             raise ArgumentError(f"step = {step!r} s must be positive")
         self.compensator, self.step = compensator, step
         self.drift, self.triad = np.array(start.drift), np.array(start.triad)
-        self.damping = _gains(damping_time)
+        self.damping = damping_gains(damping_time)
         self.state = np.zeros((9, 3))
         self.state[0], self.state[1] = start.position, start.velocity
         self.steps = 0
@@ -94,7 +94,7 @@ class Navigator:
         self.state[8] = r / np.linalg.norm(r)
 
 
-def _gains(damping_time: float) -> Array:
+def damping_gains(damping_time: float) -> Array:
     """Gains on position [1/s] and velocity [1/s^2] that put both poles of the height loop at -1/T."""
     if damping_time <= 0.0:
         return np.zeros(2)
