@@ -8,6 +8,7 @@ import traceback
 import typer
 
 from piga._version import __version__
+from piga.cli import platform
 from piga.cli.common import note
 from piga.errors import PigaError
 
@@ -20,6 +21,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Calibrate and compensate precession-type accelerometers, and analyse the platform that carries them.",
 )
+
+
+app.add_typer(platform.app)
 
 
 def _version(value: bool) -> None:
