@@ -27,7 +27,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def wrapped(folder: Path, bits: int) -> Path:
     """The record as a counter of ``bits`` would have written it."""
-    header, *rows = gzip.decompress(files("piga.data").joinpath("tumble-a.csv.gz").read_bytes()).decode().splitlines()
+    header, *rows = (
+        gzip.decompress(files("piga.data").joinpath("tumble-a.csv.gz").read_bytes()).decode().splitlines()
+    )
     column = header.split(",").index("counts")
     changed = [header]
     for row in rows:
@@ -37,7 +39,9 @@ def wrapped(folder: Path, bits: int) -> Path:
     (folder / f"wrapped-{bits}.csv").write_text("\n".join(changed) + "\n")
     text = (folder / "tumble-a.toml").read_text().replace("tumble-a.csv", f"wrapped-{bits}.csv")
     path = folder / f"wrapped-{bits}.toml"
-    path.write_text(text.replace("counts_per_revolution = 72000", f"counts_per_revolution = 72000\ncounter_bits = {bits}"))
+    path.write_text(
+        text.replace("counts_per_revolution = 72000", f"counts_per_revolution = 72000\ncounter_bits = {bits}")
+    )
     return path
 
 

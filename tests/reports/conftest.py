@@ -1,5 +1,5 @@
 import pytest
-from example import calibration
+from tests.reports.example import calibration
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from example import calibration
-from test_page import Checker
+from tests.reports.example import calibration
+from tests.reports.test_page import Checker
 
 from piga.reports.calibration import (
     calibration_figures,

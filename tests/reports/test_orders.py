@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from example import TAN_BETA, K, residuals, ripple_integral
+from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
 
 from piga.records.calibration import Residuals
 from piga.reports.orders import order_spectrum, ripple

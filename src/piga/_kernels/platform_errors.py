@@ -47,7 +47,11 @@ def propagate_errors(start, r0, f0, axes, attitude, drift, bias, height, gains, 
         t = i * h
         c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
         x, y, z = c * state[0] + s * state[1], c * state[1] - s * state[0], state[2]
-        u, v, w = c * state[3] + s * state[4] + earth_rate * y, c * state[4] - s * state[3] - earth_rate * x, state[5]
+        u, v, w = (
+            c * state[3] + s * state[4] + earth_rate * y,
+            c * state[4] - s * state[3] - earth_rate * x,
+            state[5],
+        )
         for j in range(3):
             out[i, j] = axes[0, j] * x + axes[1, j] * y + axes[2, j] * z
             out[i, 3 + j] = axes[0, j] * u + axes[1, j] * v + axes[2, j] * w
@@ -56,7 +60,20 @@ def propagate_errors(start, r0, f0, axes, attitude, drift, bias, height, gains, 
             for j in range(6):
                 moved[j] = state[j] + (fraction * h * k[stage - 1, j] if stage > 0 else 0.0)
             error_rates(
-                t + fraction * h, moved, r0, f0, axes, attitude, drift, bias, height, gains, gm, j2a2, earth_rate, k[stage]
+                t + fraction * h,
+                moved,
+                r0,
+                f0,
+                axes,
+                attitude,
+                drift,
+                bias,
+                height,
+                gains,
+                gm,
+                j2a2,
+                earth_rate,
+                k[stage],
             )
         for j in range(6):
             state[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])

@@ -98,9 +98,27 @@ def navigate_chunk(dv, z1, z2, tan_eta, sec_eta, tips, a1, b1, a2, b2, c_gi, dri
         dy = c10 * bx + c11 * by + c12 * bz
         dz = c20 * bx + c21 * by + c22 * bz
         kick1, kick2 = k1 * height_error, k2 * height_error
-        x += h * u + h24 * (9.0 * dx + 4.0 * d1x - d2x) + hh * (3.0 * rx - 10.0 * px) - kick1 * nx + 19.0 * hh * gx
-        y += h * v + h24 * (9.0 * dy + 4.0 * d1y - d2y) + hh * (3.0 * ry - 10.0 * py) - kick1 * ny + 19.0 * hh * gy
-        z += h * w + h24 * (9.0 * dz + 4.0 * d1z - d2z) + hh * (3.0 * rz - 10.0 * pz) - kick1 * nz + 19.0 * hh * gz
+        x += (
+            h * u
+            + h24 * (9.0 * dx + 4.0 * d1x - d2x)
+            + hh * (3.0 * rx - 10.0 * px)
+            - kick1 * nx
+            + 19.0 * hh * gx
+        )
+        y += (
+            h * v
+            + h24 * (9.0 * dy + 4.0 * d1y - d2y)
+            + hh * (3.0 * ry - 10.0 * py)
+            - kick1 * ny
+            + 19.0 * hh * gy
+        )
+        z += (
+            h * w
+            + h24 * (9.0 * dz + 4.0 * d1z - d2z)
+            + hh * (3.0 * rz - 10.0 * pz)
+            - kick1 * nz
+            + 19.0 * hh * gz
+        )
         u += dx - kick2 * nx + h24 * (19.0 * gx - 5.0 * px + rx)
         v += dy - kick2 * ny + h24 * (19.0 * gy - 5.0 * py + ry)
         w += dz - kick2 * nz + h24 * (19.0 * gz - 5.0 * pz + rz)
@@ -200,7 +218,9 @@ def local_level(r, v, gimbals, z1, z2, tan_eta, sec_eta, tips, a1, b1, a2, b2, c
             by = c_gi[0, 1] * ax + c_gi[1, 1] * ay + c_gi[2, 1] * az
             bz = c_gi[0, 2] * ax + c_gi[1, 2] * ay + c_gi[2, 2] * az
             if rate > 0.0:
-                bx, by, bz = turn(bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * times[i])
+                bx, by, bz = turn(
+                    bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * times[i]
+                )
             px, py, pz = bx - ey * bz + ez * by, by - ez * bx + ex * bz, bz - ex * by + ey * bx
             px, py = ci3 * px - si3 * py, si3 * px + ci3 * py
             px, bodyz = ci2 * px + si2 * pz, ci2 * pz - si2 * px

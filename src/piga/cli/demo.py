@@ -16,7 +16,9 @@ EXAMPLE = "tumble-a"
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the results go.")] = Path("piga-demo"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the results go.")] = Path(
+        "piga-demo"
+    ),
 ) -> None:
     """Calibrate the shipped dividing-head record, compensate it and write the report."""
     from piga.compensation import compensate
@@ -26,7 +28,9 @@ def demo(
     run = copy_example(output_directory(out))
     calibration = run_calibration(run, None, None, None, None)
     written = write_results(calibration, out)
-    written.append(write_by_rename(out / "compensated.parquet", compensate(read_run(run), calibration).to_parquet))
+    written.append(
+        write_by_rename(out / "compensated.parquet", compensate(read_run(run), calibration).to_parquet)
+    )
     say(calibration_text(calibration))
     say("")
     say(f"The record and its run file are in {out}; change {run.name} and run: piga calibrate {run}")

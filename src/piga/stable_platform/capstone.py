@@ -113,16 +113,26 @@ def capstone(scenario: Scenario) -> Capstone:
 
 
 def _reread(scenario: Scenario, sensors: PigaSensors) -> Run:
-    return simulate(replace(scenario, sensors=replace(scenario.sensors, piga=sensors)), motion=base_motion(scenario))
+    return simulate(
+        replace(scenario, sensors=replace(scenario.sensors, piga=sensors)), motion=base_motion(scenario)
+    )
 
 
 def _outcome(run: Run, reading: Reading, preparation: Preparation) -> Outcome:
     s = run.scenario
     made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
     every = max(1, round(10.0 / s.step))
-    error = errors(navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every), run.truth, run.readouts)
+    error = errors(
+        navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every),
+        run.truth,
+        run.readouts,
+    )
     axes = np.eye(3) if reading.sensors is None else mounting_axes(reading.sensors)[:, 0, :]
-    inside = np.zeros(3) if reading.sensors is None else locked(reading.sensors, run.truth.force).mean(axis=0) * 86400.0
+    inside = (
+        np.zeros(3)
+        if reading.sensors is None
+        else locked(reading.sensors, run.truth.force).mean(axis=0) * 86400.0
+    )
     return Outcome(
         reading,
         error,
@@ -143,7 +153,9 @@ def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
     count = int(np.argmax(~inside[first:, instrument])) or 1
     part = slice(max(0, first - 8 * count), min(len(inside) - 1, first + 9 * count) + 1)
     times, force = run.readouts.times[part], run.truth.force[part]
-    alpha = gimbal_angles(sensors, run.readouts.times[: part.stop], run.truth.force[: part.stop], np.zeros((part.stop - 1, 3)))
+    alpha = gimbal_angles(
+        sensors, run.readouts.times[: part.stop], run.truth.force[: part.stop], np.zeros((part.stop - 1, 3))
+    )
     axis = mounting_axes(sensors)[instrument, 0]
     step = run.readouts.step
     read = {}

@@ -41,7 +41,9 @@ class Navigator:
     unless a drift is compensated (then to its second order, below 1e-10 rad).
     """
 
-    def __init__(self, compensator: Compensator, start: Start, step: float, damping_time: float = 100.0) -> None:
+    def __init__(
+        self, compensator: Compensator, start: Start, step: float, damping_time: float = 100.0
+    ) -> None:
         if step <= 0.0:
             raise ArgumentError(f"step = {step!r} s must be positive")
         self.compensator, self.step = compensator, step
@@ -154,7 +156,9 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
     case1, case2 = readouts.case_nodes
     increments = readouts.increments
     if readouts.turn_sensitivity > 0.0:
-        increments = increments + np.diff(modelled_angles(compensator, readouts), axis=0) * readouts.turn_sensitivity
+        increments = (
+            increments + np.diff(modelled_angles(compensator, readouts), axis=0) * readouts.turn_sensitivity
+        )
     position, velocity = navigator.push(increments[middle], z1[middle], z2[middle], *mid, altitude, every)
     times = readouts.times[node]
     table = np.empty((len(times), 9))

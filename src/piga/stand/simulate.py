@@ -22,7 +22,7 @@ from piga.instrument.electronics import (
     sampling_times,
 )
 from piga.instrument.parameters import ErrorModel, Instrument
-from piga.instrument.propagate import propagate
+from piga.instrument import propagate
 from piga.instrument.twin import Start, TwinMotion, run_twin
 from piga.instrument.twin_linear import require_stable
 from piga.instrument.twin_parameters import TwinParameters
