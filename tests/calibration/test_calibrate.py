@@ -47,6 +47,12 @@ def test_recursive_is_batch_and_has_a_history() -> None:
     assert recursive.history["u(tan_beta)"][0] > 3.0 * recursive.history["u(tan_beta)"][-1]
 
 
+@pytest.mark.parametrize("noise", ["white", "walk", "mixed"])
+def test_segments_of_a_right_model_scatter_as_the_noise_says(noise: str) -> None:
+    calibration = piga.calibrate(record(np.random.default_rng(22), **NOISES[noise]), TERMS)
+    assert calibration.diagnostics["segment_scatter_ratio"] == pytest.approx(1.0, abs=0.4)
+
+
 def test_per_segment_phases_share_tan_beta() -> None:
     run = record(np.random.default_rng(13), per_segment=True)
     calibration = piga.calibrate(run, TERMS, phase="per-segment")

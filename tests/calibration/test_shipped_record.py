@@ -75,6 +75,13 @@ def test_the_scale_factor_carries_the_rectification_of_the_servo(folder: Path) -
     assert found.std / found.value < 0.8e-6
 
 
+def test_what_the_model_does_not_hold_is_said(folder: Path) -> None:
+    """The servo's rectification makes the positions scatter by a few micro-g, far above the noise."""
+    calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))
+    assert calibration.diagnostics["segment_scatter_ratio"] > 2.0
+    assert any("the standard uncertainties do not include it" in note for note in calibration.notes)
+
+
 def test_the_ripple_is_gone(folder: Path) -> None:
     """Before: a ripple of tan_beta a_t once a turn; after: below a fiftieth of it."""
     calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))

@@ -23,9 +23,9 @@ def piga(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedPro
 
 
 def small_run(folder: Path) -> Path:
-    rows = [row + f",{i // 30}" for i, row in enumerate(lines(60))]
-    turned = [row.replace(",1.0,0.1,", ",0.5,0.3,") if i >= 30 else row for i, row in enumerate(rows)]
-    write_log(folder, turned, header="t,n,fx,fy,fz,seg")
+    first = [row + ",0" for row in lines(30)]
+    turned = [f"{i / 20.0 + 10.0:.4f},{20000 + round(5089.5 * i / 20.0)},0.5,0.3,0.0,1" for i in range(30)]
+    write_log(folder, first + turned, header="t,n,fx,fy,fz,seg")
     return write_run(folder, data='segment = "seg"')
 
 

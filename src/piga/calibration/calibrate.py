@@ -24,7 +24,7 @@ from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
-from piga.calibration.residuals import diagnose, find_residuals, segment_table
+from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.solution import Solution, solve
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import reduce_segments, residual_increments, weighted_blocks, weighting_mode
@@ -102,7 +102,8 @@ def calibrate(
     )
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     history = _history(fit, groups) if request.method == "recursive" else None
-    notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase)
+    scatter = segment_scatter(fit.design, residuals, fit.noise)
+    notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
     return _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
 
 
@@ -267,7 +268,7 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics={"residual_kind": run.kind} | diagnose(residuals),
+        diagnostics={"residual_kind": run.kind} | diagnose(residuals) | segment_scatter(fit.design, residuals, fit.noise),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,

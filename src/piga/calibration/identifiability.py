@@ -21,6 +21,8 @@ RANK = 1e-9
 """Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
 USELESS = 0.05
 """An uncertainty that means more than this fraction of the record's largest specific force is no result."""
+SCATTER = 2.0
+"""Scatter of the segments' mean rates, over what the noise explains, from which it is said."""
 SHARE = 0.3
 """Weight in a null direction from which a term is named."""
 
@@ -161,7 +163,7 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
 
 
 def notes_in_words(
-    coefficients: tuple[Coefficient, ...], covariance: Array, condition: float, phase: str
+    coefficients: tuple[Coefficient, ...], covariance: Array, condition: float, phase: str, scatter: dict[str, float]
 ) -> tuple[str, ...]:
     """Doubts about the estimate, one sentence each."""
     notes = []
@@ -192,6 +194,12 @@ def notes_in_words(
     if condition > 1e5:
         notes.append(
             f"the condition number {condition:.2g} is high: small errors of the reference are magnified"
+        )
+    if scatter.get("segment_scatter_ratio", 0.0) > SCATTER:
+        notes.append(
+            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio']:.1f} times more than the noise "
+            f"explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
+            "the model does not hold; the standard uncertainties do not include it"
         )
     if phase == "per-segment" and not loose:
         notes.append("every segment has its own phase: nothing is assumed about the counter between segments")

@@ -13,6 +13,7 @@ from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.records.calibration import Residuals, SegmentSummary
+from piga.units import G0
 
 Array = NDArray[np.float64]
 
@@ -90,6 +91,32 @@ def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary,
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(values @ values / values.size))
+
+
+def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[str, float]:
+    """How much the mean rates of the segments scatter, in units of what the noise explains.
+
+    The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
+    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it).
+    ``segment_scatter_ratio`` is the root mean square of slope over expected, ``segment_scatter`` the root
+    mean square slope as specific force [g].
+    """
+    slopes, expected = [], []
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(design.run.segment)) + 1, [design.run.size]))
+    for left, right in pairwise(edges):
+        t = residuals.t[left:right] - residuals.t[left:right].mean()
+        duration = float(np.ptp(t))
+        if right - left < 10 or design.run.begins[left + 1 : right].any() or duration == 0.0:
+            continue
+        slopes.append(float(t @ residuals.after[left:right] / (t @ t)))
+        expected.append(math.sqrt(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration))
+    if design.point or len(slopes) < 4 or min(expected) == 0.0:
+        return {}
+    ratio = np.array(slopes) / np.array(expected)
+    return {
+        "segment_scatter_ratio": _rms(ratio),
+        "segment_scatter_g": _rms(np.array(slopes)) / design.run.scale_factor / G0,
+    }
 
 
 def diagnose(residuals: Residuals) -> dict[str, float | int | str]:

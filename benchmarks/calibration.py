@@ -1,0 +1,125 @@
+"""Speed of the calibration: ratios against named baselines in one run.
+
+Run with ``python benchmarks/calibration.py``; prints a Markdown table. Baselines: a nonlinear fit of the same
+record with SciPy, and one pass of NumPy over the same arrays (the sum of squares of six columns).
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+import piga
+from piga._kernels.published import published_recursion
+from piga._kernels.square_root import absorb_rows
+from piga.units import G0
+
+ROWS = 1_000_000
+TERMS = ["scale_factor", "tan_beta", "k0", "k2", "m_Y", "k_XY"]
+
+
+def synthetic() -> piga.Run:
+    """One million rows of a slowly moving input, counts of 72000 a turn."""
+    rng = np.random.default_rng(1)
+    t = np.arange(ROWS) * 0.01
+    f = G0 * np.column_stack(
+        [1.0 + 0.5 * np.sin(0.126 * t), 3.0 * np.cos(0.09 * t), 2.0 * np.sin(0.21 * t)]
+    )
+    inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=0.5)
+    alpha = piga.propagate(inst, t, f + [1e-3 * G0, 0.0, 0.0])
+    count = 2.0 * np.pi / 72000
+    output = np.round((alpha + 1e-5 * rng.standard_normal(ROWS)) / count) * count
+    return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", resolution=count)
+
+
+def median_time(call, repeats: int = 7) -> float:  # noqa: ANN001 - any callable
+    """Median seconds of ``repeats`` calls after one for warm-up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def scipy_fit(run: piga.Run) -> None:
+    """The same model as a nonlinear fit of the angle: trapezoid integrals, [K, tan_beta, phi, k0, k2, m_Y, k_XY]."""
+    from scipy.optimize import least_squares
+
+    x, y, z = run.f.T / G0
+    h = np.diff(run.t)
+
+    def integral(values: np.ndarray) -> np.ndarray:
+        return np.concatenate(([0.0], np.cumsum(0.5 * h * (values[1:] + values[:-1]))))
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        alpha = run.output + p[2]
+        rate = x + p[1] * (y * np.sin(alpha) - z * np.cos(alpha)) + p[3] + p[4] * x * x + p[5] * y + p[6] * x * y
+        return run.output - run.output[0] - p[0] * integral(rate)
+
+    least_squares(residual, [0.888, 4.5e-3, 0.1, 0.0, 0.0, 0.0, 0.0], x_scale=[1, 1e-3, 1, 1e-3, 1e-3, 1e-3, 1e-3])
+
+
+def recursive_updates(rows: int = 200_000) -> tuple[float, float]:
+    """Nanoseconds per update: square-root rows of 5 states, and the published recursion with 5 states."""
+    rng = np.random.default_rng(2)
+    columns = rng.standard_normal((6, rows))
+    factor, marks, snapshots = np.zeros((6, 6)), np.array([rows]), np.empty((1, 6, 6))
+    ours = median_time(lambda: absorb_rows(factor, columns, marks, snapshots))
+    a, b, c, s = rng.standard_normal((4, rows))
+    state, covariance, history = np.zeros(5), np.eye(5), np.empty((1, 5))
+    published = median_time(lambda: published_recursion(a, b, c, s, state, covariance, marks, history))
+    return ours / rows * 1e9, published / rows * 1e9
+
+
+def cold_command(run: piga.Run) -> float:
+    """Seconds of the whole command from Parquet, in a fresh process (compiled code cached)."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        columns = {"t": run.t, "n": np.round(run.output / run.resolution).astype(np.int64)}
+        columns |= {axis: run.f[:, i] / G0 for i, axis in enumerate(("fx", "fy", "fz"))}
+        parquet.write_table(pa.table(columns), folder / "run.parquet")
+        (folder / "run.toml").write_text(
+            '[instrument]\nserial = "b"\nscale_factor = "0.8884 rad/s/g"\ncounts_per_revolution = 72000\n'
+            '[data]\nfile = "run.parquet"\ntime = { column = "t", unit = "s" }\n'
+            'output = { column = "n", kind = "counts" }\nreference = { columns = ["fx", "fy", "fz"], unit = "g" }\n'
+            f"[model]\nterms = {TERMS}\n"
+        )
+        command = [sys.executable, "-c", "from piga.cli.main import main; main()", "calibrate", str(folder / "run.toml")]
+        times = []
+        for _ in range(4):
+            start = time.perf_counter()
+            subprocess.run(command, check=True, capture_output=True)
+            times.append(time.perf_counter() - start)
+        return statistics.median(times[1:])
+
+
+def main() -> None:
+    run = synthetic()
+    sweep = median_time(lambda: sum(float(c @ c) for c in (run.t, run.output, *run.f.T.copy())))
+    ours = median_time(lambda: piga.calibrate(run, TERMS))
+    fit = median_time(lambda: scipy_fit(run), repeats=5)
+    qr, recursion = recursive_updates()
+    cold = cold_command(run)
+    print("| job | time | ratio |")
+    print("|---|---|---|")
+    print(f"| calibrate, {ROWS:,} rows, {len(TERMS)} terms, warm | {ours:.3f} s | 1 |")
+    print(f"| SciPy least_squares, same record (trapezoid, no whitening) | {fit:.2f} s | {fit / ours:.1f} x |")
+    print(f"| one NumPy sweep over the same arrays | {sweep * 1e3:.1f} ms | {sweep / ours:.3f} x |")
+    print(f"| whole cold command from Parquet, report included | {cold:.2f} s | {cold / ours:.1f} x |")
+    print(f"| one recursive square-root update, 5 states | {qr:.0f} ns | |")
+    print(f"| one update of the published recursion, 5 states | {recursion:.0f} ns | |")
+
+
+if __name__ == "__main__":
+    main()
