@@ -212,7 +212,7 @@ def test_twin_refuses_what_it_cannot_do():
 
 
 def test_unstable_design_runs_when_forced():
-    unstable = Specimen(INST, twin=replace(PRESETS["example"], proportional_gain=120.0), start="transient")
+    unstable = Specimen(INST, twin=replace(PRESETS["example"], proportional_gain=120.0))
     stand = DividingHead(SITE, (0.0,), dwell=0.1, move=1.0)
     test = simulate_test(stand, unstable, COUNTS, model="twin", force=True)
     assert np.all(np.isfinite(test.alpha))
