@@ -54,7 +54,7 @@ def test(arguments: list[str]) -> None:
         call([python, "-m", "mypy"])
         call([str(programs / "lint-imports")])
     call([python, "-m", "pytest", "-n", "2", "-m", "not slow", *arguments], NUMBA_DISABLE_JIT="1")
-    call([python, "-m", "pytest", "-m", "compiled and not slow", *arguments])
+    call([python, "-m", "pytest", "-m", "(compiled or only_compiled) and not slow", *arguments])
 
 
 def slow(arguments: list[str]) -> None:

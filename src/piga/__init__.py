@@ -71,7 +71,7 @@ from piga.errors import (
 
 if TYPE_CHECKING:
     from piga.calibration import calibrate
-    from piga.compensation import Compensated, compensate
+    from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run, read_run
 
@@ -86,6 +86,7 @@ _LAZY = {
     "calibrate": "piga.calibration",
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
+    "Compensator": "piga.compensation",
 }
 
 __all__ = [
@@ -93,6 +94,7 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "Compensated",
+    "Compensator",
     "DataError",
     "IdentifiabilityError",
     "Instrument",

@@ -14,6 +14,8 @@ from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
 
+pytestmark = pytest.mark.only_compiled
+
 NOISES = {
     "white": {"white": 2.5e-5},
     "walk": {"white": 1e-9, "walk": 3e-5},

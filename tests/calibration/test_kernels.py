@@ -134,6 +134,7 @@ def test_likelihood_is_that_of_the_dense_covariance() -> None:
         assert found_square == pytest.approx(wanted_square, rel=1e-12)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize(("white", "walk"), [(3e-5, 0.0), (3e-5, 1e-6), (3e-5, 1e-4), (1e-9, 1e-4)])
 def test_noise_levels_are_found(white: float, walk: float) -> None:
     """Levels of 40 000 samples within four standard deviations of what such a record can tell."""

@@ -12,7 +12,7 @@ import pytest
 import piga
 from piga.cli.demo import copy_example
 
-pytestmark = pytest.mark.compiled
+pytestmark = pytest.mark.only_compiled
 
 TRUTH = {"scale_factor": 0.888506608, "tan_beta": 3.587621e-4, "k0": 1.6e-3, "m_Y": 2.4e-4}
 TOLERANCE = {"scale_factor": 6e-6 * 0.8885, "tan_beta": 2e-3 * 3.5876e-4, "k0": 5e-6, "m_Y": 5e-6}

@@ -16,7 +16,7 @@ from tests.calibration.synthetic import TERMS, record
 
 @pytest.fixture(scope="module")
 def calibration() -> piga.Calibration:
-    run = record(np.random.default_rng(1), seconds=10.0, per_segment=True)
+    run = record(np.random.default_rng(1), seconds=5.0, rate=4.0, count=6, per_segment=True)
     return piga.calibrate(run, [*TERMS, "s2", "c2"], phase="per-segment")
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels import compensate_layout as at
-from piga._kernels.jit import exact
+from piga._kernels.jit import exact, kernel
 from piga._kernels.sine_cosine import LIMIT, fast_sine_cosine
 
 Array = NDArray[np.float64]
@@ -29,6 +29,12 @@ FAR_TURN = 0.25
 FAR_PRODUCT = 1e-9
 """``(Y^2 + Z^2) delta^2`` up to which two corrections reach rounding."""
 NEWTON = 60
+
+
+@exact
+def padded(n: int) -> int:
+    """``n`` rounded up to a whole number of tiles."""
+    return (n + at.TILE - 1) // at.TILE * at.TILE
 
 
 @exact
@@ -51,6 +57,9 @@ def load_block(
         w[at.FORCE_Z + 1 + j] = z[j]
         w[at.RATE_Y + 1 + j] = coupling * y[j] + offset_y
         w[at.RATE_Z + 1 + j] = coupling * z[j] + offset_z
+    for j in range(1 + t.size, 1 + padded(t.size)):
+        w[at.TIME + j], w[at.PSI + j] = w[at.TIME + t.size], w[at.PSI + t.size]
+        w[at.RATE_Y + j], w[at.RATE_Z + j] = w[at.RATE_Y + t.size], w[at.RATE_Z + t.size]
     for j in range(omega.shape[0]):
         w[at.OMEGA_X + 1 + j] = omega[j, 0]
         w[at.RATE_Y + 1 + j] -= tangent * omega[j, 1]
@@ -78,13 +87,17 @@ def find_steps(n: int, begins: NDArray[np.bool_], valid: bool, w: Array) -> None
     for j in range(1, n + 1):
         w[at.STEP + j] = w[at.TIME + j] - w[at.TIME + j - 1]
     for j in range(begins.size):
-        if begins[j]:
-            w[at.STEP + j + 1] = 0.0
+        w[at.STEP + 1 + j] = 0.0 if begins[j] else w[at.STEP + 1 + j]
     if not valid:
         w[at.STEP + 1] = 0.0
+    for j in range(1, n + 1):
+        step = w[at.STEP + j]
+        w[at.INVERSE + j] = 1.0 / step if step != 0.0 else 0.0
+    for j in range(n + 1, padded(n) + 1):
+        w[at.STEP + j] = w[at.INVERSE + j] = 0.0
 
 
-@exact
+@kernel
 def find_angles(n: int, phi: float, w: Array) -> None:
     """Effective angle of every interval (the middle of the angles read), its sine and cosine."""
     far = 0
@@ -109,20 +122,18 @@ def library_angles(n: int, w: Array) -> None:
             w[at.COSINE + j] = math.cos(angle)
 
 
-@exact
+@kernel
 def estimate_first(n: int, w: Array) -> None:
     """First estimate of the mean ``u_x``: output rate less the coupling at the effective angle."""
     for j in range(1, n + 1):
-        step = w[at.STEP + j]
-        delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+        turn = w[at.PSI + j] - w[at.PSI + j - 1]
         mean_y = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
         mean_z = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
-        rate = 2.0 * delta / (step if step != 0.0 else 1.0)
         coupling = mean_y * w[at.SINE + j] - mean_z * w[at.COSINE + j]
-        w[at.FIRST + j] = rate - coupling
+        w[at.FIRST + j] = turn * w[at.INVERSE + j] - coupling
 
 
-@exact
+@kernel
 def solve_small(delta: float, square: float, coupling: float) -> float:
     """``e = A - 2 delta`` for small turns: series of ``q cot q`` about ``delta^2``, two corrections."""
     d = delta * delta
@@ -133,7 +144,7 @@ def solve_small(delta: float, square: float, coupling: float) -> float:
     weight = 2.0 * sine
     inverse = 1.0 / (cosine - weight * delta * first)
     e = -coupling * inverse
-    for _ in range(3):
+    for _ in range(2):
         eta = delta * e + 0.25 * (e * e - square)
         e -= (e * cosine - weight * eta * (first + eta * second) + coupling) * inverse
     return e
@@ -167,10 +178,11 @@ def solve_far(delta: float, square: float, coupling: float) -> float:
     return A - 2.0 * delta
 
 
-@exact
+@kernel
 def invert_motion(n: int, K: float, w: Array) -> None:
     """Indicated mean specific force along X0 of every interval [m/s^2], and the slope used."""
     far = 0
+    inverse_K = 1.0 / K
     for j in range(1, n + 1):
         step, before = w[at.STEP + j], w[at.STEP + j - 1]
         y0, y1, z0, z1 = w[at.RATE_Y + j - 1], w[at.RATE_Y + j], w[at.RATE_Z + j - 1], w[at.RATE_Z + j]
@@ -186,8 +198,8 @@ def invert_motion(n: int, K: float, w: Array) -> None:
         square = Y * Y + Z * Z
         coupling = Y * w[at.SINE + j] - Z * w[at.COSINE + j]
         e = solve_small(delta, square, coupling) - cross * (y0 * z1 - z0 * y1)
-        w[at.INPUT + j] = (2.0 * delta + e) / (K * (step if step != 0.0 else 1.0))
-        w[at.SLOPE + j] = rise / K
+        w[at.INPUT + j] = (2.0 * delta + e) * w[at.INVERSE + j] * inverse_K
+        w[at.SLOPE + j] = rise * inverse_K
         w[at.SQUARE + j] = square
         w[at.PARTIAL + j] = coupling
         w[at.REGRESSOR + j] = delta

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 BLOCK = 1024
 """Samples worked off at a time: the work array stays in the fast caches."""
+TILE = 64
+"""The contracted loops run over a multiple of this many samples, the last sample repeated: no remainder loop is
+entered, and a sample is computed alike wherever it stands in a chunk."""
 STRIDE = BLOCK + 8
 
 TIME = 0 * STRIDE
@@ -40,7 +43,14 @@ REGRESSOR = 25 * STRIDE
 SQUARE = 26 * STRIDE
 PARTIAL = 27 * STRIDE
 ANGLE = 28 * STRIDE  # effective angle [rad]
-WORK = 29 * STRIDE
+INVERSE = 29 * STRIDE  # 1/STEP [1/s]; 0 where no increment is formed
+AXIS_X, AXIS_Y, AXIS_Z = 30 * STRIDE, 31 * STRIDE, 32 * STRIDE  # sets: effective axis in the common frame
+HALF = 33 * STRIDE  # sets: half the angle turned [rad], or the rate [rad/s]
+GAIN = 34 * STRIDE  # sets: sin(HALF)/HALF
+BASE_X, BASE_Y, BASE_Z = 35 * STRIDE, 36 * STRIDE, 37 * STRIDE  # sets: what base rate and harmonics add [rad/s]
+ERROR = 38 * STRIDE  # sets: error model at the force [m/s^2]
+HARMONICS = 39 * STRIDE  # sets: second and higher harmonics [m/s^2]
+WORK = 40 * STRIDE
 
 P_K = 0
 P_TAN_BETA = 1
@@ -78,7 +88,8 @@ S_TURNS = 12  # rate logs: whole turns and rest of alpha
 S_REST = 13
 S_START = 14  # published formula: psi of the first sample
 S_PHI = 15  # phase that S_REST holds
-STATE = 16
+S_NOMINAL = 16  # nominal interval [s] to tell gaps; 0 until known
+STATE = 20
 
 EXACT, PUBLISHED = 0, 1
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from piga._kernels import compensate as angle
 from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_terms as terms
-from piga._kernels.jit import exact
+from piga._kernels.jit import exact, kernel
 from piga._kernels.motion import advance, magnus_increments, unwrapped
-from piga._kernels.sine_cosine import sine_cosine
+from piga._kernels.sine_cosine import LIMIT, fast_sine_cosine, sine_cosine
 
 Array = NDArray[np.float64]
 
@@ -87,13 +87,14 @@ def compensate_angles(
             t[start:stop], psi[start:stop], y[start:stop], z[start:stop], omega[start:stop],
             temperature[start:stop], p, state, w,
         )  # fmt: skip
+        rows = angle.padded(n)
         angle.find_steps(n, begins[start:stop], valid, w)
-        angle.find_angles(n, p[at.P_PHI] - state[at.S_START], w)
-        angle.estimate_first(n, w)
+        angle.find_angles(rows, p[at.P_PHI] - state[at.S_START], w)
+        angle.estimate_first(rows, w)
         if formula == at.PUBLISHED:
             angle.published_formula(n, K, w)
         else:
-            angle.invert_motion(n, K, w)
+            angle.invert_motion(rows, K, w)
         if omega.shape[0]:
             angle.add_base_rate(n, K, w)
         if has_terms or u.size or flags.size:
@@ -154,6 +155,44 @@ def follow_rate(n: int, rate: Array, p: Array, valid: bool, state: Array, w: Arr
 
 
 @exact
+def take_angles(n: int, psi: Array, rate: Array, w: Array) -> None:
+    """Recorded angle and rate into the work array, the last sample repeated to the end of the tile."""
+    for j in range(n):
+        w[at.PSI + 1 + j] = psi[j]
+        w[at.FIRST + 1 + j] = rate[j]
+    for j in range(n + 1, angle.padded(n) + 1):
+        w[at.PSI + j], w[at.FIRST + j] = psi[n - 1], rate[n - 1]
+
+
+@exact
+def take_rates(n: int, rate: Array, w: Array) -> None:
+    """Recorded rate of an instrument of a set, the last sample repeated to the end of the tile."""
+    for j in range(n):
+        w[at.HALF + 1 + j] = rate[j]
+    for j in range(n + 1, angle.padded(n) + 1):
+        w[at.HALF + j] = rate[n - 1]
+
+
+@kernel
+def find_samples(rows: int, phi: float, w: Array) -> None:
+    """Angle, its sine and cosine, and ``u_x`` at samples whose angle and rate are both recorded.
+
+    The angle stands in the row PSI, the rate in FIRST.
+    """
+    far = 0
+    for j in range(1, rows + 1):
+        alpha = phi + w[at.PSI + j]
+        w[at.ANGLE + j] = alpha
+        sine, cosine = fast_sine_cosine(alpha)
+        w[at.SINE + j], w[at.COSINE + j] = sine, cosine
+        far |= abs(alpha) > LIMIT
+    if far:
+        angle.library_angles(rows, w)
+    for j in range(1, rows + 1):
+        w[at.FIRST + j] -= w[at.RATE_Y + j] * w[at.SINE + j] - w[at.RATE_Z + j] * w[at.COSINE + j]
+
+
+@exact
 def describe_samples(n: int, rate: Array, K: float, typical: float, w: Array) -> None:
     """The inputs at the samples, in the rows that hold means for intervals."""
     for j in range(1, n + 1):
@@ -184,6 +223,7 @@ def compensate_rates(
     omega: Array,
     temperature: Array,
     typical: float,
+    psi: Array,
     p: Array,
     has_terms: bool,
     orders: Array,
@@ -200,7 +240,10 @@ def compensate_rates(
     u: Array,
     flags: NDArray[np.int32],
 ) -> None:
-    """Rate record (n,) to ``ax`` at the samples and ``dv`` over the interval before (ax linear in it)."""
+    """Rate record (n,) to ``ax`` at the samples and ``dv`` over the interval before (ax linear in it).
+
+    ``psi`` holds the recorded angle; empty: the angle follows from the rate.
+    """
     none = np.zeros(0)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
@@ -211,7 +254,11 @@ def compensate_rates(
             temperature[start:stop], p, state, w,
         )  # fmt: skip
         angle.find_steps(n, begins[start:stop], valid, w)
-        follow_rate(n, rate[start:stop], p, valid, state, w)
+        if psi.size:
+            take_angles(n, psi[start:stop], rate[start:stop], w)
+            find_samples(angle.padded(n), p[at.P_PHI], w)
+        else:
+            follow_rate(n, rate[start:stop], p, valid, state, w)
         describe_samples(n, rate[start:stop], p[at.P_K], typical, w)
         sample_harmonics(n, orders, sines, cosines, w)
         finish_block(

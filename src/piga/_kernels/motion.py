@@ -105,6 +105,22 @@ def advance(
     return turns1, rest1, p1, q1
 
 
+@kernel
+def propagate_steps(steps: Array, until: NDArray[np.int64], state: Array, alpha: Array) -> None:
+    """Unwrapped angle [rad] after the first ``until[k]`` of the steps ``A, Y, Z`` (m, 3) [rad].
+
+    ``state``: turns, P, Q at the start.
+    """
+    turns, p, q = state[0], state[1], state[2]
+    rest = double_arctangent(p, q)
+    done = 0
+    for k in range(until.size):
+        for j in range(done, until[k]):
+            turns, rest, p, q = advance(turns, rest, p, q, steps[j, 0], steps[j, 1], steps[j, 2])
+        done = until[k]
+        alpha[k] = unwrapped(turns, rest)
+
+
 @exact
 def constant_motion(
     a: tuple[float, float],

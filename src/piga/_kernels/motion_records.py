@@ -30,6 +30,8 @@ from piga._kernels.trig import double_arctangent
 
 Array = NDArray[np.float64]
 
+LENGTH = PAIR_P
+"""Interval lengths [s] while steps are made from means: the pairs come later."""
 _TOO_LARGE = 1e150
 GOOD = -1
 """What the record kernels return when all samples were usable; else the index where a bad block starts."""
@@ -83,17 +85,19 @@ def steps_from_samples(t: Array, extra_mean: Array, w: Array, m: int) -> int:
 
 @kernel
 def load_means(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, w: Array) -> int:
-    """Mean rates ``a, y, z`` [rad/s] over the intervals between the times ``t``; how many have h > 0."""
+    """Lengths [s] and mean rates ``a, y, z`` [rad/s] of the intervals between ``t``; how many have h > 0."""
     positive = 0
+    coupling = K * tan_beta
     for j in range(dv.shape[0]):
         h = t[j + 1] - t[j]
         positive += h > 0.0
         per_second = 1.0 / h
+        w[LENGTH + j] = h
         w[RATE_A + j] = K * dv[j, 0] * per_second
-        w[RATE_Y + j] = tan_beta * K * dv[j, 1] * per_second
-        w[RATE_Z + j] = tan_beta * K * dv[j, 2] * per_second
+        w[RATE_Y + j] = coupling * dv[j, 1] * per_second
+        w[RATE_Z + j] = coupling * dv[j, 2] * per_second
     for j in range(dtheta.shape[0]):
-        per_second = 1.0 / (t[j + 1] - t[j])
+        per_second = 1.0 / w[LENGTH + j]
         w[RATE_A + j] -= dtheta[j, 0] * per_second
         w[RATE_Y + j] -= tan_beta * dtheta[j, 1] * per_second
         w[RATE_Z + j] -= tan_beta * dtheta[j, 2] * per_second
@@ -101,67 +105,71 @@ def load_means(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, w:
 
 
 @inline
-def slope(before: float, here: float, after: float, h0: float, h1: float, h2: float) -> float:
-    """Slope in the middle of the middle interval of the parabola with these three interval means."""
-    rise0, rise1 = 2.0 * (here - before) / (h0 + h1), 2.0 * (after - here) / (h1 + h2)
-    lever0, lever1 = h1 + 2.0 * h0, h1 + 2.0 * h2
-    return (lever0 * rise1 + lever1 * rise0) / (lever0 + lever1)
-
-
-@inline
-def set_step(w: Array, j: int, at: int, h: float, sa: float, sy: float, sz: float) -> None:
-    """Increments of step ``j`` from the mean rates in column ``at`` and their slopes [rad/s^2]."""
-    a, y, z = w[RATE_A + at], w[RATE_Y + at], w[RATE_Z + at]
+def set_step(w: Array, j: int, sa: float, sy: float, sz: float) -> None:
+    """Increments of step ``j`` from the mean rates in column ``j + 1`` and their slopes [rad/s^2]."""
+    h, a, y, z = w[LENGTH + j + 1], w[RATE_A + j + 1], w[RATE_Y + j + 1], w[RATE_Z + j + 1]
     cross = h * h * h * (1.0 / 12.0)
     w[STEP_A + j] = h * a + cross * (y * sz - z * sy)
     w[STEP_Y + j] = h * y + cross * (a * sz - z * sa)
     w[STEP_Z + j] = h * z - cross * (a * sy - y * sa)
 
 
-@kernel
-def steps_from_means(t: Array, w: Array, m: int, lead: int, follow: int) -> None:
-    """Increments [rad] of ``m`` steps from interval means, order 4: slopes from the neighbours.
+@inline
+def slope(w: Array, at: int, to_before: float, to_after: float) -> float:
+    """Weighted rise of a mean rate from the interval before to here and from here to the one after."""
+    return to_before * (w[at + 1] - w[at]) + to_after * (w[at + 2] - w[at + 1])
 
-    ``lead`` and ``follow`` (0 or 1) say whether the block's rows carry a neighbour before and after.
-    At the ends of a record the parabola of the nearest inner interval is continued.
+
+@kernel
+def steps_from_means(w: Array, m: int) -> None:
+    """Increments [rad] of ``m`` steps from the interval means in columns 0 to m + 1, order 4.
+
+    The slope in an interval is that of the parabola with the means of the interval and its neighbours.
     """
-    cells = m + lead + follow
-    for j in range(1 - lead, m - 1 + follow):
-        at = j + lead
-        h0, h1, h2 = t[at] - t[at - 1], t[at + 1] - t[at], t[at + 2] - t[at + 1]
-        sa = slope(w[RATE_A + at - 1], w[RATE_A + at], w[RATE_A + at + 1], h0, h1, h2)
-        sy = slope(w[RATE_Y + at - 1], w[RATE_Y + at], w[RATE_Y + at + 1], h0, h1, h2)
-        sz = slope(w[RATE_Z + at - 1], w[RATE_Z + at], w[RATE_Z + at + 1], h0, h1, h2)
-        set_step(w, j, at, h1, sa, sy, sz)
-    if lead == 0:
-        edge_step(t, w, 0, 0, 0, min(1, cells - 1), min(2, cells - 1))
-    if follow == 0 and (lead or m > 1):
-        edge_step(t, w, m - 1, cells - 1, cells - 1, max(cells - 2, 0), max(cells - 3, 0))
+    for j in range(m):
+        h0, h1, h2 = w[LENGTH + j], w[LENGTH + j + 1], w[LENGTH + j + 2]
+        lever0, lever2 = h1 + 2.0 * h0, h1 + 2.0 * h2
+        per_lever = 2.0 / (lever0 + lever2)
+        to_before, to_after = lever2 * per_lever / (h0 + h1), lever0 * per_lever / (h1 + h2)
+        set_step(
+            w, j,
+            slope(w, RATE_A + j, to_before, to_after),
+            slope(w, RATE_Y + j, to_before, to_after),
+            slope(w, RATE_Z + j, to_before, to_after),
+        )  # fmt: skip
 
 
 @kernel
-def edge_step(t: Array, w: Array, j: int, at: int, edge: int, near: int, far: int) -> None:
-    """Increments of the first or last step of a record: parabola through the three nearest means."""
-    h = t[edge + 1] - t[edge]
+def fill_edges(w: Array, m: int, lead: int, follow: int) -> None:
+    """Stand-ins for the neighbours that the first and last interval of a record do not have."""
+    for row in (LENGTH, RATE_A, RATE_Y, RATE_Z):
+        if lead == 0:
+            w[row] = w[row + 1]
+        if follow == 0:
+            w[row + m + 1] = w[row + m]
+
+
+@kernel
+def edge_step(w: Array, edge: int, near: int, far: int) -> None:
+    """Increments of the first or last step of a record: parabola through the three means next to it.
+
+    ``edge``, ``near``, ``far`` are columns; fewer intervals lower the degree.
+    """
     if near == edge:
-        set_step(w, j, at, h, 0.0, 0.0, 0.0)
+        set_step(w, edge - 1, 0.0, 0.0, 0.0)
         return
-    middle = 0.5 * (t[edge + 1] + t[edge])
-    to_near = 0.5 * (t[near + 1] + t[near]) - middle
+    side = 1.0 if near > edge else -1.0
+    h0, h1, h2 = w[LENGTH + edge], w[LENGTH + near], w[LENGTH + far]
     slopes = np.empty(3)
     for axis in range(3):
         row = RATE_A + axis * (RATE_Y - RATE_A)
-        rise = (w[row + near] - w[row + edge]) / to_near
+        rise = 2.0 * side * (w[row + near] - w[row + edge]) / (h0 + h1)
         slopes[axis] = rise
         if far != near:
-            further = 0.5 * (t[far + 1] + t[far]) - 0.5 * (t[near + 1] + t[near])
-            rise_far = (w[row + far] - w[row + near]) / further
-            h1, h2 = t[near + 1] - t[near], t[far + 1] - t[far]
-            side = 1.0 if far > edge else -1.0
-            levers = (h1 + 2.0 * h) / 3.0 + (h1 + 2.0 * h2) / 3.0
-            curvature = 2.0 * side * (rise_far - rise) / levers
-            slopes[axis] = rise - side * 0.5 * curvature * (h + 2.0 * h1) / 3.0
-    set_step(w, j, at, h, slopes[0], slopes[1], slopes[2])
+            rise_far = 2.0 * side * (w[row + far] - w[row + near]) / (h1 + h2)
+            curvature = 3.0 * (rise_far - rise) / (h0 + h1 + h2)
+            slopes[axis] = rise - curvature * (h0 + 2.0 * h1) / 6.0
+    set_step(w, edge - 1, slopes[0], slopes[1], slopes[2])
 
 
 @kernel
@@ -200,6 +208,9 @@ def run_block(
 
 @kernel
 def propagate_samples(
+    state: Array,
+    alpha: Array,
+    rate: Array,
     t: Array,
     f: Array,
     base_rate: Array,
@@ -209,9 +220,6 @@ def propagate_samples(
     tan_beta: float,
     offset_y: float,
     offset_z: float,
-    state: Array,
-    alpha: Array,
-    rate: Array,
 ) -> int:
     """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
 
@@ -246,6 +254,7 @@ def propagate_samples(
 
 @kernel
 def reduce_samples(
+    matrix: Array,
     t: Array,
     f: Array,
     base_rate: Array,
@@ -255,7 +264,6 @@ def reduce_samples(
     tan_beta: float,
     offset_y: float,
     offset_z: float,
-    matrix: Array,
 ) -> int:
     """One matrix ``[[u, x], [v, y]]`` (2, 2), scaled, that takes the first sample's pair to the last's."""
     w = np.empty(SIZE)
@@ -303,9 +311,16 @@ def propagate_increments(
         m = min(BLOCK, n - first)
         lead, follow = min(first, 1), min(n - first - m, 1)
         low, high = first - lead, first + m + follow
-        if load_means(t[low : high + 1], dv[low:high], dtheta[low:high], K, tan_beta, w) < high - low:
+        columns = w[1 - lead :]
+        if load_means(t[low : high + 1], dv[low:high], dtheta[low:high], K, tan_beta, columns) < high - low:
             return first
-        steps_from_means(t[low : high + 1], w, m, lead, follow)
+        if lead == 0 or follow == 0:
+            fill_edges(w, m, lead, follow)
+        steps_from_means(w, m)
+        if lead == 0:
+            edge_step(w, 1, min(2, m + follow), min(3, m + follow))
+        if follow == 0:
+            edge_step(w, m, max(m - 1, 1 - lead), max(m - 2, 1 - lead))
         usable, turns, p, q = run_block(w, m, turns, p, q, alpha[first + 1 : first + m + 1])
         if not usable:
             return first

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from piga._kernels.jit import exact
+from piga._kernels.jit import kernel
 
 LIMIT = 1.6e6
 """Largest angle [rad] of the fast reduction: 2^20 quarter turns."""
@@ -34,7 +34,7 @@ _C4 = 2.087614614655861e-09
 _C5 = -1.1382623647474604e-11
 
 
-@exact
+@kernel
 def fast_sine_cosine(angle: float) -> tuple[float, float]:
     """``sin`` and ``cos`` of an angle of at most ``LIMIT`` [rad]; error below 2e-16."""
     quarter = np.rint(angle * _TWO_OVER_PI)
@@ -54,7 +54,7 @@ def fast_sine_cosine(angle: float) -> tuple[float, float]:
     return sign * s, sign * c
 
 
-@exact
+@kernel
 def sine_cosine(angle: float) -> tuple[float, float]:
     """``sin`` and ``cos`` of any finite angle [rad]."""
     if abs(angle) > LIMIT:

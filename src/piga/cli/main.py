@@ -8,6 +8,7 @@ import traceback
 import typer
 
 from piga._version import __version__
+from piga.cli import platform
 from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
 from piga.cli.compensate import compensate
@@ -43,6 +44,7 @@ def _options(
 
 for command in (demo, check, calibrate, compensate, simulate):
     app.command()(command)
+app.add_typer(platform.app)
 
 
 def main() -> None:

@@ -1,9 +1,27 @@
 """Compensation: specific force and velocity from the output of calibrated instruments."""
 
 from piga.compensation.compensate import compensate
+from piga.compensation.compensator import Compensator
 from piga.compensation.flags import FLAGS
 from piga.compensation.model import Phase
+from piga.compensation.phase import PhaseFinder, identify_phase
+from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
+from piga.compensation.triad import CompensatedSet, Mounted, SetCompensator, compensate_triad
 from piga.compensation.validity import Limits
 
-__all__ = ["FLAGS", "Compensated", "Limits", "Phase", "compensate"]
+__all__ = [
+    "FLAGS",
+    "Compensated",
+    "CompensatedSet",
+    "Compensator",
+    "Limits",
+    "Mounted",
+    "Phase",
+    "PhaseFinder",
+    "Resampler",
+    "SetCompensator",
+    "compensate",
+    "compensate_triad",
+    "identify_phase",
+]

@@ -82,9 +82,14 @@ def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
     CalibrationError
         Unless ``force``.
     """
-    if not force and record.serial and calibration.serial and record.serial != calibration.serial:
+    check_serial_names(record.serial, calibration.serial, force)
+
+
+def check_serial_names(record: str, calibration: str, force: bool) -> None:
+    """The same for the names alone."""
+    if not force and record and calibration and record != calibration:
         raise CalibrationError(
-            f"the record is of instrument '{record.serial}', the calibration of '{calibration.serial}'",
+            f"the record is of instrument '{record}', the calibration of '{calibration}'",
             remedy="take the calibration of this instrument, or use --force (force=True) if they are the same",
         )
 
@@ -143,4 +148,5 @@ def _chunk(record: Run, rows: slice) -> Chunk:
         begins=record.begins[rows],
         base_rate=NO_RATES if record.base_rate is None else record.base_rate[rows],
         temperature=NONE if record.temperature is None else record.temperature[rows],
+        angle=NONE,
     )

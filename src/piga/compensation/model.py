@@ -141,8 +141,8 @@ def _used_coefficients(
     wanted = "this record" if segment is None else f"segment '{segment}'"
     raise CalibrationError(
         f"the calibration holds no phase phi for {wanted} (it has per-segment phases: {have})",
-        remedy="identify the phase at power-up from a few revolutions at rest (phase='identify', --phase identify), "
-        "or give it",
+        remedy="identify the phase at power-up from a few revolutions at rest (--identify-phase), "
+        "or give it with --phase",
     )
 
 

@@ -24,8 +24,9 @@ NO_FLAGS = np.zeros(0, dtype=np.int32)
 class Chunk:
     """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
 
-    ``begins`` marks samples that begin a stretch, ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may be
-    empty. All arrays are contiguous float64.
+    ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may
+    be empty. ``angle`` is the output angle [rad] beside a recorded rate; empty: it follows from the rate.
+    All arrays are contiguous float64.
     """
 
     t: Array
@@ -35,6 +36,7 @@ class Chunk:
     begins: NDArray[np.bool_]
     base_rate: Array
     temperature: Array
+    angle: Array
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,6 @@ def run_kernel(
         chunk.t, chunk.output, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature,
     )  # fmt: skip
     if kind == "rate":
-        compensate_rates(*(*inputs, typical_step, *common))
+        compensate_rates(*(*inputs, typical_step, chunk.angle, *common))
     else:
         compensate_angles(*(*inputs, model.formula, *common))

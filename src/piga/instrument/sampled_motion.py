@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
-_REDUCTION_COST = {True: 0.5, False: 0.65}
-"""Time to reduce a sample to its matrix, relative to putting out angle (True) or rate alone (False)."""
+_REDUCTION_COST = 0.6
+"""Time to reduce a sample to its matrix, relative to putting it out (benchmarks/motion.py)."""
 _LEAST_CHUNK = 16384
 """Samples below which another thread costs more than it saves."""
 
@@ -127,15 +127,15 @@ def initial_state(alpha0: float) -> Array:
     return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
 
 
-def _chunks(n: int, workers: int, cost: float) -> list[tuple[int, int]]:
+def _chunks(n: int, workers: int) -> list[tuple[int, int]]:
     """Samples ``start`` to ``stop`` (shared with the next chunk) of each worker.
 
-    Worker i > 0 first reduces chunk i - 1, so chunks shrink: ``L_i + cost L_{i-1}`` is the same for all.
+    Worker i > 0 first reduces chunk i - 1, so chunks shrink: so that all finish together.
     """
     workers = max(1, min(workers, n // _LEAST_CHUNK))
     lengths = [1.0]
     for _ in range(workers - 1):
-        lengths.append(1.0 - cost * lengths[-1])
+        lengths.append(1.0 - _REDUCTION_COST * lengths[-1])
     edges = np.rint(np.cumsum([0.0, *lengths]) / sum(lengths) * (n - 1)).astype(int)
     return [(int(a), int(b) + 1) for a, b in pairwise(edges)]
 
@@ -173,7 +173,7 @@ def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, 
     ArgumentError
         If a sample is not finite or a time does not increase.
     """
-    chunks = _chunks(record.t.size, workers, _REDUCTION_COST[bool(alpha.size)])
+    chunks = _chunks(record.t.size, workers)
     products = np.empty((len(chunks), 2, 2))
     starts = np.tile(initial_state(alpha0), (len(chunks), 1))
     ends = np.empty_like(starts)
@@ -184,12 +184,12 @@ def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, 
         last = stop if stop == record.t.size else stop - 1
         with np.errstate(all="ignore"):
             return propagate_samples(
-                *record.arguments(start, stop), ends[i], alpha[start:stop], rate[start:last]
+                ends[i], alpha[start:stop], rate[start:last], *record.arguments(start, stop)
             )
 
     def reduce(i: int) -> int:
         with np.errstate(all="ignore"):
-            return reduce_samples(*record.arguments(*chunks[i]), products[i])
+            return reduce_samples(products[i], *record.arguments(*chunks[i]))
 
     if len(chunks) == 1:
         record.require(output(0))

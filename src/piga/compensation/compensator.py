@@ -1,0 +1,192 @@
+"""The compensator of a stream: chunks in, compensated chunks out, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels import compensate_layout as at
+from piga.compensation.model import Phase, check_method, make_model
+from piga.compensation.result import Compensated
+from piga.compensation.step import NO_MARKS, NO_RATES, NONE, Chunk, Step, init_state, run_kernel, work_array
+from piga.compensation.validity import Limits, age_flag
+from piga.errors import ArgumentError, CalibrationError
+from piga.records.calibration import Calibration
+from piga.records.run import Run
+
+Array = NDArray[np.float64]
+
+GAP = 1.5
+"""An interval longer than this many nominal ones is a gap: no increment is formed across it."""
+KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
+
+
+class Compensator:
+    """Compensate a stream of one instrument with a transverse reference.
+
+    The result does not depend, to the bit, on how the stream is cut into chunks, and is that of
+    :func:`piga.compensate` on the whole record.
+
+    Parameters
+    ----------
+    calibration:
+        The coefficients.
+    kind:
+        What ``output`` is: ``"angle"`` psi [rad], unwrapped, or ``"rate"`` [rad/s].
+    method:
+        ``"exact"`` or ``"published"``; None: what the calibration's phase asks for.
+    segment, phase:
+        Segment whose phase is used (per-segment calibrations), or the phase itself.
+    step:
+        Nominal interval [s], to tell gaps and for the noise of a rate sample that begins a stretch (nan
+        without); None: gaps are told by the first interval of the stream.
+    time_reference:
+        Time [s] at which ``k0`` holds, needed with the term ``k0_t``.
+    uncertainty, limits, max_age_days:
+        As for :func:`piga.compensate`.
+    state:
+        State of an earlier compensator, to go on where it stopped.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration lacks the phase, or needs a time reference.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        *,
+        kind: str = "angle",
+        method: str | None = None,
+        segment: str | None = None,
+        phase: Phase | None = None,
+        step: float | None = None,
+        time_reference: float | None = None,
+        uncertainty: bool = True,
+        limits: Limits | None = None,
+        max_age_days: float | None = None,
+        state: Array | None = None,
+    ) -> None:
+        if kind not in ("angle", "rate"):
+            raise ArgumentError(
+                f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into angle"
+            )
+        self.method = check_method(method, calibration)
+        self.serial = calibration.serial
+        self._kind = kind
+        self._uncertainty = uncertainty
+        self._model = make_model(
+            calibration, method=self.method, segment=segment, phase=phase, time_reference=time_reference or 0.0,
+            limits=limits, flag=age_flag(calibration, max_age_days),
+        )  # fmt: skip
+        if self._model.needs_time and time_reference is None:
+            raise CalibrationError("the calibration has the term k0_t", remedy="give time_reference")
+        self._state = init_state() if state is None else np.array(state, dtype=float)
+        self._typical = np.nan if step is None else step
+        if step is not None:
+            self._state[at.S_NOMINAL] = step
+        self._work = work_array()
+
+    @property
+    def state(self) -> Array:
+        """A copy of the state: with it another compensator goes on where this one stands."""
+        return self._state.copy()
+
+    def push(self, chunk: Mapping[str, ArrayLike] | Run | Chunk) -> Compensated:
+        """Compensate the next samples.
+
+        Parameters
+        ----------
+        chunk:
+            A mapping of columns in SI: ``t`` (n,) [s], ``output`` (n,), ``f`` (n, 3) [m/s^2] and, if there are,
+            ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] beside a rate,
+            ``begins`` (n,); single samples may be plain numbers. Or a :class:`piga.Run` that continues the one
+            before, or a checked :class:`Chunk`. Without ``begins``, time that jumps back or leaves a gap
+            begins a new stretch.
+
+        Raises
+        ------
+        ArgumentError
+            If a column is missing, has another length, or holds a number that is not finite.
+        """
+        samples = chunk if isinstance(chunk, Chunk) else self._samples(_columns(chunk))
+        n = samples.t.size
+        result = Step(
+            np.empty(n), np.empty(n), np.empty(n if self._uncertainty else 0), np.empty(n, dtype=np.int32)
+        )  # fmt: skip
+        if n:
+            run_kernel(self._model, self._state, samples, self._kind, self._typical, self._work, result)
+        return Compensated(samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method)
+
+    def _samples(self, columns: Mapping[str, Any]) -> Chunk:
+        unknown = [name for name in columns if name not in KEYS]
+        missing = [name for name in KEYS[:3] if name not in columns]
+        if unknown or missing:
+            what = f"lacks '{missing[0]}'" if missing else f"has the unknown key '{unknown[0]}'"
+            raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(KEYS)}")
+        t = np.atleast_1d(np.asarray(columns["t"], dtype=float))
+        n = t.size
+        output = _column(columns, "output", n)
+        force = _rows(columns, "f", n)
+        temperature = _column(columns, "temperature", n) if columns.get("temperature") is not None else NONE
+        if self._model.needs_temperature and not temperature.size:
+            raise ArgumentError(
+                "chunk: no 'temperature' for the calibration's temperature terms", remedy="add it"
+            )
+        base_rate = _rows(columns, "base_rate", n) if columns.get("base_rate") is not None else NO_RATES
+        angle = _column(columns, "angle", n) if columns.get("angle") is not None else NONE
+        given = columns.get("begins")
+        begins = self._find_begins(t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
+        for name, values in (("t", t), ("output", output), ("f", force), ("base_rate", base_rate)):
+            _check_finite(name, values)
+        y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
+        return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
+
+    def _find_begins(self, t: Array) -> NDArray[np.bool_]:
+        """Where time jumps back or leaves a gap, against the nominal interval."""
+        if t.size == 0:
+            return NO_MARKS
+        before = self._state[at.S_TIME] if self._state[at.S_VALID] else t[0]
+        steps = np.diff(t, prepend=before)
+        if self._state[at.S_NOMINAL] == 0.0:
+            forward = steps[steps > 0.0]
+            if forward.size == 0:
+                return np.asarray(steps <= 0.0)
+            self._state[at.S_NOMINAL] = forward[0]
+        return np.asarray((steps <= 0.0) | (steps > GAP * self._state[at.S_NOMINAL]))
+
+
+def _columns(chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
+    if not isinstance(chunk, Run):
+        return chunk
+    columns = {"t": chunk.t, "output": chunk.output, "f": chunk.f}
+    columns |= {} if chunk.base_rate is None else {"base_rate": chunk.base_rate}
+    return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
+
+
+def _column(columns: Mapping[str, Any], name: str, n: int) -> Array:
+    values = np.ascontiguousarray(np.atleast_1d(np.asarray(columns[name], dtype=float)))
+    if values.shape != (n,):
+        raise ArgumentError(
+            f"chunk['{name}']: shape {values.shape} instead of ({n},)", remedy="one value per time"
+        )
+    return values
+
+
+def _rows(columns: Mapping[str, Any], name: str, n: int) -> Array:
+    values = np.ascontiguousarray(np.atleast_2d(np.asarray(columns[name], dtype=float)))
+    if values.shape != (n, 3):
+        raise ArgumentError(
+            f"chunk['{name}']: shape {values.shape} instead of ({n}, 3)", remedy="one row per time"
+        )
+    return values
+
+
+def _check_finite(name: str, values: Array) -> None:
+    if not np.isfinite(values).all():
+        index = int(np.argwhere(~np.isfinite(values))[0][0])
+        raise ArgumentError(f"chunk['{name}'][{index}] is not finite", remedy="leave such samples out")

@@ -1,0 +1,125 @@
+"""Phase of the output zero, found again at power-up from a few revolutions at rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels import compensate_layout as at
+from piga._kernels.regressors import coupling_columns
+from piga._kernels.whitening import innovation_weights, whiten
+from piga.compensation.model import Model, Phase, make_model
+from piga.errors import CalibrationError
+from piga.records.calibration import Calibration
+from piga.records.run import Run
+
+Array = NDArray[np.float64]
+
+LEAST_TURN = 2.0 * math.pi
+"""The output must have turned by at least this much [rad]."""
+USELESS = 0.5
+"""A phase with a larger standard uncertainty [rad] is not given."""
+
+
+class PhaseFinder:
+    """Find the phase on line, chunk by chunk, while the instrument is at rest.
+
+    The output angle is fitted by a constant rate (which takes up ``a_x``, bias and base rotation) and the two
+    columns of the coupling, linear in ``cos(phi)`` and ``sin(phi)``; increments are whitened with the noise
+    levels of the calibration, so that the uncertainty holds (estimation.md).
+
+    Parameters
+    ----------
+    calibration:
+        Gives the coupling ``K tan_beta``, first harmonics and noise levels.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._model: Model = make_model(calibration, phase=Phase(0.0))
+        p = self._model.parameters
+        if self._model.tan_beta == 0.0 and p[at.P_OFFSET_Y] == 0.0 and p[at.P_OFFSET_Z] == 0.0:
+            raise CalibrationError("the calibration has no cross-coupling: there is no phase to find", remedy="leave it out")
+        self._white, self._walk = max(float(p[at.P_WHITE]), 1e-24), float(p[at.P_WALK])
+        self._normal = np.zeros((4, 4))
+        self._whitener, self._variance = np.zeros(4), 0.0
+        self._last: tuple[float, float, float, float] | None = None
+        self._turned = 0.0
+
+    def push(self, t: ArrayLike, output: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike) -> Phase | None:
+        """Add samples: time [s], output angle psi [rad], transverse force [m/s^2], each (n,).
+
+        Returns
+        -------
+        phase:
+            The phase as known by now; None before a whole revolution.
+        """
+        columns = [np.atleast_1d(np.asarray(c, dtype=float)) for c in (t, output, a_Y, a_Z)]
+        if self._last is not None:
+            columns = [np.concatenate(([before], c)) for before, c in zip(self._last, columns, strict=True)]
+        time, psi, y, z = columns
+        self._last = (float(time[-1]), float(psi[-1]), float(y[-1]), float(z[-1]))
+        if time.size > 1:
+            self._add(time, psi, y, z)
+        return self.phase()
+
+    def _add(self, t: Array, psi: Array, y: Array, z: Array) -> None:
+        h, turn = np.diff(t), np.diff(psi)
+        self._turned += float(np.abs(turn).sum())
+        p = self._model.parameters
+        coupling = p[at.P_K] * p[at.P_TAN_BETA]
+        sine, cosine = np.empty(h.size), np.empty(h.size)
+        coupling_columns(
+            psi, coupling * y + p[at.P_OFFSET_Y], coupling * z + p[at.P_OFFSET_Z], h, np.zeros(h.size), 1.0, cosine, sine
+        )
+        rows = np.stack((h, sine, cosine, turn))
+        carry, scale, white = np.empty(h.size), np.empty(h.size), np.empty_like(rows)
+        self._variance = innovation_weights(h, self._white, self._walk, self._variance, carry, scale)
+        whiten(rows, carry, scale, self._whitener, white)
+        self._normal += white @ white.T
+
+    def phase(self) -> Phase | None:
+        """The phase as known by now; None before a whole revolution."""
+        if self._turned < LEAST_TURN:
+            return None
+        # The rate column is h itself; the coupling columns carry K tan_beta a_t, so p and q are cos and sin.
+        matrix, right = self._normal[:3, :3], self._normal[:3, 3]
+        size = np.sqrt(np.diag(matrix))
+        if not size.min() > 0.0:
+            return None
+        covariance = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
+        _, p, q = covariance @ right
+        slope = np.array([0.0, -q, p]) / math.hypot(p, q)
+        return Phase(math.atan2(q, p), float(np.sqrt(slope @ covariance @ slope)))
+
+
+def identify_phase(record: Run, calibration: Calibration, duration: float) -> Phase:
+    """Phase of a record from its first ``duration`` seconds, in which the instrument is at rest.
+
+    Raises
+    ------
+    CalibrationError
+        If the output does not turn once in that time, or the coupling is too weak to tell the phase.
+    """
+    rows = record.t <= record.t[0] + duration
+    starts = np.flatnonzero(record.begins[1:]) + 1
+    if starts.size:
+        rows[starts[0] :] = False
+    psi = record.output
+    if record.kind == "rate":
+        from piga.compensation.triad import integrated_rate
+
+        psi = integrated_rate(record.t, record.output, record.begins)
+    finder = PhaseFinder(calibration)
+    found = finder.push(record.t[rows], psi[rows], record.f[rows, 1], record.f[rows, 2])
+    if found is None:
+        raise CalibrationError(
+            f"{record.source}: the output does not turn once in the first {duration:g} s", remedy="take a longer time at rest"
+        )
+    if not found.std < USELESS:
+        raise CalibrationError(
+            f"{record.source}: the phase is known to {found.std:.2g} rad only after {duration:g} s",
+            remedy="take a longer time at rest, or an attitude with more transverse specific force",
+        )
+    return found

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import piga
+from piga.compensation import PhaseFinder, Resampler, identify_phase
+from piga.units import G0
+
+from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+
+def rest_record(phi: float, noise: float, seed: int, kind: str = "angle"):
+    t = np.arange(0.0, 30.0, 0.02)
+    run = run_of(t, constant_force(t, 0.7, 0.7, 0.1), phi=phi, kind=kind)
+    run.output[:] += noise * np.random.default_rng(seed).standard_normal(t.size)
+    return run
+
+
+def test_noiseless_phase_is_found():
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-8)
+    assert abs(identify_phase(rest_record(2.5, 0.0, 0), cal, 30.0).value - 2.5) < 1e-4
+
+
+def test_phase_error_fits_its_uncertainty():
+    """50 power-ups with 0.1 mrad of angle noise: mean square of error over uncertainty within 1 +- 0.6."""
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
+    found = [identify_phase(rest_record(-1.0, 1e-4, seed), cal, 30.0) for seed in range(50)]
+    scores = np.array([(p.value + 1.0) / p.std for p in found])
+    assert abs(np.mean(scores**2) - 1.0) < 0.6
+    assert 1e-4 < found[0].std < 1e-2
+
+
+def test_phase_is_found_on_line_once_the_output_has_turned():
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
+    run, finder = rest_record(0.4, 1e-4, 1), PhaseFinder(cal)
+    phases = [finder.push(run.t[i : i + 50], run.output[i : i + 50], run.f[i : i + 50, 1], run.f[i : i + 50, 2]) for i in range(0, 1500, 50)]
+    assert phases[0] is None
+    assert phases[-1].std < phases[15].std
+    assert abs(phases[-1].value - identify_phase(run, cal, 30.0).value) < 1e-9
+
+
+def test_too_short_a_rest_is_refused():
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
+    with pytest.raises(piga.CalibrationError, match="does not turn once"):
+        identify_phase(rest_record(0.4, 0.0, 1), cal, 2.0)
+
+
+@pytest.mark.parametrize("period", [0.05, 0.013, 0.003])
+def test_resampling_loses_no_velocity(period):
+    rng = np.random.default_rng(3)
+    t = 0.01 * np.arange(500)
+    dv = rng.standard_normal(500)
+    stream = Resampler(period)
+    parts = [stream.push(t[i : i + 7], dv[i : i + 7]) for i in range(0, 500, 7)]
+    total = math.fsum(np.concatenate([p[1] for p in parts])) + stream.waiting[0]
+    assert abs(total - math.fsum(dv)) < 500 * np.finfo(float).eps
+    assert np.allclose(np.diff(np.concatenate([p[0] for p in parts])), period)
+
+
+def test_resampled_constant_force_is_constant():
+    t = 0.01 * np.arange(1001)
+    times, dv = Resampler(0.025).push(t, np.full(1001, 0.01 * G0))
+    assert np.abs(dv[1:] / 0.025 - G0).max() < 1e-9
+    assert times.size == 400
