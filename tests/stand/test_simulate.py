@@ -16,8 +16,8 @@ from piga.calibration import calibrate
 from piga.cli.main import app
 from piga.earth import Site
 from piga.errors import ArgumentError, PigaError, RunFileError
+from piga.instrument import ErrorModel, Instrument
 from piga.instrument.electronics import Electronics, Temperature
-from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.twin_linear import UnstableDesignError
 from piga.instrument.twin_parameters import PRESETS
 from piga.records import read_run

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.electronics import (
     Electronics,
     Temperature,
@@ -21,8 +22,6 @@ from piga.instrument.electronics import (
     read_output,
     sampling_times,
 )
-from piga.instrument.parameters import ErrorModel, Instrument
-from piga.instrument.propagate import propagate
 from piga.instrument.twin import Start, TwinMotion, run_twin
 from piga.instrument.twin_linear import analyse_loop, require_stable
 from piga.instrument.twin_parameters import TwinParameters
