@@ -372,3 +372,11 @@ def test_unstable_design_has_no_manifold_but_can_be_forced():
     with pytest.raises(PigaError, match="no slow manifold"):
         run_twin(p, t, f)
     assert np.all(np.isfinite(run_twin(p, t, f, start="transient").alpha))
+
+
+@pytest.mark.skipif(SLOW_PYTHON, reason="a hundred thousand steps need compiled code")
+def test_motion_that_runs_away_ends_with_a_message():
+    p = TwinParameters(proportional_gain=3e5, stop_stiffness=0.0)
+    t, f, _ = constant((G0, G0, 0.0), 2.0, 1e-2)
+    with pytest.raises(PigaError, match=r"cannot be followed beyond t = .* too fast"):
+        run_twin(p, t, f, start="transient")

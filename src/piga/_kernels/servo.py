@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 STATES = 5
 STAGES = 12
+MAX_TRIES = 100_000
 
 
 class ServoConstants(NamedTuple):
@@ -204,8 +205,40 @@ def error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> t
         error = h * high * high / scale if scale > 0.0 else 0.0
         if j == 0:
             alpha_error = error
-        worst = max(worst, error / tolerance[j])
+        share = error / tolerance[j]
+        if not math.isfinite(share):
+            return math.inf, 0.0
+        worst = max(worst, share)
     return worst, alpha_error
+
+
+@kernel
+def try_step(
+    p: ServoConstants,
+    t: float,
+    x: Array,
+    f: Array,
+    o: Array,
+    i: int,
+    done: float,
+    step: float,
+    span: float,
+    noise: Array,
+    tableau: Array,
+    weights: Array,
+    nodes: Array,
+    K: Array,
+    y: Array,
+) -> None:
+    """One step from ``x``, ``done`` after node ``i`` at time ``t``: stages into ``K``, new state into ``y``."""
+    for s in range(1, STAGES + 1):
+        for j in range(STATES):
+            total = 0.0
+            for m in range(s):
+                total += (tableau[s, m] if s < STAGES else weights[m]) * K[m, j]
+            y[j] = x[j] + step * total
+        now = done + (nodes[s] if s < STAGES else 1.0) * step
+        at(p, t + now, y, f, o, i, now / span, span, noise, K[s])
 
 
 @kernel
@@ -228,7 +261,8 @@ def integrate(
     """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
 
     Returns the step for going on [s], the sum of the local errors of alpha [rad], the number of steps
-    taken, and the node at which the step became smaller than 1e-13 of the interval (else -1).
+    taken, and the node after which the step became smaller than 1e-13 of the interval or ``MAX_TRIES``
+    steps did not reach the next node (else -1).
     """
     K = np.empty((STAGES + 1, STATES))
     y = np.empty(STATES)
@@ -236,20 +270,13 @@ def integrate(
     for j in range(STATES):
         out[0, j] = x[j]
     for i in range(t.shape[0] - 1):
-        span, done = t[i + 1] - t[i], 0.0
+        span, done, tries = t[i + 1] - t[i], 0.0, 0
         at(p, t[i], x, f, o, i, 0.0, span, noise, K[0])
         while done < span:
             rest = span - done
             step = rest if h >= rest else (0.5 * rest if 2.0 * h > rest else h)
-            for s in range(1, STAGES + 1):
-                for j in range(STATES):
-                    total = 0.0
-                    for m in range(s):
-                        total += (tableau[s, m] if s < STAGES else weights[m]) * K[m, j]
-                    y[j] = x[j] + step * total
-                c = nodes[s] if s < STAGES else 1.0
-                now = done + c * step
-                at(p, t[i] + now, y, f, o, i, now / span, span, noise, K[s])
+            tries += 1
+            try_step(p, t[i], x, f, o, i, done, step, span, noise, tableau, weights, nodes, K, y)
             ratio, alpha_error = error_ratio(K, E3, E5, step, tolerance)
             factor = 5.0 if ratio < 1e-7 else min(5.0, max(0.2, 0.9 * ratio ** (-0.125)))
             if ratio <= 1.0:
@@ -262,8 +289,8 @@ def integrate(
                 h = max(h, step * factor) if step < h else step * factor
             else:
                 h = step * min(factor, 0.9) if math.isfinite(ratio) else step * 0.1
-                if h < 1e-13 * span:
-                    return h, total_error, steps, i
+            if h < 1e-13 * span or tries == MAX_TRIES:
+                return h, total_error, steps, i
         for j in range(STATES):
             out[i + 1, j] = x[j]
     return h, total_error, steps, -1

@@ -145,7 +145,7 @@ def _run(
     )  # fmt: skip
     if failed >= 0:
         raise PigaError(
-            f"the twin's motion cannot be followed beyond t = {t[failed]:.6g} s: the step became too small",
+            f"the twin's motion cannot be followed beyond t = {t[failed]:.6g} s: it is too fast",
             remedy="the design is unstable or too stiff; look at its linear analysis",
         )
     return states, float(error), int(steps)

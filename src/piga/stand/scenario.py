@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
+from piga.instrument import ErrorModel, Instrument
 from piga.instrument.electronics import Electronics, Temperature
-from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.twin_parameters import twin_parameters
 from piga.records.terms import UNITS, harmonic, unit_of
 from piga.records.toml_file import read_toml

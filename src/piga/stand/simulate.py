@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.electronics import (
     Electronics,
     Temperature,
@@ -21,10 +22,8 @@ from piga.instrument.electronics import (
     read_output,
     sampling_times,
 )
-from piga.instrument.parameters import ErrorModel, Instrument
-from piga.instrument import propagate
 from piga.instrument.twin import Start, TwinMotion, run_twin
-from piga.instrument.twin_linear import require_stable
+from piga.instrument.twin_linear import analyse_loop, require_stable
 from piga.instrument.twin_parameters import TwinParameters
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
@@ -133,7 +132,7 @@ def simulate_test(
         Step of the grid on which the stand's motion is sampled [s], rounded down to divide the sample
         interval; None: what the stand's fastest motion needs.
     force:
-        Simulate an unstable servo loop as well.
+        Simulate an unstable servo loop as well; having no slow manifold, it starts with its transient.
 
     Raises
     ------
@@ -249,8 +248,10 @@ def _twin_motion(
     force: bool,
 ) -> TwinMotion:
     p = specimen.design
+    stable = force and analyse_loop(p).stable
     if not force:
         require_stable(p)
+        stable = True
     own = specimen.error_model
     if specimen.harmonics or own.s1 or own.c1:
         raise ArgumentError(
@@ -267,7 +268,9 @@ def _twin_motion(
         walk = random_walk(streams[0], size, grid, e.angle_random_walk)
         noise[:-1, 1] = -p.angular_momentum * np.diff(walk) / grid
     noise[:, 2] = held_noise(streams[2], size, grid, p.pick_off_noise)
-    return run_twin(p, profile.t, felt, profile.base_rate, noise=noise, start=specimen.start)
+    return run_twin(
+        p, profile.t, felt, profile.base_rate, noise=noise, start=specimen.start if stable else "transient"
+    )
 
 
 def _read(
