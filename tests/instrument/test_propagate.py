@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import piga
-from piga.instrument import ErrorModel, Instrument, closed_form, propagate
+from piga._kernels.motion import split_turns
+from piga.instrument import ErrorModel, Instrument, closed_form, propagate, propagate_rate
 from piga.units import G0
 
 from .references import EPS, constant_cases, linear_records
@@ -150,6 +152,16 @@ def test_a_million_samples_do_not_lose_the_angle():
     assert alpha[-1] == pytest.approx(reference, abs=2e-12)
 
 
+def test_a_thousand_million_turns_before_leave_the_fraction_alone():
+    start = 2.0**33  # rad; as a float64 the angle resolves 2e-6 rad here
+    turns, rest = split_turns(start)
+    assert turns > 1.3e9
+    t, f = np.arange(300) * 0.02, np.random.default_rng(3).normal(0.0, 20.0, (300, 3))
+    far, near = Instrument(0.09, 0.02, start), Instrument(0.09, 0.02, rest)
+    assert np.array_equal(propagate_rate(far, t, f), propagate_rate(near, t, f))
+    assert np.abs(propagate(far, t, f) - start - (propagate(near, t, f) - rest)).max() < 4e-6
+
+
 def piga_jit_is_off():
     import numba
 
@@ -201,6 +213,18 @@ def test_composition(force, alpha0, cut):
 def test_one_sample_and_zero_force():
     assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]]), [0.4])
     assert propagate(INST, [0.0, 1.0], np.zeros((2, 3))) == pytest.approx([0.4, 0.4], abs=1e-16)
+
+
+@pytest.mark.parametrize("with_rate", [False, True])
+def test_no_memory_is_taken_beside_the_output(with_rate):
+    n = 20_000 if piga_jit_is_off() else 500_000
+    t, f, omega = np.arange(n) * 1e-3, np.ones((n, 3)), np.zeros((n, 3))
+    propagate(INST, t[:9], f[:9], omega[:9], with_rate=with_rate)
+    tracemalloc.start()
+    result = propagate(INST, t, f, omega, with_rate=with_rate)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak - np.asarray(result).nbytes < 100_000
 
 
 @pytest.mark.parametrize(

@@ -34,11 +34,11 @@ def unwrapped(turns: float, rest: float) -> float:
     return turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest)
 
 
-@kernel
+@exact
 def split_turns(alpha: float) -> tuple[float, float]:
-    """Nearest whole turns of ``alpha`` [rad] and the rest in [-pi, pi]."""
-    turns = np.rint(alpha / TWO_PI)
-    return turns, (alpha - turns * TWO_PI_HIGH) - turns * TWO_PI_LOW
+    """Nearest whole turns of ``alpha`` [rad] and the rest in [-pi, pi], exact for any float64 angle."""
+    turns, half_rest = dd.remainder_pi((0.5 * alpha, 0.0))
+    return turns, 2.0 * half_rest
 
 
 @kernel
