@@ -36,7 +36,10 @@ def test_phase_error_fits_its_uncertainty():
 def test_phase_is_found_on_line_once_the_output_has_turned():
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}, angle_rms=1e-4)
     run, finder = rest_record(0.4, 1e-4, 1), PhaseFinder(cal)
-    phases = [finder.push(run.t[i : i + 50], run.output[i : i + 50], run.f[i : i + 50, 1], run.f[i : i + 50, 2]) for i in range(0, 1500, 50)]
+    phases = [
+        finder.push(run.t[i : i + 50], run.output[i : i + 50], run.f[i : i + 50, 1], run.f[i : i + 50, 2])
+        for i in range(0, 1500, 50)
+    ]
     assert phases[0] is None
     assert phases[-1].std < phases[15].std
     assert abs(phases[-1].value - identify_phase(run, cal, 30.0).value) < 1e-9

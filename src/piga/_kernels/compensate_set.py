@@ -244,7 +244,7 @@ def misfit_far(rows: int, p: Array, w: Array) -> None:
 
 @kernel
 def misfit_samples(rows: int, p: Array, w: Array) -> None:
-    """Misfit of the effective-axis equation at samples (rate in the row at.HALF) [m/s^2], into the row INPUT."""
+    """Misfit of the effective-axis equation at samples (rate in the row HALF), into the row INPUT."""
     K, tangent = p[at.P_K], p[at.P_TAN_BETA]
     inverse = 1.0 / K
     for j in range(1, rows + 1):

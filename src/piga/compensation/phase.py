@@ -40,7 +40,9 @@ class PhaseFinder:
         self._model: Model = make_model(calibration, phase=Phase(0.0))
         p = self._model.parameters
         if self._model.tan_beta == 0.0 and p[at.P_OFFSET_Y] == 0.0 and p[at.P_OFFSET_Z] == 0.0:
-            raise CalibrationError("the calibration has no cross-coupling: there is no phase to find", remedy="leave it out")
+            raise CalibrationError(
+                "the calibration has no cross-coupling: there is no phase to find", remedy="leave it out"
+            )
         self._white, self._walk = max(float(p[at.P_WHITE]), 1e-24), float(p[at.P_WALK])
         self._normal = np.zeros((4, 4))
         self._whitener, self._variance = np.zeros(4), 0.0
@@ -71,7 +73,14 @@ class PhaseFinder:
         coupling = p[at.P_K] * p[at.P_TAN_BETA]
         sine, cosine = np.empty(h.size), np.empty(h.size)
         coupling_columns(
-            psi, coupling * y + p[at.P_OFFSET_Y], coupling * z + p[at.P_OFFSET_Z], h, np.zeros(h.size), 1.0, cosine, sine
+            psi,
+            coupling * y + p[at.P_OFFSET_Y],
+            coupling * z + p[at.P_OFFSET_Z],
+            h,
+            np.zeros(h.size),
+            1.0,
+            cosine,
+            sine,
         )
         rows = np.stack((h, sine, cosine, turn))
         carry, scale, white = np.empty(h.size), np.empty(h.size), np.empty_like(rows)
@@ -115,7 +124,8 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
     found = finder.push(record.t[rows], psi[rows], record.f[rows, 1], record.f[rows, 2])
     if found is None:
         raise CalibrationError(
-            f"{record.source}: the output does not turn once in the first {duration:g} s", remedy="take a longer time at rest"
+            f"{record.source}: the output does not turn once in the first {duration:g} s",
+            remedy="take a longer time at rest",
         )
     if not found.std < USELESS:
         raise CalibrationError(
