@@ -29,7 +29,7 @@ def load_instrument(
 ) -> None:  # fmt: skip
     """Samples of one instrument, its angles, effective axes and harmonics."""
     n, rows = t.size, angle.padded(t.size)
-    angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, state, w)
+    angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, False, state, w)
     angle.find_steps(n, begins, state[at.S_VALID] != 0.0, w)
     if rate.size:
         single.take_angles(n, psi, rate, w)
@@ -56,8 +56,8 @@ def load_instrument(
 
 @exact
 def solve_rounds(
-    n: int, count: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array, weights: Array,
-    w: Array, c: Array,
+    n: int, count: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array,
+    weights: Array, w: Array, c: Array,
 ) -> None:  # fmt: skip
     """Force of the block by rounds of least squares on the exact equations."""
     rows = angle.padded(n)
@@ -132,9 +132,9 @@ def compensate_set(
 ) -> None:
     """Specific force (n, 3) [m/s^2] in the common frame and velocity increments (n, 3) [m/s].
 
-    ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only; ``omega`` (N, n or 0, 3); ``temperature`` (N, n or 0);
-    ``u`` (n, 3) or (0, 3): not wanted. ``residual`` is the root of the sum of squared misfits [m/s^2], a fault is
-    flagged where the weighted sum exceeds ``threshold``.
+    ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only; ``omega`` (N, n or 0, 3); ``temperature`` (N, n or
+    0); ``u`` (n, 3) or (0, 3): not wanted. ``residual`` is the root of the sum of squared misfits [m/s^2], a
+    fault is flagged where the weighted sum exceeds ``threshold``.
     """
     count = psi.shape[0]
     sampled = rate.shape[1] > 0
@@ -146,9 +146,9 @@ def compensate_set(
         stop = start + n
         for i in range(count):
             load_instrument(
-                t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop], omega[i, start:stop],
-                temperature[i, start:stop], parameters[i], axes[i], orders[i], sines[i], cosines[i], states[i],
-                zeros, w[i],
+                t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop],
+                omega[i, start:stop], temperature[i, start:stop], parameters[i], axes[i], orders[i],
+                sines[i], cosines[i], states[i], zeros, w[i],
             )  # fmt: skip
         for axis in range(3):
             c[set_of.EARLY_X + axis * at.STRIDE] = set_state[axis]
@@ -166,36 +166,32 @@ def compensate_set(
                 invert_weighted(n, count, weights, w, c)
         for i in range(count):
             set_of.turn_force(angle.padded(n), axes[i], w[i], c)
-        write_set(n, sampled, w[0], c, force[start:stop], dv[start:stop], u[start:stop], residual[start:stop])
+        write_set(
+            n, sampled, w[0], c, force[start:stop], dv[start:stop], u[start:stop], residual[start:stop]
+        )  # fmt: skip
         flags[start:stop] = 0
         for i in range(count):
             terms.find_flags(
-                n,
-                parameters[i, at.P_TAN_BETA],
-                limits[i],
-                w[i],
-                base_flag,
-                temperature.shape[1] > 0,
+                n, parameters[i, at.P_TAN_BETA], limits[i], w[i], base_flag, temperature.shape[1] > 0,
                 block_flags,
-            )
+            )  # fmt: skip
             for j in range(n):
                 flags[start + j] |= block_flags[j]
-            angle.save_last(n, omega[i, start:stop], states[i], w[i])
-        for j in range(n):
-            if count > 3 and c[set_of.CHI + j + 1] > threshold:
-                flags[start + j] |= at.FAULT
-            if w[0, at.STEP + j + 1] == 0.0:
-                flags[start + j] = at.NO_INCREMENT | (flags[start + j] if sampled else 0)
-        set_state[0], set_state[1], set_state[2] = (
-            c[set_of.EARLY_X + n],
-            c[set_of.EARLY_Y + n],
-            c[set_of.EARLY_Z + n],
-        )
-        set_state[3], set_state[4], set_state[5] = (
-            c[set_of.FORCE_X + n],
-            c[set_of.FORCE_Y + n],
-            c[set_of.FORCE_Z + n],
-        )
+            angle.save_last(n, zeros[:n], zeros[:n], omega[i, start:stop], states[i], w[i])
+        flag_set(n, sampled, threshold if count > 3 else math.inf, w[0], c, flags[start:stop])
+        for axis in range(3):
+            set_state[axis] = c[set_of.EARLY_X + axis * at.STRIDE + n]
+            set_state[3 + axis] = c[set_of.FORCE_X + axis * at.STRIDE + n]
+
+
+@exact
+def flag_set(n: int, sampled: bool, threshold: float, w: Array, c: Array, flags: NDArray[np.int32]) -> None:
+    """Faults, and rows without an increment."""
+    for j in range(n):
+        if c[set_of.CHI + j + 1] > threshold:
+            flags[j] |= at.FAULT
+        if w[at.STEP + j + 1] == 0.0:
+            flags[j] = at.NO_INCREMENT | (flags[j] if sampled else 0)
 
 
 @exact

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from piga.compensation.model import Phase
 from piga.compensation.triad import Mounted
 from piga.errors import RunFileError
 from piga.records import Calibration, Run, read_run, read_toml
-from piga.records.run_file import Quantity, Table
+from piga.records.run_file import Quantity
 from piga.units import to_si
 
 Row = tuple[float, float, float]
 
 
-class TriadInstrument(Table):
+class TriadInstrument(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """``[[triad.instrument]]``: run, calibration and axes (rows X0, Y0, Z0 in the common frame)."""
 
     run: str
@@ -25,13 +26,13 @@ class TriadInstrument(Table):
     phase: Quantity | None = None
 
 
-class TriadTable(Table):
+class TriadTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """``[triad]``."""
 
     instrument: tuple[TriadInstrument, ...]
 
 
-class TriadFile(Table):
+class TriadFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A whole triad file."""
 
     triad: TriadTable
