@@ -43,8 +43,8 @@ def calibration(values: dict[str, float], std: dict[str, float]) -> Calibration:
     found = tuple(Coefficient(name, v, std.get(name, 0.0), unit_of(name)) for name, v in values.items())
     return Calibration(
         "bench", 0.8884 / 9.80665, tuple(n for n in values if n != "phi"), "shared", "output", "information",
-        found, np.diag([c.std**2 for c in found]), 1.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, Quality(1, 1, 0), 1.0, (), (),
-        {}, (),
+        found, np.diag([c.std**2 for c in found]), 1.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, Quality(1, 1, 0), 1.0,
+        (), (), {}, (),
         Provenance({}, "bench", "2026-01-01T00:00:00Z"),
     )  # fmt: skip
 
@@ -113,8 +113,11 @@ def triad() -> None:
     cal = calibration({"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}, {})
     mounted = [Mounted(cal, np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
     psi, rate = np.tile(data["psi"], (3, 1)), np.tile(data["rate"], (3, 1))
-    for title, sampled in (("samples of angle and rate", True), ("angles", False)):
-        stream = SetCompensator(mounted, sampled=sampled, uncertainty=False)
+    for title, sampled, flags in (
+        ("samples of angle and rate", True, False), ("the same with flags", True, True),
+        ("angles", False, False),
+    ):  # fmt: skip
+        stream = SetCompensator(mounted, sampled=sampled, uncertainty=False, flags=flags)
         spent = best(
             lambda stream=stream, sampled=sampled: stream.push(data["t"], psi, rate=rate if sampled else None)
         )

@@ -97,7 +97,9 @@ class SetCompensator:
     sampled:
         True when angle and rate are recorded: the force is that at the samples. False: angles only, the force
         is the mean over each interval.
-    uncertainty, max_age_days, limits:
+    uncertainty, flags:
+        Whether these columns are computed.
+    max_age_days, limits:
         As for one instrument.
 
     Raises
@@ -113,12 +115,13 @@ class SetCompensator:
         sampled: bool = False,
         time_reference: float = 0.0,
         uncertainty: bool = True,
+        flags: bool = True,
         limits: Limits | None = None,
         max_age_days: float | None = None,
     ) -> None:
         self._axes = np.array([_rotation(item.axes, i) for i, item in enumerate(instruments)])
         _check_spread(self._axes)
-        self._sampled, self._uncertainty = sampled, uncertainty
+        self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
         models = [
             make_model(
                 item.calibration,
@@ -182,7 +185,14 @@ class SetCompensator:
             raise ArgumentError("temperature: a calibration has temperature terms", remedy="give it")
         marks = np.zeros(n, dtype=np.bool_) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
-        found = CompensatedSet(time, np.empty((n, 3)), np.empty((n, 3)), u, np.empty(n), np.zeros(n, np.int32))
+        found = CompensatedSet(
+            time,
+            np.empty((n, 3)),
+            np.empty((n, 3)),
+            u,
+            np.empty(n),
+            np.zeros(n if self._flags else 0, np.int32),
+        )
         parameters, has_terms, orders, sines, cosines, codes, factors, limits = self._arrays
         set_kernel(
             time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines,
