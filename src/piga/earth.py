@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ GRAVITY_POLE = 9.8321849379
 """Normal gravity on the ellipsoid at the poles [m/s^2]."""
 
 
-def normal_gravity(latitude: float | NDArray[np.float64], height: float | NDArray[np.float64] = 0.0):
+def normal_gravity(latitude: float | NDArray[np.float64], height: float | NDArray[np.float64] = 0.0) -> Any:
     """Normal gravity [m/s^2] at geodetic ``latitude`` [rad] and ellipsoidal ``height`` [m].
 
     Somigliana's closed formula on the ellipsoid with the second-order expansion in height

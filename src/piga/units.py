@@ -155,7 +155,7 @@ class _UnitParser:
 
     def atom(self) -> tuple[float, tuple[float, ...]]:
         token = self.take()
-        if token == "sqrt" or token == "(":
+        if token in ("sqrt", "("):
             if token == "sqrt" and self.take() != "(":
                 raise UnitError(f"unit '{self.text}': 'sqrt' needs parentheses")
             factor, dimension = self.expression()

@@ -48,7 +48,9 @@ def residuals(rows=1200, seed=1, white=2.2 * ARCSEC, walk=1.2 * ARCSEC, order_2=
         offset = K * 1.6e-3 * G0 * (t - t[0]) + 1.2e-4 * K * G0 * math.cos(x) * (t - t[0])
         after = noise - np.polyval(np.polyfit(t, noise, 1), t) + planted
         before = noise + planted + coupled + offset
-        parts.append((t + 70.0 * segment, psi, np.full(rows, G0 * math.cos(x)), before, after, np.full(rows, segment)))
+        parts.append(
+            (t + 70.0 * segment, psi, np.full(rows, G0 * math.cos(x)), before, after, np.full(rows, segment))
+        )
     t, psi, a_x, before, after, segment = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Residuals(
         row=np.arange(1, t.size + 1),
@@ -103,13 +105,13 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
         {
             "source": "Reference scale",
             "type": "B",
-            "input": "10 ppm",
+            "standard_uncertainty": {"value": 10.0, "unit": "ppm"},
             "contributions": {"scale_factor": 8.9e-6, "k0": 1.6e-8},
         },
         {
             "source": "Reference misalignment",
             "type": "B",
-            "input": "2 arcsec",
+            "standard_uncertainty": {"value": 2.0, "unit": "arcsec"},
             "contributions": {"m_Y": 9.7e-6, "tan_beta": 1.1e-8},
         },
     )

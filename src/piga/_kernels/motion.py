@@ -1,4 +1,4 @@
-r"""Exact motion of the outer gimbal: one step of the half-angle pair, and records of steps.
+r"""Exact motion of the outer gimbal: one step of the half-angle pair, of any size.
 
 With ``(P, Q) = (sin(alpha/2), cos(alpha/2))`` up to a common factor, equation (2) of the package
 docstring is linear,
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import double_double as dd
 from piga._kernels.jit import exact, kernel
+from piga._kernels.trig import double_arctangent
 
 Array = NDArray[np.float64]
 
@@ -99,53 +100,25 @@ def advance(
     if q1 < 0.0:
         scale = -scale
     p1, q1 = p1 * scale, q1 * scale
-    rest1 = 2.0 * math.atan2(p1, q1)
+    rest1 = double_arctangent(p1, q1)
     turns1 = turns + half_turns(x, A) + np.rint((rest + increment - rest1) / TWO_PI)
     return turns1, rest1, p1, q1
 
 
 @kernel
-def propagate_samples(
-    t: Array,
-    f: Array,
-    base_rate: Array,
-    extra: Array,
-    extra_mean: Array,
-    K: float,
-    tan_beta: float,
-    offset_y: float,
-    offset_z: float,
-    state: Array,
-    alpha: Array,
-    rate: Array,
-) -> None:
-    """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
+def propagate_steps(steps: Array, until: NDArray[np.int64], state: Array, alpha: Array) -> None:
+    """Unwrapped angle [rad] after the first ``until[k]`` of the steps ``A, Y, Z`` (m, 3) [rad].
 
-    ``base_rate`` (n, 3) or (0, 3); ``extra`` [rad/s] is added to ``u_x`` at the samples and
-    ``extra_mean`` [rad/s] to its mean over each step (both may be empty); ``rate`` may be empty.
-    ``state`` holds turns and rest [rad] and is updated.
+    ``state``: turns, P, Q at the start.
     """
-    turns, rest = state[0], state[1]
-    p, q = math.sin(0.5 * rest), math.cos(0.5 * rest)
-    a0 = y0 = z0 = 0.0
-    for k in range(t.size):
-        a, y, z = K * f[k, 0], K * f[k, 1], K * f[k, 2]
-        if base_rate.shape[0]:
-            a, y, z = a - base_rate[k, 0], y - base_rate[k, 1], z - base_rate[k, 2]
-        if extra.size:
-            a += extra[k]
-        y, z = tan_beta * y + offset_y, tan_beta * z + offset_z
-        if k:
-            h = t[k] - t[k - 1]
-            A, Y, Z = magnus_increments(h, a0, y0, z0, a, y, z)
-            if extra_mean.size:
-                A += h * extra_mean[k - 1]
-            turns, rest, p, q = advance(turns, rest, p, q, A, Y, Z)
+    turns, p, q = state[0], state[1], state[2]
+    rest = double_arctangent(p, q)
+    done = 0
+    for k in range(until.size):
+        for j in range(done, until[k]):
+            turns, rest, p, q = advance(turns, rest, p, q, steps[j, 0], steps[j, 1], steps[j, 2])
+        done = until[k]
         alpha[k] = unwrapped(turns, rest)
-        if rate.size:
-            rate[k] = a + y * (2.0 * p * q) - z * (q * q - p * p)
-        a0, y0, z0 = a, y, z
-    state[0], state[1] = turns, rest
 
 
 @exact
@@ -199,3 +172,20 @@ def constant_motion_at(rates: Array, t: Array, turns: float, rest: float, result
     a, y, z = (rates[0, 0], rates[0, 1]), (rates[1, 0], rates[1, 1]), (rates[2, 0], rates[2, 1])
     for k in range(t.size):
         result[0, k], result[1, k], result[2, k] = constant_motion(a, y, z, t[k], turns, rest)
+
+
+@exact
+def segment_motion(
+    t: Array, f: Array, base_rate: Array, K: float, tan_beta: float, turns: float, rest: float, ends: Array
+) -> None:
+    """Rows turns, rest [rad] and rate [rad/s] of ``ends`` (3, n) at the ends of constant segments.
+
+    ``t`` (n,) durations [s], ``f`` and ``base_rate`` (n, 3) of the segments [m/s^2], [rad/s].
+    """
+    for k in range(t.size):
+        a = dd.add(dd.two_product(K, f[k, 0]), (-base_rate[k, 0], 0.0))
+        y = dd.add(dd.two_product(K, f[k, 1]), (-base_rate[k, 1], 0.0))
+        z = dd.add(dd.two_product(K, f[k, 2]), (-base_rate[k, 2], 0.0))
+        y, z = dd.multiply(y, (tan_beta, 0.0)), dd.multiply(z, (tan_beta, 0.0))
+        turns, rest, rate = constant_motion(a, y, z, t[k], turns, rest)
+        ends[0, k], ends[1, k], ends[2, k] = turns, rest, rate

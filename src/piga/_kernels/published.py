@@ -14,7 +14,14 @@ Array = NDArray[np.float64]
 
 @kernel
 def published_recursion(
-    indicated: Array, a_x: Array, a_t: Array, s: Array, x: Array, P: Array, marks: NDArray[np.int64], history: Array
+    indicated: Array,
+    a_x: Array,
+    a_t: Array,
+    s: Array,
+    x: Array,
+    P: Array,
+    marks: NDArray[np.int64],
+    history: Array,
 ) -> float:
     """Run the recursion over all samples; ``x`` and ``P`` are updated in place.
 

@@ -48,8 +48,10 @@ def half_angle_moments(x: float) -> tuple[float, float, float]:
     """
     x2 = x * x
     if x2 < 0.25:
-        j0 = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0 * (1.0 - x2 / 110.0))))
-        ratio = (1.0 - x2 / 10.0 * (1.0 - x2 / 28.0 * (1.0 - x2 / 54.0 * (1.0 - x2 / 88.0 * (1.0 - x2 / 130.0))))) / 3.0
+        j0 = 1.0 - x2 / 110.0 * (1.0 - x2 / 156.0)
+        j0 = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0 * j0)))
+        ratio = 1.0 - x2 / 130.0 * (1.0 - x2 / 180.0)
+        ratio = (1.0 - x2 / 10.0 * (1.0 - x2 / 28.0 * (1.0 - x2 / 54.0 * (1.0 - x2 / 88.0 * ratio)))) / 3.0
         return j0, x * ratio, 2.0 * ratio
     sine, cosine = math.sin(x), math.cos(x)
     j1 = (sine - x * cosine) / x2
@@ -94,7 +96,9 @@ def _odd_square_mean(a0: float, a1: float) -> float:
 
 
 @kernel
-def product_column(code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array) -> None:
+def product_column(  # noqa: C901, PLR0912 - a flat table of integrands, one line each
+    code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array
+) -> None:
     """Integral over each interval of the force-only term ``code`` (see ``CODES``), exact for linear input.
 
     ``f`` has shape (3, n + 1); ``t`` and ``temperature`` are already relative to their references.

@@ -99,9 +99,9 @@ def absorb_rows(R: Array, columns: Array, marks: NDArray[np.int64], snapshots: A
 def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
     """Gather ``rows`` (2, n, m) of weights ``row_weight`` (2, n) into ``U' W U``, all in double-double.
 
-    Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) holds W (high and low parts), ``unit`` (2, m, m) the unit upper triangular U. With
-    ``R = sqrt(W) U`` this is the triangular factor. Each row x of weight w: for pivot j,
-    ``W' = W + w x_j^2``, ``x_k -= x_j U_jk``, ``U_jk += (w x_j / W') x_k``, ``w' = w W / W'``.
+    Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) holds W, ``unit``
+    (2, m, m) the unit upper triangular U; ``R = sqrt(W) U`` is the triangular factor. For each row x of
+    weight w and each pivot j: ``W' = W + w x_j^2``, ``x_k -= x_j U_jk``, ``U_jk += (w x_j / W') x_k``, ``w' = w W / W'``.
     """
     n, m = rows.shape[1], rows.shape[2]
     for i in range(n):

@@ -23,7 +23,9 @@ LANES = 8
 
 
 @kernel
-def innovation_weights(h: Array, white: float, walk: float, previous: float, carry: Array, scale: Array) -> float:
+def innovation_weights(
+    h: Array, white: float, walk: float, previous: float, carry: Array, scale: Array
+) -> float:
     """Weights of the recursion for one block.
 
     ``white`` = r, ``walk`` = q. ``previous`` is the variance of the last innovation before the block (0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from piga.calibration.identifiability import (
     refuse_useless,
 )
 from piga.calibration.noise import Noise, find_noise, starting_noise
-from piga.calibration.published import PublishedResult, run_published
+from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
@@ -112,22 +112,24 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
     mode = weighting_mode(design, request.method)
     if design.rows <= len(design.names) + len(set(groups)):
         raise CalibrationError(
-            f"the record has {design.rows} increments for {len(design.names)} parameters", remedy="record longer"
+            f"the record has {design.rows} increments for {len(design.names)} parameters",
+            remedy="record longer",
         )
     given = _given_noise(request)
     steps = np.diff(run.t)[~run.begins[1:]]
     noise = given or starting_noise(run.resolution, float(np.median(steps)))
-    for _ in range(MAX_REFITS):
+    for refit in range(MAX_REFITS):
         summaries = reduce_segments(design, mode, noise)
         examination = examine(design, summaries, per_segment)
         refuse_if_confounded(examination)
         solution = solve(design, summaries, groups)
         refined = design.with_scale_factor(_scale_factor(design, solution))
-        found = given or _noise_of(design, solution, noise, mode)
+        found = given or _noise_of(design, solution, mode, noise if refit else None)
         settled = refined is design and (mode != "increments" or found.close_to(noise, float(np.median(steps))))
-        noise, design = found, refined
         if settled:
+            noise = noise if mode == "increments" else found
             break
+        noise, design = found, refined
     covariance = _covariance(design, mode, noise, solution, groups)
     return Fit(design, mode, noise, summaries, solution, covariance, examination)
 
@@ -146,7 +148,7 @@ def _scale_factor(design: Design, solution: Solution) -> float:
     return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
 
 
-def _noise_of(design: Design, solution: Solution, noise: Noise, mode: str) -> Noise:
+def _noise_of(design: Design, solution: Solution, mode: str, near: Noise | None = None) -> Noise:
     d, h = residual_increments(design, solution.values)
     parameters = len(solution.amplitudes) + len(solution.phases)
     if mode == "samples":
@@ -154,7 +156,7 @@ def _noise_of(design: Design, solution: Solution, noise: Noise, mode: str) -> No
         step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
         return Noise(0.0, variance * step)
     scale = float(np.abs(design.run.output).max())
-    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3))
+    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near)
 
 
 def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]) -> Array:
@@ -216,10 +218,9 @@ def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
     rows, samples = [], []
     keys: tuple[str, ...] = ()
     for mark, summaries, seen in recursive_history(fit.design, fit.mode, fit.noise, groups):
-        try:
-            solution = solve(fit.design, summaries, seen)
-        except np.linalg.LinAlgError:
+        if examine(fit.design, summaries, max(groups) > 0).null_terms:
             continue
+        solution = solve(fit.design, summaries, seen)
         named, covariance = name_coefficients(fit.design, solution, solution.covariance, per_segment=False)
         plain = [i for i, c in enumerate(named) if c.name != "phi" or max(groups) == 0]
         keys = tuple(named[i].key for i in plain)
@@ -276,11 +277,11 @@ def _assemble(
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(values @ values / values.size))
 
 
 def _provenance(run: Run, request: Request) -> Provenance:
-    created = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    created = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     options = {"source": run.source, "noise_given": request.angle_rms is not None}
     return Provenance(dict(run.input_sha256), f"piga {__version__}", created, options)
 
@@ -303,13 +304,17 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     design = Design(run, linear_request, run.scale_factor)
     linear = _linear_values(design, dict(zip(found.names, values, strict=True)))
     mode = weighting_mode(design, "rate")
-    noise = _noise_of(design, _fixed_solution(design, linear), Noise(1e-12, 0.0), mode)
+    noise = _noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
-    fit = Fit(design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ()))
+    fit = Fit(
+        design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ())
+    )
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (_budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
+    std_budget = (
+        _budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),
+    )
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 

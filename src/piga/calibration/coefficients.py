@@ -35,7 +35,7 @@ def name_coefficients(
         if at_scale is not None:
             jacobian[i, at_scale] = -values[i] / scale_factor
     _make_tangent_positive(design, values, jacobian, len(names))
-    keys = [(name, None) for name in names]
+    keys: list[tuple[str, str | None]] = [(name, None) for name in names]
     labels = design.run.labels[: phases.size] if per_segment else [None] * phases.size
     keys += [("phi", label) for label in labels]
     units = np.array([1.0 / si_factor(name) for name, _ in keys])

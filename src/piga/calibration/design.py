@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +116,9 @@ class Design:
     def _build(self, index: int) -> tuple[int, Block]:
         start, stop, segment = self._ranges[index]
         first = start if self.point else max(start - 1, 0)
-        window = np.arange(start, stop).repeat(2) if self.point else slice(first, stop)
+        window: slice | NDArray[np.int64] = slice(first, stop)
+        if self.point:
+            window = np.arange(start, stop).repeat(2)
         h, observation = self._observation(start, stop, first)
         columns = np.empty((len(self.names) + 1, h.size))
         columns[-1] = observation
@@ -146,7 +149,7 @@ class Design:
         y[h == 0.0] = 0.0
         return h, y
 
-    def _fill_local(self, columns: Array, window: object, force: Array, h: Array) -> None:
+    def _fill_local(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
         if not self.local_names:
             return
         psi = np.ascontiguousarray(self._psi[window])
@@ -167,7 +170,7 @@ class Design:
             columns[row], columns[row + 1] = self._every(sine), self._every(cosine)
             row += 2
 
-    def _fill_shared(self, columns: Array, window: object, force: Array, h: Array) -> None:
+    def _fill_shared(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
         t = np.ascontiguousarray(self._t[window])
         temperature = np.ascontiguousarray(self._temperature[window]) if self._temperature.size else t
         out = np.empty(h.size)
@@ -221,8 +224,8 @@ def _end_correction(rate: Array, step: Array) -> Array:
 def _ranges(run: Run) -> list[tuple[int, int, int]]:
     """Row ranges of the blocks: inside one segment, at most CHUNK rows; (start, stop, segment)."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(run.segment)) + 1, [run.size]))
-    ranges = []
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
-        for start in range(int(left), int(right), CHUNK):
-            ranges.append((start, min(start + CHUNK, int(right)), int(run.segment[left])))
+    ranges: list[tuple[int, int, int]] = []
+    for left, right in pairwise(edges):
+        segment, end = int(run.segment[left]), int(right)
+        ranges += [(start, min(start + CHUNK, end), segment) for start in range(int(left), end, CHUNK)]
     return ranges

@@ -34,7 +34,10 @@ _REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
     (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
     (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
-    (frozenset({"tan_beta"}), "the gimbal does not turn enough, or there is no transverse force: add revolutions"),
+    (
+        frozenset({"tan_beta"}),
+        "the gimbal does not turn enough, or there is no transverse force: add revolutions",
+    ),
 )
 
 
@@ -57,13 +60,15 @@ def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Ex
     With one phase per segment the coupling columns of all segments count as one direction each.
     """
     names = design.names
-    if per_segment and design.local_names:
-        total = _aligned(design, summaries)
-    else:
-        total = merged(summaries, list(range(len(summaries))))
+    turned = per_segment and bool(design.local_names)
+    total = _aligned(design, summaries) if turned else merged(summaries, list(range(len(summaries))))
     factor = total.factor[:-1, :-1]
     norms = np.linalg.norm(factor, axis=0)
-    zero = [term_of(name) for name, norm in zip(names, norms, strict=True) if norm <= 1e-14 * max(norms.max(), 1e-300)]
+    zero = [
+        term_of(name)
+        for name, norm in zip(names, norms, strict=True)
+        if norm <= 1e-14 * max(norms.max(), 1e-300)
+    ]
     if zero:
         return Examination(float("inf"), tuple(dict.fromkeys(zero)))
     _, singular, right = np.linalg.svd(factor / norms)
@@ -71,7 +76,9 @@ def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Ex
     if singular[-1] > RANK * singular[0]:
         return Examination(condition, ())
     weights = np.abs(right[-1])
-    named = [term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()]
+    named = [
+        term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()
+    ]
     return Examination(condition, tuple(dict.fromkeys(named)))
 
 
@@ -112,7 +119,9 @@ def _remedy(terms: set[str]) -> str:
     return "leave one of these terms out, or record other positions, levels or temperatures"
 
 
-def refuse_useless(coefficients: tuple[Coefficient, ...], largest: float, duration: float, spread: float) -> None:
+def refuse_useless(
+    coefficients: tuple[Coefficient, ...], largest: float, duration: float, spread: float
+) -> None:
     """Raise when an uncertainty is so large that the number means nothing.
 
     Parameters
@@ -168,14 +177,22 @@ def notes_in_words(
                 )
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
-            notes.append("tan_beta is not well above its uncertainty: phi is not determined, its interval is not valid")
+            notes.append(
+                "tan_beta is not well above its uncertainty: phi is not determined, its interval is not valid"
+            )
         elif coefficient.name not in ("phi", "scale_factor") and abs(coefficient.value) < 2.0 * coefficient.std:
-            notes.append(f"{coefficient.key} is smaller than twice its standard uncertainty: the record does not need it")
+            notes.append(
+                f"{coefficient.key} is smaller than twice its standard uncertainty: the record does not need it"
+            )
     loose = [c.segment for c in coefficients if c.name == "phi" and c.segment is not None and c.std > 0.5]
     if loose:
-        notes.append(f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns")
+        notes.append(
+            f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
+        )
     if condition > 1e5:
-        notes.append(f"the condition number {condition:.2g} is high: small errors of the reference are magnified")
+        notes.append(
+            f"the condition number {condition:.2g} is high: small errors of the reference are magnified"
+        )
     if phase == "per-segment" and not loose:
         notes.append("every segment has its own phase: nothing is assumed about the counter between segments")
     return tuple(notes)

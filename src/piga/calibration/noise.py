@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 LOWEST, HIGHEST = -10.0, 4.0
 """Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
 REFINEMENTS = 4
+"""Passes over the residuals; one less when the ratio is known to a decade."""
 
 
 @dataclass(frozen=True)
@@ -49,31 +50,44 @@ def starting_noise(resolution: float, step: float) -> Noise:
     return Noise(white, 0.01 * white / step)
 
 
-def find_noise(d: Array, h: Array, parameters: int, floor: float) -> Noise:
+def find_noise(d: Array, h: Array, parameters: int, floor: float, near: Noise | None = None) -> Noise:
     """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
 
     Maximises the likelihood of the first-order moving average (``estimation.md``) concentrated over its
     scale, on a grid of the ratio q/r refined ``REFINEMENTS`` times; the scale is made unbiased with
-    ``parameters`` fitted. ``floor`` [rad] is the smallest angle noise returned.
+    ``parameters`` fitted. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the
+    search to a decade around levels found before.
     """
     formed = h > 0.0
     count = int(np.count_nonzero(formed))
     step = float(np.median(h[formed]))
-    low, high = LOWEST, HIGHEST
+    low, high, passes = LOWEST, HIGHEST, REFINEMENTS
+    if near is not None and near.white > 0.0 and near.walk > 0.0:
+        centre = math.log10(near.walk * step / near.white)
+        low, high, passes = max(low, centre - 1.0), min(high, centre + 1.0), passes - 2
     best = low
-    objective = np.zeros(LANES)
-    for _ in range(REFINEMENTS):
+    for _ in range(passes):
         grid = np.linspace(low, high, LANES)
         log, square = _sums(d, h, 10.0**grid / step)
         objective = count * np.log(np.maximum(square, 1e-300) / count) + log
-        best = float(grid[int(np.argmin(objective))])
+        best = _minimum(grid, objective)
         spacing = (high - low) / (LANES - 1)
         low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
     ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
-    _, square = _sums(d, h, np.full(LANES, ratio))
-    white = float(square[0]) / max(count - parameters, 1)
+    white = float(_sums(d, h, np.full(LANES, ratio))[1][0]) / max(count - parameters, 1)
     white = max(white, floor**2 / (1.0 + ratio * step))
     return Noise(white, ratio * white)
+
+
+def _minimum(grid: Array, objective: Array) -> float:
+    """Grid point of the least objective, refined by the parabola through its neighbours."""
+    at = int(np.argmin(objective))
+    if at in (0, grid.size - 1):
+        return float(grid[at])
+    left, middle, right = objective[at - 1 : at + 2]
+    curvature = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
+    return float(grid[at] + shift * (grid[1] - grid[0]))
 
 
 def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
@@ -82,5 +96,10 @@ def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
     results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda item: likelihoods(*item[0], kappas, *item[1]), zip(parts, results, strict=True)))
+        jobs = [
+            pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])
+            for part, result in zip(parts, results, strict=True)
+        ]
+        for job in jobs:
+            job.result()
     return results[0][0] + results[1][0], results[0][1] + results[1][1]

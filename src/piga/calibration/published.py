@@ -33,7 +33,7 @@ class PublishedResult:
     names: tuple[str, ...]
     state: Array
     covariance: Array
-    samples: Array
+    samples: NDArray[np.int64]
     history: Array
     rms: float
     count: int
@@ -62,7 +62,9 @@ def run_published(run: Run, request: Request) -> PublishedResult:
     state[1] += gamma
     history[:, 1] += gamma
     count = s.size - state.size
-    return PublishedResult(names, state, covariance * total / count, marks, history, float(np.sqrt(total / s.size)), count)
+    return PublishedResult(
+        names, state, covariance * total / count, marks, history, float(np.sqrt(total / s.size)), count
+    )
 
 
 def _series(run: Run) -> tuple[Array, Array, Array]:

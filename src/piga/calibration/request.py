@@ -102,7 +102,9 @@ def _check_record(run: Run, request: Request) -> None:
             "phase_source 'input' predicts the phase through the whole record and needs phase = 'shared'",
             remedy="use phase_source = 'output'",
         )
-    if request.method == "published" and tuple(sorted(request.terms)) not in {tuple(sorted(t)) for t in PUBLISHED_TERMS}:
+    if request.method == "published" and tuple(sorted(request.terms)) not in {
+        tuple(sorted(t)) for t in PUBLISHED_TERMS
+    }:
         raise CalibrationError(
             "method 'published' estimates [tan_beta] or [tan_beta, k0, k1, k2], with the nominal scale factor",
             remedy="set the terms so, or use method 'information'",

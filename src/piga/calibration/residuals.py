@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga._kernels.statistics import lagged_products
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.weighting import Whitener, residual_increments
@@ -62,11 +64,15 @@ def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary,
     run = design.run
     edges = np.concatenate(([0], np.flatnonzero(np.diff(run.segment)) + 1, [run.size]))
     rows = []
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in pairwise(edges):
         part = slice(int(left), int(right))
         inside = ~run.begins[part][1:]
         h = np.diff(run.t[part])
-        turned = h * 0.5 * (run.output[part][1:] + run.output[part][:-1]) if design.point else np.diff(run.output[part])
+        turned = (
+            h * 0.5 * (run.output[part][1:] + run.output[part][:-1])
+            if design.point
+            else np.diff(run.output[part])
+        )
         rows.append(
             SegmentSummary(
                 label=run.labels[int(run.segment[left])],
@@ -83,7 +89,7 @@ def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary,
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(values @ values / values.size))
 
 
 def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
@@ -99,9 +105,12 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     if n < 50:
         return {"samples": n}
     centred = x - x.mean()
-    variance = float(np.mean(centred**2))
+    square = centred * centred
+    variance = float(square.mean())
     lags = min(20, n // 5)
-    correlation = np.array([float(centred[k:] @ centred[:-k]) / (n * variance) for k in range(1, lags + 1)])
+    products = np.zeros(lags + 1)
+    lagged_products(centred, products)
+    correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
     return {
@@ -111,7 +120,9 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
         "ljung_box": statistic,
         "ljung_box_lags": lags,
         "ljung_box_probability": probability,
-        "skewness": float(np.mean(centred**3) / variance**1.5),
-        "excess_kurtosis": float(np.mean(centred**4) / variance**2 - 3.0),
-        "verdict": "white" if probability > 1e-3 else "not white: the model or the noise description misses something",
+        "skewness": float(square @ centred) / n / variance**1.5,
+        "excess_kurtosis": float(square @ square) / n / variance**2 - 3.0,
+        "verdict": "white"
+        if probability > 1e-3
+        else "not white: the model or the noise description misses something",
     }

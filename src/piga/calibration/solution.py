@@ -254,7 +254,7 @@ def _inverse_information(R: Array) -> Array:
     """``(R'R)^-1`` with a column scaling; a phase that the record does not hold gets the circle's spread."""
     scale = np.linalg.norm(R, axis=0)
     scale[scale == 0.0] = 1.0
-    q, r = np.linalg.qr(R / scale)
+    _, r = np.linalg.qr(R / scale)
     diagonal = np.abs(np.diag(r))
     if diagonal.min() < 1e-13:
         return np.linalg.pinv(r.T @ r, rcond=1e-13) / np.outer(scale, scale)

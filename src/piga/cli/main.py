@@ -8,8 +8,12 @@ import traceback
 import typer
 
 from piga._version import __version__
+from piga.cli import platform
+from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
 from piga.cli.compensate import compensate
+from piga.cli.demo import demo
+from piga.cli.simulate import simulate
 from piga.errors import PigaError
 
 app = typer.Typer(
@@ -38,7 +42,9 @@ def _options(
     pass
 
 
-app.command()(compensate)
+for command in (demo, check, calibrate, compensate, simulate):
+    app.command()(command)
+app.add_typer(platform.app)
 
 
 def main() -> None:

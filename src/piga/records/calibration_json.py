@@ -125,7 +125,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     def angle(value: float) -> dict[str, Any]:
         return {"value": value, "unit": unit}
 
-    document = {
+    return {
         "schema": SCHEMA,
         "instrument": {
             "serial": c.serial,
@@ -165,7 +165,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "uncertainty_budget": list(c.budget),
         "provenance": msgspec.to_builtins(c.provenance),
     }
-    return document
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -202,7 +201,9 @@ def read_calibration(path: Path) -> Calibration:
         phase=document.model.phase,
         phase_source=document.model.phase_source,
         method=document.model.method,
-        coefficients=tuple(Coefficient(c.name, c.value, c.std, c.unit, c.segment) for c in document.coefficients),
+        coefficients=tuple(
+            Coefficient(c.name, c.value, c.std, c.unit, c.segment) for c in document.coefficients
+        ),
         covariance=matrix,
         degrees_of_freedom=document.degrees_of_freedom,
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
@@ -217,7 +218,9 @@ def read_calibration(path: Path) -> Calibration:
             document.quality.masked,
             tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in document.quality.events),
         ),
-        condition=math.inf if document.identifiability.condition is None else document.identifiability.condition,
+        condition=math.inf
+        if document.identifiability.condition is None
+        else document.identifiability.condition,
         notes=document.identifiability.notes,
         budget=document.uncertainty_budget,
         diagnostics=document.diagnostics,
@@ -240,15 +243,22 @@ def _decode(path: Path) -> _Document:
         kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
         if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
             raise CalibrationError(
-                f"{path}: schema '{kind}' is not known to this version", remedy="update piga, or calibrate again"
+                f"{path}: schema '{kind}' is not known to this version",
+                remedy="update piga, or calibrate again",
             )
         if kind != SCHEMA:
-            raise CalibrationError(f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json")
+            raise CalibrationError(
+                f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
+            )
         return msgspec.json.decode(raw, type=_Document)
     except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
+        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise CalibrationError(f"{path}: not a valid calibration record: {error}", remedy="calibrate again") from None
+        raise CalibrationError(
+            f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
+        ) from None
 
 
 def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
@@ -269,9 +279,13 @@ def _check(path: Path, document: _Document, matrix: Any) -> None:
                 remedy="convert it",
             )
         if not (math.isfinite(coefficient.value) and coefficient.std >= 0.0):
-            raise CalibrationError(f"{path}: coefficient '{coefficient.name}' is no valid number", remedy="calibrate again")
+            raise CalibrationError(
+                f"{path}: coefficient '{coefficient.name}' is no valid number", remedy="calibrate again"
+            )
     if document.covariance.names != keys:
-        raise CalibrationError(f"{path}: covariance names differ from the coefficients", remedy="calibrate again")
+        raise CalibrationError(
+            f"{path}: covariance names differ from the coefficients", remedy="calibrate again"
+        )
     if matrix.shape != (len(keys), len(keys)) or not np.isfinite(matrix).all():
         raise CalibrationError(f"{path}: the covariance is not a full square matrix", remedy="calibrate again")
     spread = np.abs(matrix - matrix.T).max() if matrix.size else 0.0

@@ -12,9 +12,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """``value``: unwrapped reading; ``wraps``: roll-overs met; ``lost``: samples where the whole count of
+    """An unwrapped reading.
+
+    ``value``: unwrapped reading; ``wraps``: roll-overs met; ``lost``: samples where the whole count of
     revolutions since the sample before cannot be known (``psi`` keeps its phase only when the range is a
-    whole number of revolutions)."""
+    whole number of revolutions).
+    """
 
     value: Array
     wraps: int

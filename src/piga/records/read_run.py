@@ -49,7 +49,9 @@ def read_run(path: str | Path) -> Run:
     table = _read_table(data_path, run_file)
     run = _Assembly(run_file, table).run(path)
     if _sha256(data_path) != digest:
-        raise DataError(f"{data_path}: the file changed while it was read", remedy="stop the logger, then try again")
+        raise DataError(
+            f"{data_path}: the file changed while it was read", remedy="stop the logger, then try again"
+        )
     run.input_sha256.update({path.name: _sha256(path), data_path.name: digest})
     return run
 
@@ -75,7 +77,12 @@ def _read_table(path: Path, run_file: RunFile) -> RawTable:
     kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else (suffixes[-1:] or [""])[0]
     if kind in TEXT_SUFFIXES:
         return read_text(
-            path, tuple(numeric), data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding
+            path,
+            tuple(numeric),
+            data.segment,
+            separator=data.delimiter,
+            decimal=data.decimal,
+            encoding=data.encoding,
         )
     if kind in (".parquet", ".pq"):
         return read_parquet(path, tuple(numeric), data.segment)
@@ -143,7 +150,9 @@ class _Assembly:
 
     def _check_masked(self, usable: NDArray[np.bool_], events: list[Event], rows: NDArray[np.int64]) -> None:
         if not usable.any():
-            raise DataError(f"{self.table.path}: no row has all needed values", remedy="check the columns in [data]")
+            raise DataError(
+                f"{self.table.path}: no row has all needed values", remedy="check the columns in [data]"
+            )
         listed = sum(event.count for event in events if event.kind == "missing-value")
         bad = int((~usable).sum())
         if bad and not listed:
@@ -159,7 +168,9 @@ class _Assembly:
 
     def _check_enough(self, base: TimeBase, path: Path) -> None:
         if base.keep.sum() < 2 or base.nominal <= 0.0:
-            raise DataError(f"{self.table.path}: fewer than two usable rows with increasing time", remedy=f"check {path}")
+            raise DataError(
+                f"{self.table.path}: fewer than two usable rows with increasing time", remedy=f"check {path}"
+            )
 
     def _unit(self, column: str, declared: str) -> str:
         """The declared unit, checked against the one in the data file where it has one."""
@@ -199,7 +210,11 @@ class _Assembly:
         reading = np.asarray(self.table.numbers[output.column][keep], dtype=float)
         nothing = np.zeros(reading.size, dtype=bool)
         if output.kind == "rate":
-            return reading * conversion_factor(self._unit(output.column, str(output.unit)), "rad/s"), nothing, 0.0
+            return (
+                reading * conversion_factor(self._unit(output.column, str(output.unit)), "rad/s"),
+                nothing,
+                0.0,
+            )
         if output.kind == "angle":
             factor = conversion_factor(self._unit(output.column, str(output.unit)), "rad")
             span = None if output.wraps_at is None else to_si(output.wraps_at, "rad") / factor
@@ -232,7 +247,12 @@ class _Assembly:
 
     def _largest_step(self, base: TimeBase, a_x: Array) -> float:
         """Largest output step [rad] between samples of a stretch that the reference allows."""
-        return 1.2 * to_si(self.run_file.instrument.scale_factor, "rad/s/g") * float(np.abs(a_x).max()) * base.nominal
+        return (
+            1.2
+            * to_si(self.run_file.instrument.scale_factor, "rad/s/g")
+            * float(np.abs(a_x).max())
+            * base.nominal
+        )
 
     def _check_span(
         self, reading: Array, span: float, factor: float, base: TimeBase, a_x: Array, rows: NDArray[np.int64]
@@ -284,7 +304,9 @@ def _renumber_visits(
     for start, stop in zip(starts, np.append(change, codes.size), strict=True):
         code = int(codes[start])
         if code < 0:
-            events.append(Event("no-segment", int(stop - start), int(rows[start]), "rows without a segment are not used"))
+            events.append(
+                Event("no-segment", int(stop - start), int(rows[start]), "rows without a segment are not used")
+            )
             continue
         seen[code] = seen.get(code, 0) + 1
         segment[start:stop] = len(names)

@@ -58,9 +58,9 @@ class Run:
     row: NDArray[np.int64]
     resolution: float
     quality: Quality
-    model: ModelTable = ModelTable()
-    estimation: EstimationTable = EstimationTable()
-    uncertainty: UncertaintyTable = UncertaintyTable()
+    model: ModelTable = field(default_factory=ModelTable)
+    estimation: EstimationTable = field(default_factory=EstimationTable)
+    uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
 

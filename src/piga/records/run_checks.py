@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +23,12 @@ def check_arrays(
 ) -> None:
     """Refuse arrays that do not fit together, naming argument and first index."""
     if kind not in ("angle", "rate"):
-        raise ArgumentError(f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into an angle first")
+        raise ArgumentError(
+            f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into an angle first"
+        )
     if t.ndim != 1 or t.size < 2:
         raise ArgumentError(f"t: shape {t.shape}, needs at least two samples in one dimension")
+    shapes: dict[str, tuple[NDArray[Any], tuple[int, ...]]]
     shapes = {"output": (output, (t.size,)), "f": (f, (t.size, 3)), "segment": (segment, (t.size,))}
     if base_rate is not None:
         shapes["base_rate"] = (np.asarray(base_rate), (t.size, 3))
@@ -32,7 +37,8 @@ def check_arrays(
     for name, (array, shape) in shapes.items():
         if array.shape != shape:
             raise ArgumentError(f"{name}: shape {array.shape}, but t has {t.size} samples: {shape} is needed")
-    for name, array in {"t": t, **{name: pair[0] for name, pair in shapes.items()}}.items():
+    arrays: dict[str, NDArray[Any]] = {"t": t} | {name: pair[0] for name, pair in shapes.items()}
+    for name, array in arrays.items():
         finite = np.isfinite(array)
         if not finite.all():
             index = int(np.argwhere(~finite)[0][0])
@@ -41,4 +47,6 @@ def check_arrays(
     same = np.diff(segment) == 0
     if (same & (step <= 0.0)).any():
         index = int(np.argmax(same & (step <= 0.0))) + 1
-        raise ArgumentError(f"t[{index}] = {t[index]!r} does not come after t[{index - 1}]", remedy="sort by time")
+        raise ArgumentError(
+            f"t[{index}] = {t[index]!r} does not come after t[{index - 1}]", remedy="sort by time"
+        )

@@ -27,7 +27,7 @@ class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error."""
 
 
-class InstrumentTable(Table):
+class InstrumentTable(Table, frozen=True):
     """``[instrument]``: who it is and its nominal figures."""
 
     serial: str
@@ -36,14 +36,14 @@ class InstrumentTable(Table):
     counter_bits: int | None = None
 
 
-class Column(Table):
+class Column(Table, frozen=True):
     """A column with its unit."""
 
     column: str
     unit: str
 
 
-class OutputColumn(Table):
+class OutputColumn(Table, frozen=True):
     """The output column: counts, angle or rate; ``wraps_at`` when a logged angle folds back."""
 
     column: str
@@ -52,14 +52,14 @@ class OutputColumn(Table):
     wraps_at: Quantity | None = None
 
 
-class Columns(Table):
+class Columns(Table, frozen=True):
     """Three columns X0, Y0, Z0 with one unit."""
 
     columns: tuple[str, str, str]
     unit: str
 
 
-class DataTable(Table):
+class DataTable(Table, frozen=True):
     """``[data]``: the file, its columns and, where it cannot tell itself, its format."""
 
     file: str
@@ -75,7 +75,7 @@ class DataTable(Table):
     encoding: str | None = None
 
 
-class ModelTable(Table):
+class ModelTable(Table, frozen=True):
     """``[model]``: the terms to estimate and how the phase of the output zero behaves."""
 
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
@@ -84,7 +84,7 @@ class ModelTable(Table):
     temperature_reference: Quantity = "20 degC"
 
 
-class EstimationTable(Table):
+class EstimationTable(Table, frozen=True):
     """``[estimation]``: method; noise levels when they are known; start of the published recursion."""
 
     method: Literal["information", "rate", "recursive", "published"] = "information"
@@ -94,7 +94,7 @@ class EstimationTable(Table):
     P0: float | None = None
 
 
-class UncertaintyTable(Table):
+class UncertaintyTable(Table, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference and the clock."""
 
     reference_scale: Quantity | None = None
@@ -105,7 +105,7 @@ class UncertaintyTable(Table):
     temperature: Quantity | None = None
 
 
-class RunFile(Table):
+class RunFile(Table, frozen=True):
     """A whole run file."""
 
     instrument: InstrumentTable
@@ -116,14 +116,14 @@ class RunFile(Table):
 
 
 UNCERTAINTY_UNITS = {
-    "reference_scale": "1",
-    "reference_bias": "g",
-    "reference_misalignment": "rad",
-    "gravity": "g",
-    "timing": "1",
+    "reference_scale": "ppm",
+    "reference_bias": "ug",
+    "reference_misalignment": "arcsec",
+    "gravity": "ug",
+    "timing": "ppm",
     "temperature": "K",
 }
-"""Unit kind of each Type B entry; ``timing`` is the relative error of the clock's rate."""
+"""Unit of each Type B entry as reported; ``timing`` is the relative error of the clock's rate."""
 
 
 def read_run_file(path: str | Path) -> RunFile:
@@ -159,12 +159,16 @@ def _check_units(run_file: RunFile) -> None:
     for name, like in UNCERTAINTY_UNITS.items():
         value = getattr(run_file.uncertainty, name)
         if value is not None and to_si(value, like, what=f"[uncertainty] {name}") < 0.0:
-            raise RunFileError(f"[uncertainty] {name}: '{value}' is negative", remedy="give a standard uncertainty")
+            raise RunFileError(
+                f"[uncertainty] {name}: '{value}' is negative", remedy="give a standard uncertainty"
+            )
     to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
     for name, like in (("angle_rms", "rad"), ("angle_random_walk", "rad/sqrt(s)")):
         value = getattr(estimation, name)
         if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
-            raise RunFileError(f"[estimation] {name}: '{value}' is negative", remedy="give a standard deviation")
+            raise RunFileError(
+                f"[estimation] {name}: '{value}' is negative", remedy="give a standard deviation"
+            )
     if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
         raise RunFileError(
             "[estimation] angle_rms and angle_random_walk are given together or not at all",
@@ -189,18 +193,23 @@ def _check_output(run_file: RunFile) -> None:
     else:
         like = "rad" if output.kind == "angle" else "rad/s"
         if output.unit is None:
-            raise RunFileError(f"[data] output: kind '{output.kind}' needs a unit", remedy=f"add unit = '{like}'")
+            raise RunFileError(
+                f"[data] output: kind '{output.kind}' needs a unit", remedy=f"add unit = '{like}'"
+            )
         conversion_factor(output.unit, like, what="[data] output")
     if output.wraps_at is not None:
         if output.kind != "angle":
             raise RunFileError(
-                "[data] output: wraps_at is for kind 'angle'", remedy="for counts give [instrument] counter_bits"
+                "[data] output: wraps_at is for kind 'angle'",
+                remedy="for counts give [instrument] counter_bits",
             )
         if to_si(output.wraps_at, "rad", what="[data] output.wraps_at") <= 0.0:
             raise RunFileError("[data] output: wraps_at must be positive", remedy="e.g. '360 deg'")
     bits = instrument.counter_bits
     if bits is not None and not 1 <= bits <= 62:
-        raise RunFileError(f"[instrument] counter_bits: {bits} is outside 1 to 62", remedy="leave it out if it never wraps")
+        raise RunFileError(
+            f"[instrument] counter_bits: {bits} is outside 1 to 62", remedy="leave it out if it never wraps"
+        )
     if (data.time is None) == (data.sample_rate is None):
         raise RunFileError(
             "[data] needs either time or sample_rate", remedy="e.g. time = { column = 't_s', unit = 's' }"

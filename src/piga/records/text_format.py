@@ -43,8 +43,14 @@ def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
         try:
             return codecs.lookup(declared).name
         except LookupError:
-            raise DataError(f"{path}: [data] encoding '{declared}' is not known", remedy="e.g. 'utf-8'") from None
-    for mark, name in ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16")):
+            raise DataError(
+                f"{path}: [data] encoding '{declared}' is not known", remedy="e.g. 'utf-8'"
+            ) from None
+    for mark, name in (
+        (codecs.BOM_UTF8, "utf-8-sig"),
+        (codecs.BOM_UTF16_LE, "utf-16"),
+        (codecs.BOM_UTF16_BE, "utf-16"),
+    ):
         if head.startswith(mark):
             return name
     for name in ("utf-8", "gb18030"):
@@ -56,9 +62,7 @@ def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
     raise DataError(f"{path}: neither UTF-8 nor GB18030 text", remedy="add [data] encoding = '...'")
 
 
-def find_format(
-    text: str, path: Path, encoding: str, separator: str | None, decimal: str | None
-) -> TextFormat:
+def find_format(text: str, path: Path, encoding: str, separator: str | None, decimal: str | None) -> TextFormat:
     """Separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
     Raises
@@ -67,7 +71,9 @@ def find_format(
         If there is no header or no data, a column name is repeated, or two readings are possible.
     """
     lines = text.splitlines()
-    header_at = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    header_at = next(
+        (i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None
+    )
     if header_at is None:
         raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
     sample = [line for line in lines[header_at + 1 :] if line.strip()][:50]
@@ -110,11 +116,14 @@ def _find_separator(header: str, sample: list[str]) -> str:
 
 def _check_names(names: tuple[str, ...], path: Path, row: int) -> None:
     if len(names) > MAX_COLUMNS:
-        raise DataError(f"{path}: {len(names)} columns, at most {MAX_COLUMNS} are read", remedy="export fewer columns")
+        raise DataError(
+            f"{path}: {len(names)} columns, at most {MAX_COLUMNS} are read", remedy="export fewer columns"
+        )
     repeated = sorted({name for name in names if name and names.count(name) > 1})
     if repeated:
         raise DataError(
-            f"{path}: row {row}: the column name '{repeated[0]}' stands more than once", remedy="rename one of them"
+            f"{path}: row {row}: the column name '{repeated[0]}' stands more than once",
+            remedy="rename one of them",
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from piga.records.text_format import INFINITE, MISSING, SNIFF_BYTES, TextFormat,
 
 MAX_EXPANSION = 200
 """Largest ratio of unpacked to packed size accepted for .gz files."""
+_SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
+
 MAX_LISTED = 10
 """Bad rows listed in one message."""
 
@@ -58,6 +61,7 @@ def read_text(
         events.append(Event("encoding", 1, 1, f"read as {encoding}"))
     _refuse_nul(raw, path)
     raw, cut = _without_partial_line(raw)
+    raw = _SPACES_ONLY.sub(b"\n", raw)
     head = raw[:SNIFF_BYTES].decode("utf-8", errors="replace")
     if len(raw) > SNIFF_BYTES:
         head = head[: head.rfind("\n") + 1]
@@ -67,7 +71,7 @@ def read_text(
         events.append(Event("truncated-last-line", 1, last, f"row {last} has no line end: not used"))
     _check_columns(form, numeric, label, path)
     table = _parse(pa.py_buffer(raw), form, numeric, label, path, raw)
-    numbers, labels, found = _to_numpy(table, numeric, label, form, path, raw)
+    numbers, labels, found = _to_numpy(table, numeric, label, form)
     rows = table.num_rows
     if rows == 0:
         raise DataError(f"{path}: a header but no complete data row", remedy="check that the logger wrote data")
@@ -99,7 +103,9 @@ def _read_bytes(path: Path) -> bytes:
     except (OSError, EOFError, gzip.BadGzipFile) as error:
         raise DataError(f"{path}: cannot be read ({error})", remedy="check the file") from None
     if len(raw) > packed * MAX_EXPANSION:
-        raise DataError(f"{path}: unpacks to more than {MAX_EXPANSION} times its size", remedy="unpack it by hand")
+        raise DataError(
+            f"{path}: unpacks to more than {MAX_EXPANSION} times its size", remedy="unpack it by hand"
+        )
     return raw
 
 
@@ -109,7 +115,8 @@ def _decode(raw: bytes, encoding: str, path: Path) -> str:
     except UnicodeDecodeError as error:
         row = raw[: error.start].count(b"\n") + 1
         raise DataError(
-            f"{path}: row {row}: byte {error.start} is not {encoding} text", remedy="add [data] encoding = '...'"
+            f"{path}: row {row}: byte {error.start} is not {encoding} text",
+            remedy="add [data] encoding = '...'",
         ) from None
 
 
@@ -141,7 +148,9 @@ def _check_columns(form: TextFormat, numeric: tuple[str, ...], label: str | None
         )
 
 
-def _parse(buffer: Any, form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path, raw: bytes) -> Any:
+def _parse(
+    buffer: Any, form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path, raw: bytes
+) -> Any:
     """Tokenize with PyArrow; on any complaint find the exact place with :func:`_locate`."""
     import pyarrow as pa
     from pyarrow import csv
@@ -158,7 +167,9 @@ def _parse(buffer: Any, form: TextFormat, numeric: tuple[str, ...], label: str |
     try:
         table = csv.read_csv(
             pa.BufferReader(buffer),
-            read_options=csv.ReadOptions(column_names=list(form.names), skip_rows=form.skip, block_size=1 << 22),
+            read_options=csv.ReadOptions(
+                column_names=list(form.names), skip_rows=form.skip, block_size=1 << 22
+            ),
             parse_options=csv.ParseOptions(delimiter=form.separator, invalid_row_handler=collect),
             convert_options=csv.ConvertOptions(
                 include_columns=list(types),
@@ -231,7 +242,7 @@ def _cell_hint(cell: str, form: TextFormat) -> str:
 
 
 def _to_numpy(
-    table: Any, numeric: tuple[str, ...], label: str | None, form: TextFormat, path: Path, raw: bytes
+    table: Any, numeric: tuple[str, ...], label: str | None, form: TextFormat
 ) -> tuple[dict[str, Any], dict[str, Any], list[Event]]:
     """Columns as NumPy arrays; counts the cells that were missing or out of range."""
     events: list[Event] = []

@@ -29,7 +29,13 @@ class TimeBase:
     events: tuple[Event, ...]
 
 
-def examine_time(t: Array, segment: NDArray[np.int32], usable: NDArray[np.bool_], values: list[Array], rows: NDArray[np.int64]) -> TimeBase:
+def examine_time(
+    t: Array,
+    segment: NDArray[np.int32],
+    usable: NDArray[np.bool_],
+    values: list[Array],
+    rows: NDArray[np.int64],
+) -> TimeBase:
     """Find repeats, backward jumps and gaps.
 
     Parameters
@@ -56,7 +62,9 @@ def examine_time(t: Array, segment: NDArray[np.int32], usable: NDArray[np.bool_]
     if back.any():
         first = int(np.argmax(back)) + 1
         events.append(
-            Event("time-jump-back", int(back.sum()), int(rows[index[first]]), "no increment is formed across it")
+            Event(
+                "time-jump-back", int(back.sum()), int(rows[index[first]]), "no increment is formed across it"
+            )
         )
     if gap.any():
         first = int(np.argmax(gap)) + 1
@@ -88,8 +96,12 @@ def _repeats(
     drop[conflict] = True
     drop[conflict + 1] = True
     if identical.any():
-        events.append(Event("repeated-row", int(identical.sum()), int(rows[second[identical][0]]), "the copy is not used"))
+        events.append(
+            Event("repeated-row", int(identical.sum()), int(rows[second[identical][0]]), "the copy is not used")
+        )
     if conflict.size:
         at = int(rows[index[conflict[0] + 1]])
-        events.append(Event("conflicting-row", int(conflict.size), at, "same time, other values: neither is used"))
+        events.append(
+            Event("conflicting-row", int(conflict.size), at, "same time, other values: neither is used")
+        )
     return drop

@@ -33,16 +33,22 @@ def read_toml(path: Path, kind: type[T]) -> T:
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise RunFileError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name the TOML file, not the data file")
+            raise RunFileError(
+                f"{path}: larger than {MAX_BYTES} bytes", remedy="name the TOML file, not the data file"
+            )
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise RunFileError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
     except UnicodeDecodeError as error:
-        raise RunFileError(f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8") from None
+        raise RunFileError(
+            f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
+        ) from None
     try:
         raw = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RunFileError(f"{path}: not valid TOML: {error}", remedy="see https://toml.io for the syntax") from None
+        raise RunFileError(
+            f"{path}: not valid TOML: {error}", remedy="see https://toml.io for the syntax"
+        ) from None
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:

@@ -1,1 +1,49 @@
-"""Readers of results: figures as data, tables, self-contained pages."""
+"""Readers of results: figures as data, tables, self-contained pages.
+
+A report is built in three steps, each plain data until the last: figures (:class:`Figure` of
+:class:`Panel` and :class:`Series`, with quantity and unit on every axis), a :class:`Page` of sections and
+blocks, and :func:`write_page`. Numbers become text in :mod:`piga.reports.numbers`.
+
+>>> from piga.reports import Axis, Figure, FigureBlock, Page, Panel, Section, Series, Text, page_html
+>>> curve = Series([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], name="measured", role="data")
+>>> figure = Figure("drift", "Drift.", (Panel(Axis("time", "s"), Axis("angle", "arcsec"), (curve,)),))
+>>> page = Page("A test", sections=(Section("Drift", "part", (Text("It grows."), FigureBlock(figure))),))
+>>> page_html(page).startswith("<!DOCTYPE html>")
+True
+"""
+
+from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.page import (
+    Cell,
+    Column,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    Text,
+    Tile,
+    page_html,
+    write_page,
+)
+from piga.reports.static import figure_svg, write_figure
+
+__all__ = [
+    "Axis",
+    "Cell",
+    "Column",
+    "Figure",
+    "FigureBlock",
+    "Notice",
+    "Page",
+    "Panel",
+    "Section",
+    "Series",
+    "Table",
+    "Text",
+    "Tile",
+    "figure_svg",
+    "page_html",
+    "write_figure",
+    "write_page",
+]

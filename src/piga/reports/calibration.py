@@ -22,7 +22,7 @@ from piga.reports.calibration_tables import (
     segment_table,
 )
 from piga.reports.figure import Figure
-from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short
+from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
 
@@ -51,8 +51,8 @@ def calibration_page(cal: Calibration) -> Page:
     sections = (
         _tested(cal),
         _coefficients(cal),
-        _residuals(cal, figures),
-        _orders(cal, figures),
+        _residuals(figures),
+        _orders(figures),
         _segments(cal, figures),
         _budget(cal),
         _identifiability(cal, figures),
@@ -71,7 +71,9 @@ def calibration_page(cal: Calibration) -> Page:
 
 
 def _files(cal: Calibration) -> str:
-    return ", ".join(Path(name).name for name in cal.provenance.input_sha256) or "a record in memory"
+    names = [Path(name).name for name in cal.provenance.input_sha256]
+    data = [name for name in names if not name.endswith(".toml")] or names
+    return ", ".join(data) or "a record in memory"
 
 
 def _duration(cal: Calibration) -> float:
@@ -82,8 +84,10 @@ def _duration(cal: Calibration) -> float:
 
 def _period(seconds: float) -> str:
     if seconds < 120.0:
-        return f"{short(seconds)} s"
-    return f"{short(seconds / 60.0)} min" if seconds < 7200.0 else f"{short(seconds / 3600.0)} h"
+        return f"{significant(seconds, 3)} s"
+    return (
+        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
+    )
 
 
 def _segments_in_words(cal: Calibration) -> str:
@@ -91,7 +95,8 @@ def _segments_in_words(cal: Calibration) -> str:
 
 
 def _subtitle(cal: Calibration) -> str:
-    return f"{_files(cal)}: {_segments_in_words(cal)}, {_period(_duration(cal))}, {count(cal.quality.used)} samples used."
+    extent = f"{_segments_in_words(cal)}, {_period(_duration(cal))}"
+    return f"{_files(cal)}: {extent}, {count(cal.quality.used)} samples used."
 
 
 def _improvement(before: float, after: float) -> str:
@@ -104,15 +109,17 @@ def _tiles(cal: Calibration) -> tuple[Tile, ...]:
         Tile(
             "Residual angle, rms",
             f"{short(cal.residual_rms_before / ARCSEC)} → {short(cal.residual_rms / ARCSEC)}",
-            "″",
+            "arcsec",
             f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
             better,
         ),
         Tile(
             "Residual angle, largest",
             f"{short(cal.residual_max_before / ARCSEC)} → {short(cal.residual_max_after / ARCSEC)}",
-            "″",
-            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after" if cal.residual_rms else "",
+            "arcsec",
+            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
+            if cal.residual_rms
+            else "",
         ),
         *_coefficient_tiles(cal),
         _freedom_tile(cal),
@@ -148,11 +155,11 @@ def _condition_tile(cal: Calibration) -> Tile:
         (math.inf, "the record hardly separates the coefficients", "bad"),
     )
     words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
-    return Tile("Condition number", short(cal.condition, 2), "", words, tone)
+    return Tile("Condition number", printed(short(cal.condition, 2)), "", words, tone)
 
 
 def _whiteness_tile(cal: Calibration) -> Tile | None:
-    if cal.residuals is None or not cal.residuals.t.size:
+    if cal.residuals is None or not np.isfinite(cal.residuals.innovation).any():
         return None
     innovation = np.asarray(cal.residuals.innovation, dtype=float)
     rms = math.sqrt(float(np.nanmean(innovation**2)))
@@ -164,19 +171,23 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
 def _data_tile(cal: Calibration) -> Tile:
     share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
     found = sum(event.count for event in cal.quality.events)
-    detail = f"of {count(cal.quality.rows)} rows; {count(found)} findings" if found else f"of {count(cal.quality.rows)} rows"
+    detail = (
+        f"of {count(cal.quality.rows)} rows; {count(found)} findings"
+        if found
+        else f"of {count(cal.quality.rows)} rows"
+    )
     return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
 
 
 def _tested(cal: Calibration) -> Section:
     terms = ", ".join(f"{term} ({meaning(term)})" for term in cal.terms)
-    shared = cal.phase == "shared"
+    shared, seen = cal.phase == "shared", cal.quality
     phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
     rows = [
         ("Instrument", cal.serial),
         ("Data", _files(cal)),
         ("Duration", f"{_period(_duration(cal))} in {_segments_in_words(cal)}"),
-        ("Rows", f"{count(cal.quality.rows)} read, {count(cal.quality.used)} used, {count(cal.quality.masked)} masked"),
+        ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
         ("Model terms", terms),
         ("Phase of the output", f"{phase}; source: {cal.phase_source}"),
         ("Method", f"{cal.method}: {_METHODS[cal.method]}" if cal.method in _METHODS else cal.method),
@@ -187,13 +198,14 @@ def _tested(cal: Calibration) -> Section:
 
 def _coefficients(cal: Calibration) -> Section:
     lead = (
-        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: uncertainties "
+        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: "
+        "uncertainties "
         "far below the values, and below what the use of the instrument asks for."
     )
     blocks: list[Block] = [Text(lead, lead=True), coefficient_table(cal)]
     correlation = correlation_table(cal)
     if correlation is not None:
-        text = "Correlation of the estimates. Good: values well inside ±0.9; beyond, the record trades one for the other."
+        text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
         blocks += [Text(text, lead=True), correlation]
     return Section("Coefficients", "coefficients", tuple(blocks))
 
@@ -202,31 +214,41 @@ def _shown(figures: dict[str, Figure], key: str, missing: str) -> Block:
     return FigureBlock(figures[key]) if key in figures else Notice("info", missing)
 
 
-def _residuals(cal: Calibration, figures: dict[str, Figure]) -> Section:
+def _residuals(figures: dict[str, Figure]) -> Section:
     lead = (
-        "What is left of the measured angle when the model is taken away: what the calibration explains is gone after "
+        "What is left of the measured angle when the model is taken away: what the calibration explains is "
+        "gone after "
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
     return Section(
-        "Residuals against time", "residuals", (Text(lead, lead=True), _shown(figures, "residual-time", missing))
+        "Residuals against time",
+        "residuals",
+        (Text(lead, lead=True), _shown(figures, "residual-time", missing)),
     )
 
 
-def _orders(cal: Calibration, figures: dict[str, Figure]) -> Section:
+def _orders(figures: dict[str, Figure]) -> Section:
     lead = (
-        "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
+        "The same residuals against the rotation of the output: errors of the instrument repeat with the "
+        "turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
-    missing = "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
+    missing = (
+        "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
+    )
     if not {"residual-order", "ripple-polar"} & figures.keys():
-        return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing)))
+        return Section(
+            "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))
+        )
     shown = [FigureBlock(figures[key]) for key in ("residual-order", "ripple-polar") if key in figures]
     return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *shown))
 
 
 def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
-    lead = "Residuals of each part of the record. Good: the same level everywhere; one odd segment points to the test."
+    lead = (
+        "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
+    )
     blocks: list[Block] = [Text(lead, lead=True)]
     blocks += [FigureBlock(figures["segment-rms"])] if "segment-rms" in figures else []
     return Section("Segments", "segments", (*blocks, segment_table(cal)))
@@ -234,13 +256,15 @@ def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
 
 def _budget(cal: Calibration) -> Section:
     lead = (
-        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit (type A) and "
+        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit "
+        "(type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
     blocks: list[Block] = [Text(lead, lead=True), budget_table(cal)]
     if not any(row.get("type") == "B" for row in cal.budget):
         text = (
-            "No source of type B was stated, so reference scale, alignment and local gravity are taken as exact. "
+            "No source of type B was stated, so reference scale, alignment and local gravity are taken as "
+            "exact. "
             "Add an [uncertainty] table to the run file to include them."
         )
         blocks.append(Notice("warning", text))
@@ -249,7 +273,8 @@ def _budget(cal: Calibration) -> Section:
 
 def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     lead = (
-        "How well this record tells the coefficients apart, and whether the residuals are the noise they should be. "
+        "How well this record tells the coefficients apart, and whether the residuals are the noise they "
+        "should be. "
         "Good: no remark, and whitened residuals that look like white noise of size one."
     )
     blocks: list[Block] = [Text(lead, lead=True)]
@@ -257,25 +282,30 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     if not cal.notes:
         blocks.append(Notice("good", "The record separates all requested coefficients."))
     blocks += [FigureBlock(figures["whiteness"])] if "whiteness" in figures else []
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     rows = [
-        ("Condition number", short(cal.condition)),
-        ("White noise of the angle", f"{short(cal.angle_rms / ARCSEC)} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
-        ("Angle random walk", f"{short(cal.angle_random_walk / ARCSEC)} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
+        ("Condition number", printed(short(cal.condition))),
+        ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
+        ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
         *scalars(cal.diagnostics),
-    ]  # fmt: skip
+    ]
     return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
 
 
 def _quality(cal: Calibration) -> Section:
-    lead = "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
+    lead = (
+        "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
+    )
     blocks: tuple[Block, ...] = (Notice("good", "Nothing was found to repair or leave out."),)
+    if cal.quality.masked:
+        blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
     if cal.quality.events:
         blocks = (quality_table(cal),)
     return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
 
 
 def _provenance(cal: Calibration) -> Section:
-    lead = "What it takes to trace and repeat this result: the same input, software and options give the same numbers."
+    lead = "What it takes to trace and repeat this result: same input, software and options, same numbers."
     rows = [(f"SHA-256 of {name}", digest) for name, digest in cal.provenance.input_sha256.items()]
     rows += [("Software", cal.provenance.software), ("Created", cal.provenance.created)]
     rows += [(f"Option {name}", text) for name, text in scalars(cal.provenance.options)]
@@ -284,13 +314,16 @@ def _provenance(cal: Calibration) -> Section:
 
 def calibration_text(cal: Calibration) -> str:
     """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
+    used = f"{cal.quality.used} of {cal.quality.rows}"
     head = [
         f"Calibration of {cal.serial} from {_files(cal)}",
-        f"  {_segments_in_words(cal)}, {_period(_duration(cal))}, {cal.quality.used} of {cal.quality.rows} rows used",
+        f"  {_segments_in_words(cal)}, {_period(_duration(cal))}, {used} rows used",
         f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
         "",
     ]
-    return "\n".join([*head, *_text_table(cal), "", *_text_figures(cal), *[f"note: {note}" for note in cal.notes]])
+    return "\n".join(
+        [*head, *_text_table(cal), "", *_text_figures(cal), *[f"note: {note}" for note in cal.notes]]
+    )
 
 
 def _text_table(cal: Calibration) -> list[str]:
@@ -311,7 +344,8 @@ def _text_figures(cal: Calibration) -> list[str]:
     def angle(before: float, after: float) -> str:
         return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} arcsec (before -> after)"
 
-    noise = f"{short(cal.angle_rms / ARCSEC)} arcsec white, {short(cal.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk"
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
     rows = [
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
@@ -321,4 +355,4 @@ def _text_figures(cal: Calibration) -> list[str]:
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
     wide = max(len(name) for name, _ in rows)
-    return [f"  {name:<{wide}}  {text}".replace("\u202f", " ").replace("–", "-") for name, text in rows]
+    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

@@ -26,8 +26,9 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        figures += [residual_figure(cal.residuals), whiteness_figure(cal.residuals)]
-        spectrum = order_spectrum(cal.residuals, scale_factor(cal))
+        figures.append(residual_figure(cal.residuals))
+        figures += [whiteness_figure(cal.residuals)] if np.isfinite(cal.residuals.innovation).any() else []
+        spectrum = order_spectrum(cal.residuals, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
         turned = ripple(cal.residuals, scale_factor(cal))
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []
         figures += [ripple_figure(turned)] if turned.segments else []
@@ -55,9 +56,18 @@ def elapsed_time(residuals: Residuals) -> Array:
     return t - t[0]
 
 
+def _starts(x: Array, residuals: Residuals) -> NDArray[np.bool_]:
+    """Rows where a curve starts anew: the next segment, or after a hole of more than ten usual steps."""
+    starts = np.zeros(x.size, dtype=bool)
+    steps = np.diff(x)
+    if steps.size:
+        starts[1:] = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps))
+    return starts
+
+
 def _with_gaps(x: Array, y: Array, residuals: Residuals) -> tuple[Array, Array]:
-    """Reduced curve with a gap between the segments."""
-    parts = segment_slices(residuals.segment)
+    """Reduced curve with gaps between the segments and at holes."""
+    parts = segment_slices(np.cumsum(_starts(x, residuals)))
     limit = max(12, POINTS // len(parts) - 1)
     pieces_x, pieces_y = [], []
     for part in parts:
@@ -75,7 +85,9 @@ def residual_figure(residuals: Residuals) -> Figure:
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
         x, y = _with_gaps(t / scale, np.asarray(values) / ARCSEC, residuals)
         series = Series(x, y, name=title.lower(), role="before" if role == "before" else "after")
-        panels.append(Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title))
+        panels.append(
+            Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title)
+        )
     return Figure(
         key="residual-time",
         title="Residual angle against time.",
@@ -112,18 +124,24 @@ def whiteness_figure(residuals: Residuals) -> Figure:
                 Axis("lag", "samples"),
                 Axis("autocorrelation", "1"),
                 (
+                    Series(
+                        lags,
+                        lags * 0 - bound,
+                        mark="band",
+                        upper=lags * 0 + bound,
+                        name="95 % of white noise",
+                        role="reference",
+                    ),
                     Series(lags, correlation, name="found", mark="line+points", role="after"),
-                    Series(lags, lags * 0 - bound, mark="band", upper=lags * 0 + bound, name="95 % of white noise",
-                           role="reference"),
                 ),
                 title="Autocorrelation",
             ),
         ),
-        caption="Each residual divided by what the noise model expects of it. Good: the found distribution lies on "
-        "the expected one, and the autocorrelation stays inside its band.",
+        caption="Each residual divided by what the noise model expects of it. Good: the found distribution "
+        "lies on the expected one, and the autocorrelation stays inside its band.",
         columns=2,
         height=2.6,
-    )  # fmt: skip
+    )
 
 
 def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
@@ -141,17 +159,24 @@ def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
     series = (
         Series(spectrum.order, spectrum.before / MICRO_G, name="before", role="before"),
         Series(spectrum.order, spectrum.after / MICRO_G, name="after", role="after"),
-        Series(spectrum.order, spectrum.noise / MICRO_G, name="white noise alone", role="reference", dashed=True),
+        Series(
+            spectrum.order,
+            spectrum.noise / MICRO_G,
+            name="expected of the noise",
+            role="reference",
+            dashed=True,
+        ),
     )
     return Figure(
         key="residual-order",
         title="Residual against revolution order.",
         panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
-        caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn of the "
-        "output. Good: no line stands out after calibration. A line at a whole order is a harmonic that the model "
-        "lacks (order 1: cross-coupling; 2: servo stiffness, unequal inertia; others: encoder and bearings).",
+        caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn "
+        "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole "
+        "order is a harmonic that the model lacks (order 1: cross-coupling; 2: servo stiffness, unequal "
+        "inertia; others: encoder and bearings).",
         height=2.9,
-        notes=(f"From {spectrum.segments} segments that turn far enough to show the order.",),
+        notes=(f"From {_segments_that_turn(spectrum.segments)}.",),
     )
 
 
@@ -163,6 +188,11 @@ def ripple_figure(turned: Ripple) -> Figure:
     degrees = np.degrees(turned.psi)
     error = scatter if np.isfinite(scatter).all() and scatter.size else None
     outer = 3.2 * step
+    scattered = "" if error is None else " Error bars: standard uncertainty from the scatter between segments."
+    turned_note = (
+        f"Mean over {_segments_that_turn(turned.segments)}, each turned so that its own ripple before "
+        "calibration points to ψ = 0."
+    )
     polar = Panel(
         Axis("radius × cos ψ", "µg", limits=(-outer, outer)),
         Axis("radius × sin ψ", "µg", limits=(-outer, outer)),
@@ -187,16 +217,18 @@ def ripple_figure(turned: Ripple) -> Figure:
         key="ripple-polar",
         title="Cross-coupling ripple in one turn of the output.",
         panels=(polar, flat),
-        caption=f"Residual specific force around the turn, drawn outwards from the ring of {2 * step:g} µg, which means "
-        f"zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve sideways. Good: after calibration "
-        "the curve lies on the ring, and on the enlarged scale only scatter is left.",
+        caption="Residual specific force around the turn, drawn outwards from the ring of "
+        f"{2 * step:g} µg, which means zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve "
+        "sideways. Good: after calibration the curve lies on the ring, and on the enlarged scale only scatter "
+        "is left.",
         columns=2,
         height=3.4,
-        notes=(
-            f"Mean of {turned.segments} segments, each turned so that its own ripple before calibration points to "
-            "ψ = 0; error bars are standard uncertainties from the scatter between segments.",
-        ),
+        notes=(turned_note + scattered,),
     )
+
+
+def _segments_that_turn(number: int) -> str:
+    return "the one segment that turns far enough" if number == 1 else f"{number} segments that turn far enough"
 
 
 def _nice(size: float) -> float:
@@ -210,7 +242,9 @@ def _nice(size: float) -> float:
 def _polar_grid(step: float) -> tuple[Series, ...]:
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
     rings = [Series(r * np.cos(turn), r * np.sin(turn), role="muted") for r in (step, 3.0 * step)]
-    zero = Series(2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple")
+    zero = Series(
+        2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple"
+    )
     spokes_x, spokes_y = [], []
     for angle in np.arange(0.0, 2.0 * math.pi - 1e-9, math.pi / 6.0):
         spokes_x += [step * math.cos(angle), 3.0 * step * math.cos(angle), math.nan]
@@ -245,7 +279,7 @@ def segment_figure(cal: Calibration) -> Figure:
                 ),
             ),
         ),
-        caption="Each point is one segment. Good: all points after calibration lie at one level, whatever the input; "
-        "a level that rises with the input asks for another model term.",
+        caption="Each point is one segment. Good: all points after calibration lie at one level, whatever the "
+        "input; a level that rises with the input asks for another model term.",
         height=2.7,
     )

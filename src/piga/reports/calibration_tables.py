@@ -12,6 +12,7 @@ from piga.records.calibration import Calibration, Coefficient
 from piga.reports.numbers import (
     count,
     coverage_factor,
+    fixed,
     friendly,
     pretty_unit,
     printed,
@@ -24,15 +25,15 @@ from piga.units import ARCSEC, G0
 
 _MEANING = {
     "scale_factor": "scale factor ml/H",
-    "tan_beta": "cross-coupling: tangent of the tilt β of the rotor axis",
+    "tan_beta": "cross-coupling, tilt β of the rotor axis",
     "phi": "phase of the output zero",
     "k0": "bias",
     "k1": "scale-factor error",
     "k2": "second-order nonlinearity",
     "k3": "third-order nonlinearity",
     "k2o": "odd second-order nonlinearity (a_x |a_x|)",
-    "m_Y": "input-axis misalignment towards Y0",
-    "m_Z": "input-axis misalignment towards Z0",
+    "m_Y": "misalignment towards Y0",
+    "m_Z": "misalignment towards Z0",
     "k_XY": "cross term a_x a_Y",
     "k_XZ": "cross term a_x a_Z",
     "k_YY": "cross term a_Y²",
@@ -70,12 +71,12 @@ def coefficient_table(cal: Calibration) -> Table:
     rows = [_coefficient_row(coefficient, factor) for coefficient in common_coefficients(cal)]
     columns = (
         Column("Coefficient", align="text"),
-        Column("Meaning", align="text"),
         Column("Value"),
         Column("Standard uncertainty u"),
         Column("Expanded uncertainty U"),
         Column("Unit", align="text"),
         Column("u / value"),
+        Column("Meaning", align="text"),
     )
     return Table(columns, tuple(rows), notes=_coefficient_notes(cal, factor))
 
@@ -86,34 +87,35 @@ def _coefficient_row(coefficient: Coefficient, factor: float) -> tuple[str | Cel
     small = std > abs(value)
     return (
         coefficient.name,
-        Cell(meaning(coefficient.name), "quiet"),
         printed(number.value),
         printed(number.uncertainty),
         printed(wide.uncertainty),
         pretty_unit(unit),
         Cell(relative(value, std), "doubtful" if small else ""),
+        Cell(meaning(coefficient.name), "quiet"),
     )
 
 
 def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
     freedom = "infinitely many" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
-    notes = [
-        f"U is for 95 % coverage: k = {factor:.3f} from Student's t with {freedom} degrees of freedom. The unit g is "
-        "9.80665 m/s² exactly."
-    ]
+    basis = f"k = {factor:.3f} from Student's t with {freedom} degrees of freedom"
+    notes = [f"U is for 95 % coverage: {basis}. The unit g is 9.80665 m/s² exactly."]
     for coefficient in common_coefficients(cal):
         if coefficient.name == "tan_beta":
             beta = math.atan(coefficient.value) / ARCSEC
             text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
             notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
         if coefficient.std > abs(coefficient.value):
-            notes.append(f"{coefficient.name} is smaller than its own uncertainty: this record does not show it.")
+            notes.append(
+                f"{coefficient.name} is smaller than its own uncertainty: this record does not show it."
+            )
     return tuple(notes)
 
 
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
-    index = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None][:_SHOWN_NAMES]
+    common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
+    index = common[:_SHOWN_NAMES]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -121,7 +123,9 @@ def correlation_table(cal: Calibration) -> Table | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         matrix = covariance / np.outer(std, std)
     names = [cal.coefficients[row].key for row in index]
-    rows = [(name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))) for i, name in enumerate(names)]
+    rows: list[tuple[str | Cell, ...]] = []
+    for i, name in enumerate(names):
+        rows.append((name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))))
     columns = (Column("", align="text"), *(Column(name) for name in names))
     return Table(columns, tuple(rows))
 
@@ -135,20 +139,20 @@ def _correlation(value: float, diagonal: bool) -> Cell:
 def budget_table(cal: Calibration) -> Table:
     """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
 
-    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "input": text, "contributions":
-    {coefficient key: standard uncertainty in the coefficient's unit}}``. Without a row of type A the
+    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "standard_uncertainty": {"value",
+    "unit"} or None, "contributions": {coefficient key: change in the coefficient's unit}}``. Without a row of type A the
     standard uncertainties of the fit are put first.
     """
     coefficients = common_coefficients(cal)[:_SHOWN_NAMES]
     sources: list[dict[str, Any]] = list(cal.budget)
     if not any(source.get("type") == "A" for source in sources):
         fit = {coefficient.key: coefficient.std for coefficient in coefficients}
-        sources.insert(0, {"source": "Fit to the record", "type": "A", "input": "noise", "contributions": fit})
+        sources.insert(0, {"source": "Fit to the record", "type": "A", "contributions": fit})
     names = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
         Column("Source", align="text"),
         Column("Type", align="text"),
-        Column("Input", align="text"),
+        Column("Standard uncertainty", align="text"),
         *(Column(c.name, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
     )
     rows = [_budget_row(source, coefficients) for source in sources]
@@ -170,9 +174,11 @@ def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
 def _budget_row(source: dict[str, Any], coefficients: list[Coefficient]) -> tuple[str | Cell, ...]:
     cells = []
     for coefficient in coefficients:
-        amount = _contribution(source, coefficient) * _friendly_unit(coefficient)[1]
+        amount = abs(_contribution(source, coefficient)) * _friendly_unit(coefficient)[1]
         cells.append(Cell(printed(short(amount, 2))) if amount else Cell("–", "quiet"))
-    return (str(source.get("source", "")), str(source.get("type", "")), str(source.get("input", "")), *cells)
+    given = source.get("standard_uncertainty")
+    entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
+    return (str(source.get("source", "")), str(source.get("type", "")), entered, *cells)
 
 
 def segment_table(cal: Calibration) -> Table:
@@ -195,14 +201,14 @@ def segment_table(cal: Calibration) -> Table:
         Column("rms after", "arcsec"),
         Column("Largest after", "arcsec"),
     ]
-    rows = []
+    rows: list[tuple[str | Cell, ...]] = []
     for segment in shown:
         row: list[str | Cell] = [
             segment.label,
             count(segment.rows),
             f"{segment.duration:.1f}",
-            printed(f"{segment.mean_a_x / G0 + 0.0:.5f}"),
-            printed(f"{segment.turns + 0.0:.2f}"),
+            printed(fixed(segment.mean_a_x / G0, 5)),
+            printed(fixed(segment.turns, 2)),
             short(segment.rms_before / ARCSEC),
             Cell(short(segment.rms / ARCSEC), "doubtful" if segment.rms > 3.0 * typical else ""),
             short(segment.max_after / ARCSEC),
@@ -218,9 +224,19 @@ def segment_table(cal: Calibration) -> Table:
 
 def quality_table(cal: Calibration) -> Table:
     """What was found in the data."""
-    columns = (Column("Finding", align="text"), Column("Count"), Column("First row"), Column("Detail", align="text"))
+    columns = (
+        Column("Finding", align="text"),
+        Column("Count"),
+        Column("First row"),
+        Column("Detail", align="text"),
+    )
     rows = tuple(
-        (event.kind, count(event.count), "–" if event.first_row is None else count(event.first_row), event.detail)
+        (
+            event.kind,
+            count(event.count),
+            "–" if event.first_row is None else count(event.first_row),
+            event.detail,
+        )
         for event in cal.quality.events
     )
     return Table(columns, rows)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,8 +32,8 @@ def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
         return np.arange(values.size)
     edges = np.linspace(0, values.size, (limit - 2) // 3 + 1).astype(np.int64)
     kept = [0, values.size - 1]
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
-        kept += [int(start) + row for row in _bucket_rows(values[start:stop])]
+    for start, stop in pairwise(edges.tolist()):
+        kept += [start + row for row in _bucket_rows(values[start:stop])]
     return np.unique(np.array(kept, dtype=np.int64))
 
 

@@ -27,7 +27,7 @@ class Axis:
 
     @property
     def label(self) -> str:
-        """Label in the form ``quantity [unit]``; unit ``1`` is written as a dash-free plain name."""
+        """Label in the form ``quantity [unit]``; unit ``1`` is written as a plain name."""
         return self.quantity if self.unit in ("", "1") else f"{self.quantity} [{self.unit}]"
 
 
@@ -69,8 +69,9 @@ class Panel:
 class Figure:
     """One or more panels, side by side or stacked (then they share the x axis when alike).
 
-    ``key`` is the figure's identifier (file name and anchor); ``caption`` one or two sentences that
-    say what is to be seen.
+    ``key`` is the figure's identifier (file name and anchor: letters, digits, hyphens; unique in a page);
+    ``caption`` says in one or two sentences what is to be seen and what is good; ``height`` [inch] is that
+    of one row of panels; ``notes`` are small print below.
     """
 
     key: str

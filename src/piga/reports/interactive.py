@@ -32,7 +32,7 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
             trace["uid"] = series_key(figure, index, order)
             trace["showlegend"] = bool(series.name) and series.name not in shown
             shown.add(series.name)
-            traces += _band_base(trace, series) + [trace]
+            traces += [*_band_base(trace, series), trace]
     return {"data": traces, "layout": layout, "narrow": _narrow(figure)}
 
 
@@ -57,7 +57,10 @@ def _numbers(values: ArrayLike) -> list[float | None]:
 
 
 def _logarithmic(values: ArrayLike) -> list[float | None]:
-    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=float).tolist()]
+    return [
+        float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None
+        for v in np.asarray(values, dtype=float).tolist()
+    ]
 
 
 def _on(axis: Axis, values: ArrayLike) -> list[float | None]:
@@ -98,7 +101,7 @@ def _look(series: Series, colour: str) -> dict[str, Any]:
         line["shape"] = "hvh"
     if series.mark == "band":
         line["width"] = 0
-        return {"type": "scatter", "mode": "lines", "line": line, "fill": "tonexty"}
+        return {"type": "scatter", "mode": "lines", "line": line, "fill": "tonexty", "fillcolor": f"{colour}2e"}
     mode = {"points": "markers", "line+points": "lines+markers"}.get(series.mark, "lines")
     return {"type": "scatter", "mode": mode, "line": line, "marker": {"color": colour, "size": 5}}
 
@@ -108,7 +111,11 @@ def _band_base(trace: dict[str, Any], series: Series) -> list[dict[str, Any]]:
     if series.mark != "band":
         return []
     rows = envelope_rows(series.y)
-    lower = trace | {"y": _numbers(np.asarray(series.y, dtype=float)[rows]), "fill": "none", "showlegend": False}
+    lower = trace | {
+        "y": _numbers(np.asarray(series.y, dtype=float)[rows]),
+        "fill": "none",
+        "showlegend": False,
+    }
     return [lower | {"uid": f"{trace['uid']}-lower", "hoverinfo": "skip", "hovertemplate": ""}]
 
 
@@ -124,7 +131,8 @@ def _hover(series: Series, panel: Panel) -> str:
 
 def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
     spec: dict[str, Any] = {
-        "title": {"text": _text(axis.label) if title else "", "standoff": 6},
+        "title": {"text": _text(axis.label) if title else "", "standoff": 6, "font": {"size": 12}},
+        "tickfont": {"size": 11},
         "gridcolor": GRID,
         "linecolor": SOFT,
         "tickcolor": SOFT,
@@ -134,6 +142,7 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
         "zeroline": False,
         "automargin": True,
         "exponentformat": "power",
+        "minexponent": 5,
     }
     if axis.log:
         spec |= {"type": "log", "dtick": 1}
@@ -160,6 +169,7 @@ def _layout(figure: Figure) -> dict[str, Any]:
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "hovermode": "closest",
+        "separators": ".\u202f",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "xanchor": "left", "yanchor": "bottom"},
         "annotations": [],
     }
@@ -183,7 +193,7 @@ def _place_panel(
         x |= {"matches": f"x{_suffix(len(figure.panels) - 1)}", "showticklabels": False}
     if panel.equal:
         y |= {"scaleanchor": f"x{suffix}", "constrain": "domain"}
-        x |= {"constrain": "domain"}
+        x |= {"constrain": "domain", "nticks": 6}
     layout |= {f"xaxis{suffix}": x, f"yaxis{suffix}": y}
 
 

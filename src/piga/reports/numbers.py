@@ -76,11 +76,20 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     return Rounded(value_text + power, spread_text + power, f"{value_text}({last}){power}", exponent)
 
 
-def significant(value: float, digits: int = 6) -> str:
-    """A number with so many significant digits, without trailing zeros; never ``-0`` nor ``nan``."""
+def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
+    """A number with so many significant digits, trailing zeros only on request; never ``-0`` nor ``nan``."""
     if not math.isfinite(value):
         return "–"
-    return f"{value + 0.0:.{digits}g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+    number = Decimal(f"{value + 0.0:.{digits - 1}e}")
+    exponent = 0 if _is_plain(number.adjusted(), 0) or not number else number.adjusted()
+    text = f"{number.scaleb(-exponent):f}"
+    text = text.rstrip("0").rstrip(".") if "." in text and not zeros else text
+    return f"{text}e{exponent}" if exponent else text
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals; what rounds to zero has no sign."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def short(value: float, digits: int = 3) -> str:
@@ -88,21 +97,21 @@ def short(value: float, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> short(12345.6), short(0.001234), short(1.2e-7)
-    ('12 346', '0.00123', '1.2e-7')
+    >>> short(12345.6), short(2.8), short(0.001234), short(1.2e-7)
+    ('12 346', '2.80', '0.00123', '1.20e-7')
     """
     if not math.isfinite(value):
         return "–"
-    if value == 0.0 or 1e-3 <= abs(value) < 1e3:
-        return significant(value, digits)
+    if value == 0.0:
+        return "0"
     if 1e3 <= abs(value) < 1e7:
         return count(round(value))
-    return significant(value, digits)
+    return significant(value, digits, zeros=True)
 
 
 def count(number: int) -> str:
-    """A whole number with narrow spaces between thousands."""
-    return f"{number:,}".replace(",", " ")
+    """A whole number with thin unbreakable spaces between thousands, from five digits on."""
+    return f"{number:,}".replace(",", " ") if abs(number) >= 10000 else str(number)
 
 
 def friendly(value: float, uncertainty: float, unit: str) -> tuple[float, float, str]:
@@ -131,14 +140,14 @@ def relative(value: float, uncertainty: float) -> str:
     if share > 1.0:
         return "> 100 %"
     scale, name = (1e2, "%") if share >= 1e-3 else (1e6, "ppm") if share >= 1e-7 else (1e9, "ppb")
-    return f"{significant(share * scale, 2)} {name}"
+    return f"{significant(share * scale, 2, zeros=True)} {name}"
 
 
 def printed(number: str) -> str:
     """A number as it is printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
     mantissa, mark, power = number.partition("e")
     text = mantissa.replace("-", "−")
-    return f"{text} × 10{power.translate(_SUPERSCRIPT)}" if mark and power.lstrip("-").isdigit() else text
+    return f"{text} × 10{power.translate(_SUPERSCRIPT)}" if mark and power.lstrip("-").isdigit() else text
 
 
 def pretty_unit(unit: str) -> str:

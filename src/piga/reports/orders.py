@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 TURNS_NEEDED = 2.0
 """Cycles of a ripple that a segment must hold: fewer cannot be told from drift or from other orders."""
 
+_TAPER_LOSS = 1.5  # variance of an amplitude under the raised cosine, against equal weights
+
 _CHUNK = 16384
 _STANDING = 1e-7
 
@@ -32,8 +35,8 @@ _STANDING = 1e-7
 class OrderSpectrum:
     """Ripple amplitude [m/s^2] by revolution order, root-mean-square over the segments.
 
-    ``noise`` is the amplitude that white noise as large as the residual after calibration would show.
-    ``segments`` is how many segments turned far enough to be used; orders that none can show are nan.
+    ``noise`` is the amplitude that the stated noise levels alone would show. ``segments`` is how many
+    segments turned far enough to be used; orders that none of them can show are nan.
     """
 
     order: Array
@@ -73,7 +76,7 @@ def segment_slices(segment: ArrayLike) -> list[slice]:
     if index.size == 0:
         return []
     edges = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), index.size]
-    return [slice(start, stop) for start, stop in zip(edges[:-1], edges[1:], strict=True)]
+    return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
 def _segments(residuals: Residuals, least: int = 8) -> Iterator[_Segment]:
@@ -87,10 +90,16 @@ def _segments(residuals: Residuals, least: int = 8) -> Iterator[_Segment]:
 
 def order_grid(highest: float = 6.0, step: float = 0.125) -> Array:
     """Revolution orders ``step, 2 step, ..., highest``; whole orders are among them."""
-    return step * np.arange(1, round(highest / step) + 1)
+    return np.arange(1.0, round(highest / step) + 1.0) * step
 
 
-def order_spectrum(residuals: Residuals, scale_factor: float, step: float = 0.125, highest: float = 6.0) -> OrderSpectrum:
+def order_spectrum(
+    residuals: Residuals,
+    scale_factor: float,
+    noise: tuple[float, float] = (0.0, 0.0),
+    step: float = 0.125,
+    highest: float = 6.0,
+) -> OrderSpectrum:
     """Amplitude spectrum of the residuals in revolution order, as equivalent specific force.
 
     Parameters
@@ -99,22 +108,28 @@ def order_spectrum(residuals: Residuals, scale_factor: float, step: float = 0.12
         Residual angle per sample before and after calibration [rad].
     scale_factor:
         ``K`` [(rad/s)/(m/s^2)].
+    noise:
+        White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)].
     step, highest:
         Spacing of the orders and the last one.
 
     Returns
     -------
     spectrum:
-        For each order the amplitudes of all segments with at least two cycles, combined as root mean
-        square, each weighted by the information it holds on that order.
+        For each order the amplitudes of the segments, combined as root mean square, each weighted by the
+        information it holds on that order. Segments that turn less than half as far as the farthest, or
+        show less than two cycles of the order, are left out: they would blur the lines.
     """
     order = order_grid(highest, step)
     power, weight, used = np.zeros((3, order.size)), np.zeros(order.size), 0
-    for segment in _segments(residuals):
-        shown = order * segment.turns >= TURNS_NEEDED
+    segments = list(_segments(residuals))
+    enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
+    for segment in segments:
+        shown = (order * segment.turns >= TURNS_NEEDED) & (segment.turns >= enough)
         if not shown.any():
             continue
         square, information = _segment_power(segment, step, order.size, scale_factor)
+        square = np.vstack((square, _noise_power(segment, order, noise) / scale_factor**2))
         good = shown & (information > 0.0)
         power[:, good] += information[good] * square[:, good]
         weight[good] += information[good]
@@ -124,10 +139,19 @@ def order_spectrum(residuals: Residuals, scale_factor: float, step: float = 0.12
     return OrderSpectrum(order, amplitude[0], amplitude[1], amplitude[2], used)
 
 
+def _noise_power(segment: _Segment, order: Array, noise: tuple[float, float]) -> Array:
+    """Expected squared amplitude [rad^2/s^2] of white angle noise and random walk over the segment."""
+    white, walk = noise
+    duration = segment.t[-1] - segment.t[0]
+    angular = order * float(np.ptp(segment.psi)) / duration
+    density = walk**2 + white**2 * duration / segment.t.size * angular**2
+    return 4.0 * _TAPER_LOSS * density / duration
+
+
 def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: float) -> tuple[Array, Array]:
-    """Squared amplitudes (before, after, white noise) and information of one segment, per order."""
+    """Squared amplitudes (before, after) and information of one segment, per order."""
     moments = np.zeros((orders, 6, 2))
-    plain, weights = np.zeros((4, 4)), np.zeros(2)
+    plain = np.zeros((4, 4))
     carry = np.zeros(orders, dtype=complex)
     half = 0.5 * (segment.t[-1] - segment.t[0])
     middle = segment.t[0] + half
@@ -135,20 +159,27 @@ def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: fl
     for start in range(0, segment.t.size, _CHUNK):
         # One sample of overlap: the integral runs on across the chunks.
         rows = slice(max(start - 1, 0), start + _CHUNK)
-        fixed = np.stack((np.ones_like(segment.t[rows]), (segment.t[rows] - middle) / half, *segment.residual[:, rows]))
+        fixed = np.stack(
+            (np.ones_like(segment.t[rows]), (segment.t[rows] - middle) / half, *segment.residual[:, rows])
+        )
         skip = 1 if start else 0
         light = taper[rows].copy()
         light[:skip] = 0.0
-        weights += light.sum(), light @ light
         plain += (fixed * light) @ fixed.T
         _add_moments(moments, carry, segment.t[rows], segment.psi[rows] - segment.psi[0], fixed, light, step)
     moments[:, :4] *= scale_factor
     moments[:, 4:] *= scale_factor**2
-    return _fit_orders(moments, plain, weights)
+    return _fit_orders(moments, plain)
 
 
 def _add_moments(
-    moments: Array, carry: NDArray[np.complex128], t: Array, psi: Array, fixed: Array, weight: Array, step: float
+    moments: Array,
+    carry: NDArray[np.complex128],
+    t: Array,
+    psi: Array,
+    fixed: Array,
+    weight: Array,
+    step: float,
 ) -> None:
     """Weighted sums of the integrals ``int exp(i n psi) dt`` with 1, t, the residuals, and themselves."""
     weighted = fixed * weight
@@ -175,7 +206,7 @@ def _add_moments(
         moments[row, 4:] += parts.T @ parts
 
 
-def _fit_orders(moments: Array, plain: Array, weights: Array) -> tuple[Array, Array]:
+def _fit_orders(moments: Array, plain: Array) -> tuple[Array, Array]:
     """Least squares of both residuals on cosine and sine integral, offset and drift projected out."""
     base = plain[:2, :2]
     inside = np.linalg.solve(base, moments[:, :2])  # offset and drift in the integrals
@@ -186,10 +217,7 @@ def _fit_orders(moments: Array, plain: Array, weights: Array) -> tuple[Array, Ar
     good = determinant > 1e-9 * information**2
     gram[~good] = np.eye(2)
     amplitude = np.linalg.solve(gram, np.swapaxes(right, 1, 2))
-    left = plain[3, 3] - plain[:2, 3] @ np.linalg.solve(base, plain[:2, 3])
-    variance = max(left, 0.0) / weights[0] * weights[1] / weights[0]
-    noise = 2.0 * variance / np.where(good, information, 1.0)
-    squares = np.stack((*np.swapaxes(np.sum(amplitude**2, axis=1), 0, 1), noise))
+    squares = np.swapaxes(np.sum(amplitude**2, axis=1), 0, 1)
     return squares, np.where(good, information, 0.0)
 
 
@@ -245,5 +273,5 @@ def _binned(segment: _Segment, bins: int) -> tuple[Array, Array]:
     change, dt = np.diff(residual), np.diff(segment.t)
     phase = math.atan2(float(np.sin(middle) @ change[0]), float(np.cos(middle) @ change[0]))
     index = np.floor((middle - phase) / (2.0 * math.pi) * bins).astype(np.int64) % bins
-    sums = np.stack([np.bincount(index, weights=row, minlength=bins) for row in change])
-    return sums, np.bincount(index, weights=dt, minlength=bins)
+    sums = [np.bincount(index, weights=row, minlength=bins) for row in (*change, dt)]
+    return np.array(sums[:2], dtype=float), np.array(sums[2], dtype=float)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -89,7 +90,9 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise ValueError(f"table '{self.caption}': a row of {len(row)} cells for {len(self.columns)} columns")
+                raise ValueError(
+                    f"table '{self.caption}': a row of {len(row)} cells for {len(self.columns)} columns"
+                )
 
     @property
     def cells(self) -> list[list[Cell]]:
@@ -134,6 +137,14 @@ class Page:
     sections: tuple[Section, ...] = ()
     kicker: str = "piga"
     footer: str = ""
+
+    def __post_init__(self) -> None:
+        names = [section.anchor for section in self.sections] + [figure.key for figure in self.figures()]
+        for name in names:
+            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
+                raise ValueError(f"'{name}' cannot be an anchor or figure key: use letters, digits, hyphens")
+            if names.count(name) > 1:
+                raise ValueError(f"'{name}' is the anchor or key of two parts of the page")
 
     def figures(self) -> tuple[Figure, ...]:
         """All figures in reading order."""

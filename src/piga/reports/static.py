@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piga.errors import ArgumentError
+from piga.errors import ArgumentError, PigaError
 from piga.reports.decimate import envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.palette import GRID, INK, LIGHT, SOFT, css_names
@@ -67,9 +67,13 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def _style(figure: Figure, fonttype: str) -> Iterator[None]:
-    import matplotlib as mpl
-
-    with mpl.rc_context(_STYLE | {"svg.hashsalt": figure.key, "svg.fonttype": fonttype}):
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        message = "figures need Matplotlib, which is not installed"
+        raise PigaError(message, remedy="install it with: pip install 'piga[report]'") from None
+    style: Any = _STYLE | {"svg.hashsalt": figure.key, "svg.fonttype": fonttype}
+    with mpl.rc_context(style):
         yield
 
 
@@ -108,7 +112,9 @@ def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int =
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _NO_METADATA:
-        raise ArgumentError(f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings")
+        raise ArgumentError(
+            f"{path}: figures are written as .svg, .pdf or .png", remedy="choose one of these endings"
+        )
     with _style(figure, "path"):
         drawn = _drawn(figure, width)
         drawn.savefig(path, format=kind, dpi=dpi, metadata=_NO_METADATA[kind], facecolor="white")
@@ -147,7 +153,9 @@ def _draw_legend(canvas: Canvas, grid: Any) -> None:
             entries.setdefault(label, handle)
     if entries:
         columns = min(len(entries), 4)
-        canvas.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=columns, borderaxespad=0.2)
+        canvas.legend(
+            entries.values(), entries.keys(), loc="outside upper left", ncols=columns, borderaxespad=0.2
+        )
 
 
 def _draw_panel(axes: Axes, figure: Figure, index: int, *, label_x: bool) -> None:
@@ -160,6 +168,7 @@ def _draw_panel(axes: Axes, figure: Figure, index: int, *, label_x: bool) -> Non
     _draw_axis(axes, "x", panel.x, label=label_x)
     _draw_axis(axes, "y", panel.y, label=True)
     if panel.equal:
+        axes.locator_params(nbins=5)
         axes.set_aspect("equal", adjustable="box" if _has_limits(panel) else "datalim")
 
 
@@ -203,7 +212,7 @@ def _draw_series(axes: Axes, series: Series) -> Any:
 
 
 def _for_page(text: str, figure: Figure) -> str:
-    """Only the ``svg`` element: scalable, coloured by CSS variables, ids unique in the page, font of the page."""
+    """Only the ``svg`` element: scalable, coloured by CSS variables, ids unique in the page."""
     svg = text[text.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
     svg = re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', _SVG_TAG, svg, count=1)
@@ -221,9 +230,13 @@ def _compact(svg: str) -> str:
     """Coordinates to a hundredth of a point, no empty space, no style that would leak into the page."""
     svg = re.sub(r"<style.*?</style>", "", svg, flags=re.DOTALL)
     svg = svg.replace("; font-family: 'DejaVu Sans'", "")
-    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
+    svg = re.sub(r' (?:d|x|y|transform|viewBox)="[^"]*"', _short_coordinates, svg)
     svg = re.sub(r"\s*\n(?=[MLCQzZ\"])", "", svg)
     return re.sub(r">\s+<", "><", svg).strip()
+
+
+def _short_coordinates(attribute: re.Match[str]) -> str:
+    return re.sub(r"(\.\d\d)\d+", r"\1", attribute.group(0))
 
 
 _SVG_TAG = r'<svg viewBox="\1" xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'

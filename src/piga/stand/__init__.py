@@ -1,1 +1,36 @@
 """Test stands as simulated machines: each gives specific force and base rate with its own errors."""
+
+from piga.stand.centrifuge import Centrifuge
+from piga.stand.composite import Composite
+from piga.stand.dividing_head import DividingHead
+from piga.stand.imperfections import Imperfections
+from piga.stand.logged import LoggedProfile
+from piga.stand.profile import Profile, Segment, Stand, force_change, sample_stand
+from piga.stand.rate_table import RateTable
+from piga.stand.scenario import Scenario, read_scenario, run_scenario
+from piga.stand.simulate import SimulatedTest, Specimen, simulate_test
+from piga.stand.spin import SpinPlan
+from piga.stand.vibration import Drive, VibrationTable
+
+__all__ = [
+    "Centrifuge",
+    "Composite",
+    "DividingHead",
+    "Drive",
+    "Imperfections",
+    "LoggedProfile",
+    "Profile",
+    "RateTable",
+    "Scenario",
+    "Segment",
+    "SimulatedTest",
+    "Specimen",
+    "SpinPlan",
+    "Stand",
+    "VibrationTable",
+    "force_change",
+    "read_scenario",
+    "run_scenario",
+    "sample_stand",
+    "simulate_test",
+]

@@ -8,17 +8,22 @@
   const config = {
     displaylogo: false,
     responsive: true,
-    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+    modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "sendChartToCloud"],
+    plotlyServerURL: "",
     doubleClick: "reset",
   };
 
-  // Colours of the figure become those of the page's present theme.
+  // Colours of the figure (#rrggbb, or #rrggbbaa with opacity) become those of the page's present theme.
+  const colour = (text, style) => {
+    const name = palette[text.slice(0, 7)];
+    return name ? style.getPropertyValue(name).trim() + text.slice(7) : text;
+  };
   const themed = (node, style) => {
     if (Array.isArray(node)) return typeof node[0] === "number" ? node : node.map((item) => themed(item, style));
     if (node && typeof node === "object") {
       return Object.fromEntries(Object.entries(node).map(([key, value]) => [key, themed(value, style)]));
     }
-    return palette[node] ? style.getPropertyValue(palette[node]).trim() : node;
+    return typeof node === "string" && /^#[0-9a-f]{6,8}$/.test(node) ? colour(node, style) : node;
   };
 
   const change = (layout, path, value) => {
@@ -38,6 +43,7 @@
     layout.modebar = { bgcolor: "rgba(0,0,0,0)", color: style.getPropertyValue("--soft").trim() };
     if (touch.matches) {
       // A finger scrolls the page; it does not zoom the figure by accident.
+      config.displayModeBar = false;
       layout.dragmode = false;
       Object.keys(layout).filter((key) => /^[xy]axis/.test(key)).forEach((key) => { layout[key].fixedrange = true; });
     }

@@ -22,7 +22,7 @@ from piga._kernels import double_double as dd
 from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.parameters import Instrument
-from piga.instrument.regime import effective_rates
+from piga.instrument.regimes import effective_rates
 
 Array = NDArray[np.float64]
 

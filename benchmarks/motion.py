@@ -1,0 +1,306 @@
+"""Speed, accuracy and memory of the exact motion, with named baselines in the same run.
+
+Run: python benchmarks/motion.py [--out FILE.json] [--quick]
+
+Every time is the median of at least five repetitions, with the smallest beside it (on a busy machine the
+better guide). Baselines: numpy.sin and a memory copy for the machine, a compiled Runge-Kutta of order
+4, SciPy's DOP853. docs/benchmarks-motion.md shows the output of one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import scipy
+from scipy.integrate import solve_ivp
+
+from piga.instrument import (
+    Instrument,
+    propagate,
+    propagate_fleet,
+    propagate_function,
+    propagate_increments,
+    propagate_rate,
+    propagate_segments,
+    sensitivities,
+)
+from piga.units import G0
+
+INST = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
+K, TAN_BETA = INST.scale_factor, INST.tan_beta
+W = 2.0 * math.pi * 2.0  # the 2 Hz vibration
+RESULTS: list[dict[str, Any]] = []
+
+
+def timed(work: Callable[[], Any], per: int, repeats: int = 11) -> tuple[float, float]:
+    """Median and smallest time of ``work`` [ns], divided by ``per``; run once before."""
+    work()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times)) / per * 1e9, min(times) / per * 1e9
+
+
+def show(name: str, value: tuple[float, float] | float, unit: str, note: str = "") -> None:
+    pair = value if isinstance(value, tuple) else (value, value)
+    RESULTS.append({"name": name, "median": pair[0], "min": pair[1], "unit": unit, "note": note})
+    print(f"| {name} | {pair[0]:.4g} | {pair[1]:.4g} | {unit} | {note} |", flush=True)
+
+
+def force(t: np.ndarray) -> np.ndarray:
+    """2 Hz vibration on all axes [m/s^2], shape (n, 3)."""
+    x = (0.5 + 0.5 * np.sin(W * t)) * G0
+    return np.stack([x, 5 * G0 * np.cos(W * t + 0.4), 2 * G0 * np.sin(W * t + 1.0)], axis=-1)
+
+
+def force_integral(t: np.ndarray) -> np.ndarray:
+    x = (0.5 * t - 0.5 * np.cos(W * t) / W) * G0
+    return np.stack([x, 5 * G0 * np.sin(W * t + 0.4) / W, -2 * G0 * np.cos(W * t + 1.0) / W], axis=-1)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def rk4(t, f, K, tan_beta, alpha0, parts, alpha):
+    """Baseline: the classical Runge-Kutta method, ``parts`` steps between samples, input linear."""
+    x = alpha0
+    alpha[0] = x
+    coupling = K * tan_beta
+    for k in range(t.size - 1):
+        h = (t[k + 1] - t[k]) / parts
+        a0, y0, z0 = K * f[k, 0], coupling * f[k, 1], coupling * f[k, 2]
+        da, dy, dz = K * f[k + 1, 0] - a0, coupling * f[k + 1, 1] - y0, coupling * f[k + 1, 2] - z0
+        for j in range(parts):
+            u, v, w = j / parts, (j + 0.5) / parts, (j + 1.0) / parts
+            k1 = a0 + u * da + (y0 + u * dy) * math.sin(x) - (z0 + u * dz) * math.cos(x)
+            a, y, z = a0 + v * da, y0 + v * dy, z0 + v * dz
+            x2 = x + 0.5 * h * k1
+            k2 = a + y * math.sin(x2) - z * math.cos(x2)
+            x3 = x + 0.5 * h * k2
+            k3 = a + y * math.sin(x3) - z * math.cos(x3)
+            x4 = x + h * k3
+            k4 = a0 + w * da + (y0 + w * dy) * math.sin(x4) - (z0 + w * dz) * math.cos(x4)
+            x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        alpha[k + 1] = x
+
+
+def machine(n: int) -> None:
+    x = np.random.default_rng(1).uniform(0.0, 10.0, n)
+    out = np.empty(n)
+    show("numpy.sin, float64", timed(lambda: np.sin(x, out=out), n), "ns/element")
+    copy = timed(lambda: np.copyto(out, x), n)
+    show("memory copy", (16.0 / copy[0], 16.0 / copy[1]), "GB/s", "bytes read plus bytes written")
+
+
+def serial(n: int) -> None:
+    t = np.arange(n) * 1e-3
+    f = np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
+    dv = f[1:] * 1e-3
+    alpha = np.empty(n)
+    show("rate output, one core", timed(lambda: propagate_rate(INST, t, f), n), "ns/sample", "bar 8 at sin 13")
+    show("angle output, one core", timed(lambda: propagate(INST, t, f), n), "ns/sample", "bar 12 at sin 13")
+    both = timed(lambda: propagate(INST, t, f, with_rate=True), n)
+    show("angle and rate, one core", both, "ns/sample")
+    show("angle from increments, one core", timed(lambda: propagate_increments(INST, t, dv), n), "ns/sample")
+    slow = n // 10
+    ns = timed(lambda: sensitivities(INST, t[:slow], f[:slow]), slow)
+    show("angle, rate and 12 derivatives", ns, "ns/sample")
+    baseline = timed(lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, 1, alpha), n, 5)
+    show("baseline: compiled RK4, one step a sample", baseline, "ns/sample")
+    large = np.linspace(0.0, 5.0 * slow, slow)
+    show("steps above 1 rad, one core", timed(lambda: propagate(INST, large, f[:slow]), slow), "ns/sample")
+
+
+def threads(n: int, instruments: int, samples: int) -> None:
+    """Speed-up on two threads beside what the machine gives two independent jobs at the same time."""
+    t = np.arange(n) * 1e-3
+    f = np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
+
+    def two_jobs() -> None:
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(lambda _: propagate_rate(INST, t, f), range(2)))
+
+    for name, work in (("rate", propagate_rate), ("angle", propagate)):
+        one = timed(lambda work=work: work(INST, t, f), n)
+        two = timed(lambda work=work: work(INST, t, f, workers=2), n)
+        show(f"one long record, {name}, two threads", two, "ns/sample")
+        show(f"... speed-up over one thread ({name})", (one[0] / two[0], one[1] / two[1]), "1", "ideal 1.4")
+    one, pair = timed(lambda: propagate_rate(INST, t, f), n), timed(two_jobs, n)
+    capacity = (2.0 * one[0] / pair[0], 2.0 * one[1] / pair[1])
+    show("capacity: two independent jobs at once", capacity, "1", "2 on two free cores")
+    short = t[:samples]
+    fleet = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(instruments)]
+    for workers in (1, 2):
+        ns = timed(
+            lambda workers=workers: propagate_fleet(fleet, short, f[:samples], workers=workers),
+            instruments * samples, 5,
+        )  # fmt: skip
+        what = f"fleet of {instruments}, angle, {workers} thread{'s' * (workers > 1)}"
+        show(what, ns, "ns/instrument-sample", "bar 6 on two cores" if workers == 2 else "")
+
+
+def interpolated(at: np.ndarray, t: np.ndarray, f: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(at, t, f[:, k]) for k in range(3)], axis=-1)
+
+
+def dop853_sampled(t: np.ndarray, f: np.ndarray, rtol: float) -> tuple[float, float]:
+    """DOP853 restarted at every sample (the input has a kink there): angle and seconds."""
+    rows, times = f.tolist(), t.tolist()
+    start, x = time.perf_counter(), [INST.alpha0]
+    for k in range(len(times) - 1):
+        t0, h = times[k], times[k + 1] - times[k]
+        (a0, y0, z0), (a1, y1, z1) = rows[k], rows[k + 1]
+
+        def slope(s, x, t0=t0, h=h, a0=a0, a1=a1, y0=y0, y1=y1, z0=z0, z1=z1):
+            w = (s - t0) / h
+            pull = (y0 + w * (y1 - y0)) * math.sin(x[0]) - (z0 + w * (z1 - z0)) * math.cos(x[0])
+            return [K * (a0 + w * (a1 - a0) + TAN_BETA * pull)]
+
+        run = solve_ivp(slope, (t0, t0 + h), x, method="DOP853", rtol=rtol, atol=rtol, first_step=h)
+        x = [run.y[0, -1]]
+    return x[0], time.perf_counter() - start
+
+
+def equal_accuracy_sampled(seconds: float) -> None:
+    """A 2 Hz vibration sampled at 100 Hz, input linear between samples: 1e-9 rad at the end."""
+    n = round(seconds * 100) + 1
+    t = np.linspace(0.0, seconds, n)
+    f = force(t)
+    fine = np.linspace(0.0, seconds, (n - 1) * 64 + 1)
+    reference = propagate(INST, fine, interpolated(fine, t, f))[::64]
+    error = float(np.abs(propagate(INST, t, f) - reference).max())
+    ours = timed(lambda: propagate(INST, t, f), 1)
+    show("sampled vibration: exact motion", (ours[0] / n, ours[1] / n), "ns/sample", f"error {error:.1e} rad")
+    alpha = np.empty(n)
+    parts = 1
+    while True:
+        rk4(t, f, K, TAN_BETA, INST.alpha0, parts, alpha)
+        error = float(np.abs(alpha - reference).max())
+        if error < 1e-9:
+            break
+        parts += 1
+    base = timed(lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, parts, alpha), 1)
+    note = f"error {error:.1e} rad, {parts} step(s) a sample"
+    show("sampled vibration: compiled RK4", (base[0] / n, base[1] / n), "ns/sample", note)
+    show("... ratio to exact motion", (base[0] / ours[0], base[1] / ours[1]), "1", "bar 10")
+    end, wall = dop853_sampled(t, f, 1e-9)
+    note = f"error {abs(end - reference[-1]):.1e} rad, restarted at each sample"
+    show("sampled vibration: SciPy DOP853", wall / n * 1e9, "ns/sample", note)
+    show("... ratio to exact motion", wall * 1e9 / ours[0], "1", "bar 1000")
+
+
+def equal_accuracy_smooth(seconds: float) -> None:
+    """The same vibration as a formula: DOP853 at its best, without kinks."""
+
+    def slope(t: float, x: list[float]) -> list[float]:
+        y, z = 5 * G0 * math.cos(W * t + 0.4), 2 * G0 * math.sin(W * t + 1.0)
+        pull = y * math.sin(x[0]) - z * math.cos(x[0])
+        return [K * ((0.5 + 0.5 * math.sin(W * t)) * G0 + TAN_BETA * pull)]
+
+    fine = np.linspace(0.0, seconds, round(seconds * 2000) + 1)
+    reference = propagate_increments(INST, fine, np.diff(force_integral(fine), axis=0))[-1]
+
+    def dop853() -> float:
+        run = solve_ivp(slope, (0.0, seconds), [INST.alpha0], method="DOP853", rtol=1e-9, atol=1e-9)
+        return float(run.y[0, -1])
+
+    base = timed(dop853, 1, 5)
+    show("smooth vibration: SciPy DOP853", base[1] * 1e-6, "ms", f"error {abs(dop853() - reference):.1e} rad")
+    grid = np.linspace(0.0, seconds, round(seconds * 140) + 1)
+    dv = np.diff(force_integral(grid), axis=0)
+    error = abs(propagate_increments(INST, grid, dv)[-1] - reference)
+    ours = timed(lambda: propagate_increments(INST, grid, dv), 1)
+    show("smooth vibration: increments at 140 Hz", ours[1] * 1e-6, "ms", f"error {error:.1e} rad")
+    show("... ratio", (base[0] / ours[0], base[1] / ours[1]), "1")
+    ends = [0.0, seconds]
+    adaptive = timed(lambda: propagate_function(INST, ends, force, tolerance=1e-9, vectorized=True), 1, 5)
+    error = abs(propagate_function(INST, ends, force, tolerance=1e-9, vectorized=True)[-1] - reference)
+    show("smooth vibration: function, tolerance 1e-9", adaptive[1] * 1e-6, "ms", f"error {error:.1e} rad")
+    show("... ratio", (base[0] / adaptive[0], base[1] / adaptive[1]), "1")
+
+
+def constant_stretch() -> None:
+    length, f = np.array([1e6]), np.array([[G0, 5 * G0, 0.0]])
+    ns = timed(lambda: propagate_segments(INST, length, f), 1)
+    show("constant stretch of 1e6 s, one step", (ns[0] * 1e-3, ns[1] * 1e-3), "us", "call and checks included")
+
+
+def memory(n: int) -> None:
+    """Largest allocation during a call beside its output, for a record of n samples."""
+    t = np.arange(n) * 1e-3
+    f = np.ones((n, 3))
+    for name, work, output in (
+        ("angle and rate", lambda: propagate(INST, t, f, with_rate=True), 16 * n),
+        ("rate, two threads", lambda: propagate_rate(INST, t, f, workers=2), 8 * n),
+        ("increments", lambda: propagate_increments(INST, t, f[1:]), 8 * n),
+    ):
+        work()
+        tracemalloc.start()
+        work()
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        show(f"memory beside output, {name}", (peak - output) / 1024, "KiB", f"output {output / 2**20:.0f} MiB")
+
+
+FIRST_CALL = """
+import time; a = time.perf_counter()
+import numpy as np
+b = time.perf_counter()
+import piga; inst = piga.Instrument(0.09, 0.005); piga.propagate
+c = time.perf_counter()
+piga.propagate(inst, np.arange(5.0), np.ones((5, 3)))
+d = time.perf_counter()
+piga.propagate(inst, np.arange(5.0), np.ones((5, 3)))
+e = time.perf_counter()
+print(c - b, d - c, e - d)
+"""
+
+
+def start_up() -> None:
+    runs = []
+    for _ in range(6):
+        run = subprocess.run([sys.executable, "-c", FIRST_CALL], capture_output=True, text=True, check=True)
+        runs.append([float(x) * 1e3 for x in run.stdout.split()])
+    imports, first, second = np.median(np.array(runs[1:]), axis=0)
+    show("start-up: import of piga.instrument (Numba)", imports, "ms", "NumPy imported before")
+    show("start-up: first call, warm cache", first, "ms", "nothing is compiled (tests/kernels)")
+    show("start-up: second call", second, "ms")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="write the results as JSON")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the samples")
+    options = parser.parse_args()
+    scale = 10 if options.quick else 1
+    versions = f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
+    print(f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}\n")
+    print("| what | median | smallest | unit | note |\n|---|---|---|---|---|")
+    machine(1_000_000 // scale)
+    serial(1_000_000 // scale)
+    threads(4_000_000 // scale, 256 // scale, 100_000 // scale)
+    equal_accuracy_sampled(100.0 / scale)
+    equal_accuracy_smooth(100.0 / scale)
+    constant_stretch()
+    memory(1_000_000 // scale)
+    start_up()
+    if options.out:
+        options.out.write_text(json.dumps({"versions": versions, "results": RESULTS}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,248 @@
+"""Kernel of the navigator: compensated velocity increments to inertial position and velocity.
+
+The step is explicit and of fourth order (Stoermer-Cowell for position, Adams-Moulton for velocity;
+coefficients rederived in docs/platform.md section 7). The velocity takes every increment in full, so
+that motion faster than the step is not lost.
+"""
+
+from __future__ import annotations
+
+import math
+
+from piga._kernels.jit import inline, kernel
+
+
+@inline
+def gravitation(x, y, z, gm, j2a2):
+    """Gravitation of the J2 field [m/s^2] at inertial position [m]; ``j2a2 = 1.5 J2 a^2`` [m^2]. Also 1/r."""
+    xy2, z2 = x * x + y * y, z * z
+    inverse = 1.0 / math.sqrt(xy2 + z2)
+    i2 = inverse * inverse
+    q = j2a2 * i2
+    s5 = 5.0 * z2 * i2
+    scale = -gm * inverse * i2
+    equatorial = scale * (1.0 + q * (1.0 - s5))
+    polar = scale * (1.0 + q * (3.0 - s5))
+    return equatorial * x, equatorial * y, polar * z, inverse
+
+
+@inline
+def height_and_normal(x, y, z, inverse, semi_minor, e2, q):
+    """Geodetic height [m] and unit normal; closed to second order in the deflection (error < 1e-7 m below 10 km)."""
+    s2 = z * z * inverse * inverse
+    radius = semi_minor / math.sqrt(1.0 - e2 * (1.0 - s2))
+    lengthened = 1.0 + (q * q - 1.0) * s2
+    sine2 = (q - 1.0) * (q - 1.0) * s2 * (1.0 - s2) / lengthened
+    norm = inverse / math.sqrt(lengthened)
+    return (1.0 / inverse - radius) * (1.0 - 0.5 * sine2), x * norm, y * norm, q * z * norm
+
+
+@inline
+def compensation_angles(c1, s1, c2, s2, tan_eta, sec_eta, tips, a1, b1, a2, b2):
+    """Small angles e_x, e_y, e_z [rad] of the platform against the triad [He2014], with harmonics (model C)."""
+    m1, m2 = tips[4], tips[5]
+    p, r, f, g = 1.0, 0.0, 1.0, 0.0
+    for k in range(a1.shape[0]):
+        p, r = p * c1 - r * s1, r * c1 + p * s1
+        f, g = f * c2 - g * s2, g * c2 + f * s2
+        m1 += a1[k] * p + b1[k] * r
+        m2 += a2[k] * f + b2[k] * g
+    ex = m1 * (tips[0] * c1 - tips[1] * s1)
+    ey = m1 * (tips[1] * c1 + tips[0] * s1)
+    return ex, ey, m2 * (tips[3] * c2 + tips[2] * s2) * sec_eta - ex * tan_eta
+
+
+@kernel
+def navigate_chunk(dv, z1, z2, tan_eta, sec_eta, tips, a1, b1, a2, b2, c_gi, drift, altitude, damping, earth, h, state,
+                   positions, velocities, every):  # fmt: skip
+    """Advance the navigator over a chunk of velocity increments; returns the number of rows written.
+
+    ``dv`` (n, 3) increments in platform axes [m/s]; ``z1, z2`` (n, 2) cosine and sine of the case
+    encoders at the middle of each step; ``tan_eta, sec_eta`` (n,) or (1,); ``tips`` (6,) =
+    cosine and sine of phase 1 and 2, m1, m2 [rad], with harmonics over the encoder angle in
+    ``a1, b1, a2, b2`` (K,) [rad]; ``c_gi`` (3, 3) triad to inertial axes at the start of the chunk;
+    ``drift`` (3,) triad drift [rad/s]; ``altitude`` (n,) or (1,) reference height [m]; ``damping``
+    (2,) gains [1/s, 1/s^2]; ``earth`` (5,) = GM, 1.5 J2 a^2, b, e^2, 1/(1 - e^2); ``h`` step [s];
+    ``state`` (9, 3) in and out: r, v, last three gravitations, last two increments, (height error, -, -), normal.
+    Every ``every``-th new state goes to ``positions`` and ``velocities``.
+    """
+    n = dv.shape[0]
+    gm, j2a2, semi_minor, e2, q = earth[0], earth[1], earth[2], earth[3], earth[4]
+    k1, k2 = damping[0] * h, damping[1] * h
+    x, y, z = state[0, 0], state[0, 1], state[0, 2]
+    u, v, w = state[1, 0], state[1, 1], state[1, 2]
+    gx, gy, gz = state[2, 0], state[2, 1], state[2, 2]
+    px, py, pz = state[3, 0], state[3, 1], state[3, 2]
+    rx, ry, rz = state[4, 0], state[4, 1], state[4, 2]
+    d1x, d1y, d1z = state[5, 0], state[5, 1], state[5, 2]
+    d2x, d2y, d2z = state[6, 0], state[6, 1], state[6, 2]
+    height_error = state[7, 0]
+    nx, ny, nz = state[8, 0], state[8, 1], state[8, 2]
+    c00, c01, c02 = c_gi[0, 0], c_gi[0, 1], c_gi[0, 2]
+    c10, c11, c12 = c_gi[1, 0], c_gi[1, 1], c_gi[1, 2]
+    c20, c21, c22 = c_gi[2, 0], c_gi[2, 1], c_gi[2, 2]
+    eta_stride = 1 if tan_eta.shape[0] > 1 else 0
+    altitude_stride = 1 if altitude.shape[0] > 1 else 0
+    hh, h24 = h * h / 24.0, h / 24.0
+    written, left = 0, every
+    for i in range(n):
+        k = i * eta_stride
+        ex, ey, ez = compensation_angles(
+            z1[i, 0], z1[i, 1], z2[i, 0], z2[i, 1], tan_eta[k], sec_eta[k], tips, a1, b1, a2, b2
+        )
+        middle = (i + 0.5) * h
+        ex, ey, ez = ex + drift[0] * middle, ey + drift[1] * middle, ez + drift[2] * middle
+        fx, fy, fz = dv[i, 0], dv[i, 1], dv[i, 2]
+        bx, by, bz = fx + ey * fz - ez * fy, fy + ez * fx - ex * fz, fz + ex * fy - ey * fx
+        dx = c00 * bx + c01 * by + c02 * bz
+        dy = c10 * bx + c11 * by + c12 * bz
+        dz = c20 * bx + c21 * by + c22 * bz
+        kick1, kick2 = k1 * height_error, k2 * height_error
+        x += (
+            h * u
+            + h24 * (9.0 * dx + 4.0 * d1x - d2x)
+            + hh * (3.0 * rx - 10.0 * px)
+            - kick1 * nx
+            + 19.0 * hh * gx
+        )
+        y += (
+            h * v
+            + h24 * (9.0 * dy + 4.0 * d1y - d2y)
+            + hh * (3.0 * ry - 10.0 * py)
+            - kick1 * ny
+            + 19.0 * hh * gy
+        )
+        z += (
+            h * w
+            + h24 * (9.0 * dz + 4.0 * d1z - d2z)
+            + hh * (3.0 * rz - 10.0 * pz)
+            - kick1 * nz
+            + 19.0 * hh * gz
+        )
+        u += dx - kick2 * nx + h24 * (19.0 * gx - 5.0 * px + rx)
+        v += dy - kick2 * ny + h24 * (19.0 * gy - 5.0 * py + ry)
+        w += dz - kick2 * nz + h24 * (19.0 * gz - 5.0 * pz + rz)
+        rx, ry, rz, px, py, pz = px, py, pz, gx, gy, gz
+        d2x, d2y, d2z, d1x, d1y, d1z = d1x, d1y, d1z, dx, dy, dz
+        gx, gy, gz, inverse = gravitation(x, y, z, gm, j2a2)
+        u += 9.0 * h24 * gx
+        v += 9.0 * h24 * gy
+        w += 9.0 * h24 * gz
+        height, nx, ny, nz = height_and_normal(x, y, z, inverse, semi_minor, e2, q)
+        height_error = height - altitude[i * altitude_stride]
+        left -= 1
+        if left == 0:
+            left = every
+            positions[written, 0], positions[written, 1], positions[written, 2] = x, y, z
+            velocities[written, 0], velocities[written, 1], velocities[written, 2] = u, v, w
+            written += 1
+    state[0, 0], state[0, 1], state[0, 2] = x, y, z
+    state[1, 0], state[1, 1], state[1, 2] = u, v, w
+    state[2, 0], state[2, 1], state[2, 2] = gx, gy, gz
+    state[3, 0], state[3, 1], state[3, 2] = px, py, pz
+    state[4, 0], state[4, 1], state[4, 2] = rx, ry, rz
+    state[5, 0], state[5, 1], state[5, 2] = d1x, d1y, d1z
+    state[6, 0], state[6, 1], state[6, 2] = d2x, d2y, d2z
+    state[7, 0] = height_error
+    state[8, 0], state[8, 1], state[8, 2] = nx, ny, nz
+    return written
+
+
+@inline
+def geodetic(x, y, z, semi_major, e2):
+    """Geodetic latitude [rad], distance from the axis [m] and height [m] of an Earth-fixed position.
+
+    Bowring's start and one more step of it: exact to rounding within 50 km of the surface.
+    """
+    flat = math.sqrt(1.0 - e2)
+    axis = math.hypot(x, y)
+    second = e2 / (1.0 - e2)
+    semi_minor = semi_major * flat
+    tangent = z / (flat * axis)
+    sine = 0.0
+    cosine = 1.0
+    for _ in range(2):
+        cb = 1.0 / math.sqrt(1.0 + tangent * tangent)
+        sb = tangent * cb
+        up = z + second * semi_minor * sb * sb * sb
+        out = axis - e2 * semi_major * cb * cb * cb
+        norm = 1.0 / math.sqrt(up * up + out * out)
+        sine, cosine = up * norm, out * norm
+        tangent = flat * sine / cosine
+    root = math.sqrt(1.0 - e2 * sine * sine)
+    return sine, cosine, axis, axis * cosine + z * sine - semi_major * root
+
+
+@kernel
+def local_level(r, v, gimbals, z1, z2, tan_eta, sec_eta, tips, a1, b1, a2, b2, c_gi, drift, times, earth_rate,
+                semi_major, e2, out):  # fmt: skip
+    """Navigator states to what the navigator shows, ``out`` (n, 9).
+
+    Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]
+    at ``times`` (n,) from inertial ``r, v`` (n, 3), gimbal angles (n, 3) and case encoders at the same
+    instants; the other arguments are those of :func:`navigate_chunk`, ``c_gi`` at time zero and
+    ``drift`` (3,) along triad axes turned out as one rotation vector.
+    """
+    stride = 1 if tan_eta.shape[0] > 1 else 0
+    rate = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
+    for i in range(r.shape[0]):
+        angle = earth_rate * times[i]
+        ce, se = math.cos(angle), math.sin(angle)
+        x, y, z = ce * r[i, 0] + se * r[i, 1], ce * r[i, 1] - se * r[i, 0], r[i, 2]
+        u = ce * v[i, 0] + se * v[i, 1] + earth_rate * y
+        w = ce * v[i, 1] - se * v[i, 0] - earth_rate * x
+        sl, cl, axis, height = geodetic(x, y, z, semi_major, e2)
+        co, so = x / axis, y / axis
+        radial = co * u + so * w
+        out[i, 0], out[i, 1], out[i, 2] = math.atan2(sl, cl), math.atan2(y, x), height
+        out[i, 3] = cl * v[i, 2] - sl * radial
+        out[i, 4] = co * w - so * u
+        out[i, 5] = -cl * radial - sl * v[i, 2]
+        k = i * stride
+        ex, ey, ez = compensation_angles(
+            z1[i, 0], z1[i, 1], z2[i, 0], z2[i, 1], tan_eta[k], sec_eta[k], tips, a1, b1, a2, b2
+        )
+        ci1, si1 = math.cos(gimbals[i, 0]), math.sin(gimbals[i, 0])
+        ci2, si2 = math.cos(gimbals[i, 1]), math.sin(gimbals[i, 1])
+        ci3, si3 = math.cos(gimbals[i, 2]), math.sin(gimbals[i, 2])
+        # local axes in inertial, then triad, platform and, by (R3(sigma) R2(theta) R3(psi))^T, body axes
+        ci, si = ce * co - se * so, se * co + ce * so
+        for column in range(3):
+            if column == 0:
+                ax, ay, az = -sl * ci, -sl * si, cl
+            elif column == 1:
+                ax, ay, az = -si, ci, 0.0
+            else:
+                ax, ay, az = -cl * ci, -cl * si, -sl
+            bx = c_gi[0, 0] * ax + c_gi[1, 0] * ay + c_gi[2, 0] * az
+            by = c_gi[0, 1] * ax + c_gi[1, 1] * ay + c_gi[2, 1] * az
+            bz = c_gi[0, 2] * ax + c_gi[1, 2] * ay + c_gi[2, 2] * az
+            if rate > 0.0:
+                bx, by, bz = turn(
+                    bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * times[i]
+                )
+            px, py, pz = bx - ey * bz + ez * by, by - ez * bx + ex * bz, bz - ex * by + ey * bx
+            px, py = ci3 * px - si3 * py, si3 * px + ci3 * py
+            px, bodyz = ci2 * px + si2 * pz, ci2 * pz - si2 * px
+            bodyx, bodyy = ci1 * px - si1 * py, si1 * px + ci1 * py
+            if column == 0:
+                b00 = bodyx
+            elif column == 1:
+                b01 = bodyx
+            else:
+                b02, b12, b22 = bodyx, bodyy, bodyz
+        out[i, 6] = math.atan2(b12, b22)
+        out[i, 7] = math.atan2(-b02, math.hypot(b12, b22))
+        out[i, 8] = math.atan2(b01, b00)
+
+
+@inline
+def turn(x, y, z, ax, ay, az, angle):
+    """Vector turned by ``angle`` about the unit axis ``a`` (Rodrigues)."""
+    c, s = math.cos(angle), math.sin(angle)
+    dot = (ax * x + ay * y + az * z) * (1.0 - c)
+    return (
+        c * x + s * (ay * z - az * y) + dot * ax,
+        c * y + s * (az * x - ax * z) + dot * ay,
+        c * z + s * (ax * y - ay * x) + dot * az,
+    )

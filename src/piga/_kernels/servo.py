@@ -1,0 +1,269 @@
+"""Rigid-body servo twin: right-hand side and error-controlled integration, on scalars and arrays.
+
+State ``(alpha, beta, w, v, z)``: outer-gimbal angle, rotor tilt, their rates, integral of the pick-off
+signal. The equations are derived in ``docs/twin.md`` (own derivation from the angular momentum of the
+outer gimbal and float); with equal float inertias, no product of inertia and a base that does not turn
+they are the twin equations of the theory page.
+
+Force and base rate are linear between nodes; noise is held from a node to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import kernel
+
+Array = NDArray[np.float64]
+
+STATES = 5
+STAGES = 12
+
+
+class ServoConstants(NamedTuple):
+    """Numbers the right-hand side needs, SI; symbols as in ``instrument.twin_parameters``."""
+
+    H: float
+    ml: float
+    J_o: float
+    A: float
+    B: float
+    C: float
+    D: float
+    c: float
+    k_r: float
+    beta_r: float
+    c_x: float
+    M_c: float
+    w_c: float
+    k_p: float
+    k_i: float
+    k_d: float
+    beta_null: float
+    e_max: float
+    M_max: float
+    beta_stop: float
+    k_stop: float
+    c_stop: float
+    M_x: float
+    M_y: float
+    hunt: float
+    hunt_rate: float
+    hunt_phase: float
+    spin_deficit: float
+    spin_time: float
+
+
+@kernel
+def wheel(p: ServoConstants, t: float) -> tuple[float, float]:
+    """Rotor angular momentum and its rate of change at ``t`` (spin-up times hunting)."""
+    if p.hunt == 0.0 and p.spin_deficit == 0.0:
+        return p.H, 0.0
+    up, up_rate = 1.0, 0.0
+    if p.spin_deficit != 0.0:
+        rest = p.spin_deficit * math.exp(-t / p.spin_time)
+        up, up_rate = 1.0 - rest, rest / p.spin_time
+    phase = p.hunt_rate * t + p.hunt_phase
+    ripple = 1.0 + p.hunt * math.sin(phase)
+    ripple_rate = p.hunt * p.hunt_rate * math.cos(phase)
+    return p.H * up * ripple, p.H * (up_rate * ripple + up * ripple_rate)
+
+
+@kernel
+def pick_off(p: ServoConstants, beta: float, noise: float) -> float:
+    """Pick-off signal [rad]: tilt from null with noise, limited to its range."""
+    return min(max(beta - p.beta_null + noise, -p.e_max), p.e_max)
+
+
+@kernel
+def command(p: ServoConstants, e: float, v: float, z: float) -> float:
+    """Torque that the servo asks of its motor [N m]."""
+    return -(p.k_p * e + p.k_i * z + p.k_d * v)
+
+
+@kernel
+def friction(p: ServoConstants, w: float) -> float:
+    """Torque of viscous and Coulomb friction on the outer axis [N m], the latter smoothed as tanh."""
+    return -p.c_x * w - p.M_c * math.tanh(w / p.w_c)
+
+
+@kernel
+def stop_torque(p: ServoConstants, beta: float, v: float) -> float:
+    """Torque of the stops on the float [N m]: continuous at contact, more when going in, never pulling."""
+    if beta > p.beta_stop:
+        return -p.k_stop * (beta - p.beta_stop) * max(0.0, 1.0 + p.c_stop * v)
+    if beta < -p.beta_stop:
+        return -p.k_stop * (beta + p.beta_stop) * max(0.0, 1.0 - p.c_stop * v)
+    return 0.0
+
+
+@kernel
+def derivative(
+    p: ServoConstants,
+    t: float,
+    x: Array,
+    a_x: float,
+    a_Y: float,
+    a_Z: float,
+    o_x: float,
+    o_Y: float,
+    o_Z: float,
+    do_x: float,
+    do_Y: float,
+    do_Z: float,
+    n_x: float,
+    n_y: float,
+    n_e: float,
+    out: Array,
+) -> None:
+    """Write the time derivative of the state ``x`` into ``out``."""
+    alpha, beta, w, v, z = x[0], x[1], x[2], x[3], x[4]
+    sa, ca = math.sin(alpha), math.cos(alpha)
+    sb, cb = math.sin(beta), math.cos(beta)
+    H, H_rate = wheel(p, t)
+    # base rate in outer-gimbal axes, and its rate of change there
+    q, r = o_Y * ca + o_Z * sa, -o_Y * sa + o_Z * ca
+    dq, dr = do_Y * ca + do_Z * sa + w * r, -do_Y * sa + do_Z * ca - w * q
+    turn = w + o_x
+    spin_x, spin_z = turn * cb - r * sb, turn * sb + r * cb
+    # inertia about the outer axis and its cross term with Z1, at this tilt
+    J = p.J_o + p.A * cb * cb + p.C * sb * sb - 2.0 * p.D * sb * cb
+    E = (p.C - p.A) * sb * cb - p.D * (cb * cb - sb * sb)
+    E_tilt = (p.C - p.A) * (cb * cb - sb * sb) + 4.0 * p.D * sb * cb
+    L_Z1 = turn * E + r * (p.A * sb * sb + p.C * cb * cb + 2.0 * p.D * sb * cb) + H * cb
+    # servo
+    e = pick_off(p, beta, n_e)
+    asked = command(p, e, v, z)
+    motor = min(max(asked, -p.M_max), p.M_max)
+    winding = asked != motor and e * asked < 0.0
+    # outer axis
+    torque_x = p.ml * cb * (a_Y * ca + a_Z * sa) + motor + friction(p, w) + p.M_x + n_x
+    gyro_x = (
+        H * cb * v + H_rate * sb + 2.0 * E * v * turn + E * dr + E_tilt * v * r + q * L_Z1 - r * p.B * (q + v)
+    )
+    # inner axis
+    along = a_x * cb + sb * (a_Y * sa - a_Z * ca)
+    torque_y = -p.ml * along - p.c * v - p.k_r * (beta - p.beta_r) + stop_torque(p, beta, v) + p.M_y + n_y
+    gyro_y = H * spin_x + (p.C - p.A) * spin_x * spin_z + p.D * (spin_z * spin_z - spin_x * spin_x)
+    out[0] = w
+    out[1] = v
+    out[2] = (torque_x - gyro_x) / J - do_x
+    out[3] = (torque_y + gyro_y) / p.B - dq
+    out[4] = 0.0 if winding else e
+
+
+@kernel
+def at(
+    p: ServoConstants,
+    t: float,
+    x: Array,
+    f: Array,
+    o: Array,
+    i: int,
+    s: float,
+    span: float,
+    noise: Array,
+    out: Array,
+) -> None:
+    """Derivative at fraction ``s`` of the interval after node ``i`` (inputs linear, noise held)."""
+    k = i + 1
+    derivative(
+        p,
+        t,
+        x,
+        f[i, 0] + s * (f[k, 0] - f[i, 0]),
+        f[i, 1] + s * (f[k, 1] - f[i, 1]),
+        f[i, 2] + s * (f[k, 2] - f[i, 2]),
+        o[i, 0] + s * (o[k, 0] - o[i, 0]),
+        o[i, 1] + s * (o[k, 1] - o[i, 1]),
+        o[i, 2] + s * (o[k, 2] - o[i, 2]),
+        (o[k, 0] - o[i, 0]) / span,
+        (o[k, 1] - o[i, 1]) / span,
+        (o[k, 2] - o[i, 2]) / span,
+        noise[i, 0],
+        noise[i, 1],
+        noise[i, 2],
+        out,
+    )
+
+
+@kernel
+def error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> tuple[float, float]:
+    """Local error over tolerance (largest of the states), and local error of alpha [rad]."""
+    worst, alpha_error = 0.0, 0.0
+    for j in range(STATES):
+        low, high = 0.0, 0.0
+        for s in range(STAGES + 1):
+            low += E3[s] * K[s, j]
+            high += E5[s] * K[s, j]
+        scale = math.sqrt(high * high + 0.01 * low * low)
+        error = h * high * high / scale if scale > 0.0 else 0.0
+        if j == 0:
+            alpha_error = error
+        worst = max(worst, error / tolerance[j])
+    return worst, alpha_error
+
+
+@kernel
+def integrate(
+    p: ServoConstants,
+    t: Array,
+    f: Array,
+    o: Array,
+    noise: Array,
+    x: Array,
+    h: float,
+    tolerance: Array,
+    tableau: Array,
+    weights: Array,
+    nodes: Array,
+    E3: Array,
+    E5: Array,
+    out: Array,
+) -> tuple[float, float, int, int]:
+    """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
+
+    Returns the step for going on [s], the sum of the local errors of alpha [rad], the number of steps
+    taken, and the node at which the step became smaller than 1e-13 of the interval (else -1).
+    """
+    K = np.empty((STAGES + 1, STATES))
+    y = np.empty(STATES)
+    total_error, steps = 0.0, 0
+    for j in range(STATES):
+        out[0, j] = x[j]
+    for i in range(t.shape[0] - 1):
+        span, done = t[i + 1] - t[i], 0.0
+        at(p, t[i], x, f, o, i, 0.0, span, noise, K[0])
+        while done < span:
+            rest = span - done
+            step = rest if h >= rest else (0.5 * rest if 2.0 * h > rest else h)
+            for s in range(1, STAGES + 1):
+                for j in range(STATES):
+                    total = 0.0
+                    for m in range(s):
+                        total += (tableau[s, m] if s < STAGES else weights[m]) * K[m, j]
+                    y[j] = x[j] + step * total
+                c = nodes[s] if s < STAGES else 1.0
+                now = done + c * step
+                at(p, t[i] + now, y, f, o, i, now / span, span, noise, K[s])
+            ratio, alpha_error = error_ratio(K, E3, E5, step, tolerance)
+            factor = 5.0 if ratio < 1e-7 else min(5.0, max(0.2, 0.9 * ratio ** (-0.125)))
+            if ratio <= 1.0:
+                for j in range(STATES):
+                    x[j] = y[j]
+                    K[0, j] = K[STAGES, j]
+                done = span if step == rest else done + step
+                total_error += alpha_error
+                steps += 1
+                h = max(h, step * factor) if step < h else step * factor
+            else:
+                h = step * min(factor, 0.9) if math.isfinite(ratio) else step * 0.1
+                if h < 1e-13 * span:
+                    return h, total_error, steps, i
+        for j in range(STATES):
+            out[i + 1, j] = x[j]
+    return h, total_error, steps, -1

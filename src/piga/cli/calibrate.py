@@ -1,0 +1,133 @@
+"""``piga calibrate`` and ``piga check``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.common import note, output_directory, print_json, progress, say, write_by_rename
+
+if TYPE_CHECKING:
+    from piga.records import Calibration, Run
+
+RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
+
+
+def check(run: RunFileArgument, as_json: JsonOption = False) -> None:
+    """Read a recorded test and show what is found in it; nothing is calibrated."""
+    from piga.records import read_run
+
+    with progress("reading"):
+        record = read_run(run)
+    document = _quality_document(record)
+    if as_json:
+        print_json(document)
+        return
+    say(f"{run}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used")
+    say(
+        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz"
+    )
+    say(f"  reference  |f| {document['force_g'][0]:.6g} to {document['force_g'][1]:.6g} g")
+    say(
+        f"  phase      {'kept through the whole record' if document['phase_kept'] else 'lost between segments'}"
+    )
+    if not record.quality.events:
+        say("  findings   none")
+    for event in record.quality.events:
+        row = "" if event.first_row is None else f", first at row {event.first_row}"
+        say(f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}")
+
+
+def _quality_document(record: Run) -> dict[str, Any]:
+    import msgspec
+    import numpy as np
+
+    from piga.units import G0
+
+    size = np.linalg.norm(record.f, axis=1) / G0
+    steps = np.diff(record.t)[~record.begins[1:]]
+    return {
+        "serial": record.serial,
+        "quality": msgspec.to_builtins(record.quality),
+        "segments": list(record.labels),
+        "duration_s": record.duration,
+        "rate_hz": float(1.0 / np.median(steps)),
+        "force_g": [float(size.min()), float(size.max())],
+        "phase_kept": len(set(record.phase_group)) == 1,
+        "input_sha256": record.input_sha256,
+    }
+
+
+def calibrate(
+    run: RunFileArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where the results go [default: RUN-calibration]."),
+    ] = None,
+    terms: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Terms to estimate, instead of those of the run file.")
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="information | rate | recursive | published")] = None,
+    phase: Annotated[str | None, typer.Option(help="shared | per-segment")] = None,
+    phase_source: Annotated[str | None, typer.Option(help="output | input")] = None,
+    report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Estimate the coefficients of an instrument: calibration.json, residuals.parquet, report.html."""
+    wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
+    directory = out or run.with_name(f"{run.stem}-calibration")
+    calibration = run_calibration(run, wanted, method, phase, phase_source)
+    written = write_results(calibration, output_directory(directory), report=report)
+    if as_json:
+        from piga.records.calibration_json import to_document
+
+        print_json(to_document(calibration))
+        return
+    from piga.reports.calibration import calibration_text
+
+    say(calibration_text(calibration))
+    for path in written:
+        say(f"wrote {path}")
+
+
+def run_calibration(
+    run: Path, terms: list[str] | None, method: str | None, phase: str | None, phase_source: str | None
+) -> Calibration:
+    """Read and calibrate, with progress."""
+    from piga.calibration import calibrate as estimate
+    from piga.records import read_run
+
+    with progress("reading"):
+        record = read_run(run)
+    with progress("calibrating"):
+        return estimate(record, terms, method, phase=phase, phase_source=phase_source)
+
+
+def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:
+    """Write the three results, each by rename; says so when the report extra is not installed."""
+    from piga.records.residuals_parquet import write_residuals
+
+    written = [
+        write_by_rename(directory / "calibration.json", calibration.to_json),
+        write_by_rename(directory / "residuals.parquet", lambda path: write_residuals(calibration, path)),
+    ]
+    if report and report_available():
+        from piga.reports.calibration import write_calibration_report
+
+        written.append(
+            write_by_rename(directory / "report.html", lambda path: write_calibration_report(calibration, path))
+        )
+    return written
+
+
+def report_available() -> bool:
+    """True when the report extra is installed; otherwise a note says how to get it."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        note("piga: no report.html: figures need the extra 'report' (pip install 'piga[report]')")
+        return False
+    return True

@@ -1,0 +1,227 @@
+"""``piga platform``: simulate, align, identify, navigate and compare on a space-stable platform."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+
+if TYPE_CHECKING:
+    from piga.stable_platform.chain import Comparison
+    from piga.stable_platform.simulate import Run
+
+app = typer.Typer(
+    name="platform",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Simulate, align, identify, navigate and compare on a space-stable platform with case rotation.",
+)
+
+Scenario = Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)]
+Out = Annotated[Path, typer.Option(help="Directory for the results and report.html.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+@app.command()
+def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
+    """Simulate: readouts.parquet, truth.parquet and a page."""
+    from piga.reports.platform import simulation_page
+    from piga.stable_platform.output import readouts_table, truth_table
+
+    run = _simulated(scenario)
+    folder = output_directory(out)
+    write_by_rename(folder / "readouts.parquet", partial(_parquet, readouts_table(run.readouts)))
+    write_by_rename(folder / "truth.parquet", partial(_parquet, truth_table(run)))
+    _page(folder, simulation_page(run))
+    document = {
+        "rows": len(run.readouts.times),
+        "duration_s": run.scenario.duration,
+        "redundancy_deg": [_degrees(run.truth.eta[0]), _degrees(run.truth.eta[-1])],
+        "files": ["readouts.parquet", "truth.parquet", "report.html"],
+    }
+    _finish(
+        document,
+        json,
+        f"{len(run.readouts.times)} rows; wrote {folder}/readouts.parquet, truth.parquet, report.html",
+    )
+
+
+@app.command()
+def align(scenario: Scenario, out: Out, json: Json = False) -> None:
+    """Align on the first stretch of a static base: alignment.json and a page."""
+    from piga.errors import PigaError
+    from piga.reports.platform import alignment_page
+    from piga.stable_platform.alignment import align as align_platform
+    from piga.stable_platform.chain import prepare
+    from piga.stable_platform.output import alignment_document
+
+    run = _simulated(scenario)
+    if not run.truth.motion.at_rest:
+        raise PigaError(
+            f"{scenario}: alignment needs a base at rest, [motion] kind = '{run.scenario.motion.kind}'",
+            remedy="align on a static scenario",
+        )
+    with progress("aligning"):
+        preparation = prepare(run)
+        found = preparation.alignment
+        if found is None:
+            stretch = run.readouts.first(run.scenario.calibration_time)
+            orders = run.scenario.compensation.orders
+            found = align_platform(stretch, run.scenario.place, preparation.knowledge, orders=orders)
+    folder, document = output_directory(out), alignment_document(found)
+    _write_json(folder / "alignment.json", document)
+    _page(folder, alignment_page(run, found))
+    worst = float(found.std[:3].max()) * 206264.806
+    _finish(document, json, f"triad attitude to {worst:.2g} arcsec; wrote {folder}/alignment.json, report.html")
+
+
+@app.command()
+def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
+    """Identify misalignments, phases and harmonics: identification.json and a page."""
+    from piga.reports.platform import identification_page
+    from piga.stable_platform.chain import identified
+    from piga.stable_platform.identification import identify_recursively
+    from piga.stable_platform.observability import observability
+    from piga.stable_platform.output import identification_document
+
+    run = _simulated(scenario)
+    s = run.scenario
+    with progress("identifying"):
+        found = identified(run)
+        stretch = run.readouts.first(s.calibration_time)
+        recursive = identify_recursively(stretch, s.place, sources=found.sources, orders=s.compensation.orders)
+        sources = observability(stretch, found)
+    folder, document = output_directory(out), identification_document(found, sources)
+    _write_json(folder / "identification.json", document)
+    _page(folder, identification_page(run, found, recursive, sources))
+    lines = [f"{p.name:<36}{p.value:>16.9g} ± {p.std:.2g} {p.unit}" for p in found.parameters]
+    _finish(document, json, "\n".join([*lines, f"wrote {folder}/identification.json, report.html"]))
+
+
+@app.command()
+def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
+    """Navigate with every model of the scenario: navigation-MODEL.parquet and a page."""
+    from piga.reports.platform import navigation_page
+    from piga.stable_platform.output import navigation_table
+
+    comparison = _compared(scenario)
+    folder = output_directory(out)
+    for name, run in comparison.models.items():
+        write_by_rename(folder / f"navigation-{name}.parquet", partial(_parquet, navigation_table(run)))
+    _page(folder, navigation_page(comparison))
+    document = {
+        "models": {
+            m: {"position_error_m": float(r.errors.horizontal.max()), "file": f"navigation-{m}.parquet"}
+            for m, r in comparison.models.items()
+        },
+        "notes": list(comparison.preparation.notes),
+    }
+    lines = [
+        f"{m:<6}largest horizontal position error {v['position_error_m']:.4g} m"
+        for m, v in document["models"].items()
+    ]  # type: ignore[attr-defined]
+    _finish(document, json, "\n".join([*lines, f"wrote {folder}/navigation-*.parquet, report.html"]))
+
+
+@app.command()
+def compare(
+    scenario: Scenario,
+    out: Annotated[Path | None, typer.Option(help="Directory for comparison.json and report.html.")] = None,
+    json: Json = False,
+    budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
+    seeds: Annotated[int, typer.Option(help="Repeat the chain with so many seeds (Monte Carlo).", min=0)] = 0,
+) -> None:
+    """Compare the compensation models day by day with each other and with the theory."""
+    from piga.stable_platform.budget import error_budget, monte_carlo, standard_sources
+    from piga.stable_platform.output import budget_document, scatter_document
+
+    comparison = _compared(scenario)
+    s = comparison.run.scenario
+    with progress("budget and scatter"):
+        rows = error_budget(s, standard_sources(comparison.preparation.alignment)) if budget else ()
+        scatter = monte_carlo(s, seeds) if seeds else None
+    document = comparison.document()
+    if rows:
+        document["budget"] = budget_document(rows)
+    if scatter is not None:
+        document["scatter"] = scatter_document(scatter)
+    if out is not None:
+        from piga.reports.platform import capstone_page, comparison_page
+        from piga.stable_platform.capstone import capstone
+
+        folder = output_directory(out)
+        _write_json(folder / "comparison.json", document)
+        _page(folder, comparison_page(comparison, rows, scatter))
+        if s.sensors.piga is not None:
+            with progress("gyro accelerometers"):
+                _page(folder, capstone_page(capstone(s)), "capstone.html")
+    _finish(document, json, _lines_text(comparison, out))
+
+
+def _simulated(scenario: Path) -> Run:
+    from piga.stable_platform.scenario import load_scenario
+    from piga.stable_platform.simulate import simulate as simulate_platform
+
+    read = load_scenario(scenario)
+    with progress("simulating"):
+        return simulate_platform(read)
+
+
+def _compared(scenario: Path) -> Comparison:
+    from piga.stable_platform.chain import compare as compare_models
+    from piga.stable_platform.scenario import load_scenario
+
+    read = load_scenario(scenario)
+    with progress("simulating and navigating"):
+        return compare_models(read)
+
+
+def _lines_text(comparison: Comparison, out: Path | None) -> str:
+    lines = ["day   " + "".join(f"{m:>12}" for m in comparison.models) + "   east velocity line [m/s]"]
+    days = next(iter(comparison.models.values())).lines.day
+    for k, day in enumerate(days):
+        values = "".join(f"{r.lines.amplitude['east_velocity'][k]:12.3e}" for r in comparison.models.values())
+        lines.append(f"{int(day):<6}{values}")
+    lines += [f"note: {text}" for text in comparison.preparation.notes]
+    if out is not None:
+        lines.append(f"wrote {out}/comparison.json, report.html")
+    return "\n".join(lines)
+
+
+def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:
+    if as_json:
+        print_json(document)
+    else:
+        say(text)
+
+
+def _page(folder: Path, page: Any, name: str = "report.html") -> None:
+    from piga.reports.page import write_page
+
+    write_by_rename(folder / name, partial(write_page, page))
+
+
+def _write_json(path: Path, document: dict[str, Any]) -> None:
+    import json
+
+    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    write_by_rename(path, partial(_text, text))
+
+
+def _text(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _parquet(table: Any, path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    pq.write_table(table, path)
+
+
+def _degrees(angle: float) -> float:
+    return float(angle) * 57.29577951308232

@@ -1,0 +1,1 @@
+"""Example records that ship with the package."""

@@ -1,0 +1,102 @@
+"""What the twin does beyond the quasi-steady model, to first order in the tilt (own derivation, docs/twin.md).
+
+The torque on the outer axis, ``tau = H (u_Y cos(alpha) + u_Z sin(alpha))`` with ``u = K f - Omega``, ripples
+the tilt through the servo's compliance ``G(s)``; the tilt pulls the output rate directly, through damping and
+restoring torque about the inner axis, and through the transverse input, which it rectifies.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.instrument.twin_linear import loop_poles, tilt_compliance, tilt_transfer
+from piga.instrument.twin_parameters import TwinParameters
+
+Array = NDArray[np.float64]
+
+
+def predicted_rate_error(p: TwinParameters, t: Array, alpha: Array, f: Array, base_rate: Array) -> Array:
+    """Rate of the twin less that of the quasi-steady model with its k0 and k2 [rad/s], (n,).
+
+    Parameters
+    ----------
+    p:
+        The design, beyond spin-up, inside its limits.
+    t:
+        Equidistant times [s], (n,).
+    alpha:
+        Gimbal angle [rad], (n,), of the twin or of the quasi-steady model.
+    f, base_rate:
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3).
+
+    Notes
+    -----
+    ``tau = H (u_Y cos(alpha) + u_Z sin(alpha)) - J_x (w' + Omega_x') - c_x w - M_c sign(w) + M_x`` goes
+    through the compliance, ``e = G(s) tau``; then ``w_twin - w = (Z(s) e + R)/H + e (u_Y sin(alpha) - u_Z
+    cos(alpha))`` with the impedance ``Z = B s^2 + c s + k_r``. ``R`` carries the float round with a turning
+    base: ``R = B q' - (C - A) p r + D (p^2 - r^2 - K^2 a_x^2)``, ``p = w + Omega_x``, ``q = Omega_Y1``,
+    ``r = Omega_Z1``. Errors are of second order in ``e``.
+    """
+    u = p.K * f - base_rate
+    c, s = np.cos(alpha), np.sin(alpha)
+    across = u[:, 1] * s - u[:, 2] * c
+    w = u[:, 0] + math.tan(p.pick_off_null) * across
+    q, r = base_rate[:, 1] * c + base_rate[:, 2] * s, base_rate[:, 2] * c - base_rate[:, 1] * s
+    torque = p.angular_momentum * (u[:, 1] * c + u[:, 2] * s) - p.J_x * np.gradient(w + base_rate[:, 0], t)
+    torque += p.outer_torque - p.viscous_friction * w - p.coulomb_friction * np.tanh(w / p.coulomb_rate)
+    load = complex(u[0, 1], -u[0, 2]) * p.angular_momentum * np.exp(1j * alpha[0])
+    tilt, reaction = _through_loop(p, torque, load, float(w[0]), float(t[1] - t[0]))
+    turn, unequal = w + base_rate[:, 0], p.float_inertia_z - p.float_inertia_x
+    carried = p.float_inertia_y * np.gradient(q, t) - unequal * turn * r
+    carried += p.product_of_inertia * (turn**2 - r**2 - (p.K * f[:, 0]) ** 2)
+    return np.asarray((reaction + carried) / p.angular_momentum + tilt * across)
+
+
+def _through_loop(
+    p: TwinParameters, torque: Array, load: complex, rate: float, step: float
+) -> tuple[Array, Array]:
+    """Tilt [rad] and torque ``Z e`` [N m] that the outer-axis ``torque`` makes, linear between samples.
+
+    Before the first sample the torque goes on as it would with the gimbal turning at ``rate``: ``load`` is
+    its rotating part there, as a complex number.
+    """
+    from scipy import signal
+
+    count = math.ceil(30.0 / -float(np.max(loop_poles(p).real)) / step)
+    before = np.arange(-count, 0) * step
+    past = (load * (np.exp(1j * rate * before) - 1.0)).real + torque[0]
+    whole = np.concatenate([past, torque])
+    results = []
+    for numerator, denominator in tilt_transfer(p):
+        b, a, _ = signal.cont2discrete((numerator, denominator), step, method="foh")
+        results.append(signal.lfilter(np.atleast_1d(np.squeeze(b)), a, whole)[count:])
+    return results[0], results[1]
+
+
+def predicted_rectification(p: TwinParameters, a_t: float, rate: float) -> float:
+    """Shift of the mean output rate by finite servo stiffness [rad/s].
+
+    ``-K a_t^2 ml Im G(j w)/2``. For strong integral action ``G = j w/k_i``: the theory page's
+    ``-K a_t^2 ml w/(2 k_i)``.
+    """
+    compliance = tilt_compliance(p, [abs(rate)])[0]
+    return float(-0.5 * p.K * a_t**2 * p.pendulosity * compliance.imag * np.sign(rate))
+
+
+def predicted_second_harmonic(p: TwinParameters, a_t: float, rate: float) -> float:
+    """Amplitude of the rate at twice the gimbal angle, by finite servo stiffness [rad/s]."""
+    return float(0.5 * p.K * a_t**2 * p.pendulosity * abs(tilt_compliance(p, [abs(rate)])[0]))
+
+
+def predicted_k2(p: TwinParameters) -> float:
+    """Coefficient k2 [1/(m/s^2)] from the float's inertia: ``(D - (C - A) beta) K^2/ml`` to first order.
+
+    The product of inertia ``D`` gives a centrifugal torque ``D w^2`` about the inner axis; with a tilt, unequal
+    inertias are a product of inertia about the outer axis. In g/g^2 it is the theory page's ``D K^2 g/ml``.
+    """
+    twice = 2.0 * p.pick_off_null
+    unequal = 0.5 * (p.float_inertia_x - p.float_inertia_z) * math.sin(twice)
+    return (p.product_of_inertia * math.cos(twice) + unequal) * p.K**2 / p.pendulosity

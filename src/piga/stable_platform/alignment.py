@@ -1,0 +1,147 @@
+"""Alignment on a static base: attitude and drift of the triad against inertial axes, with covariance.
+
+Two things are seen: gravity, which describes a cone about the Earth's axis as the platform stands still,
+and the gimbal angles, which follow the base as the Earth turns it. Together they give all of the triad's
+attitude and drift and the base's attitude; each alone lacks one angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.stable_platform.estimate import Group, Solution, noise_levels, solve
+from piga.stable_platform.geodesy import geodetic_to_earth, local_axes, specific_force_at_rest
+from piga.stable_platform.models import Knowledge
+from piga.stable_platform.navigation import Start, site_start
+from piga.stable_platform.observation import Tip, Unknowns, coarse_unknowns, force_rows, gimbal_rows, names
+from piga.stable_platform.scenario import Place
+from piga.stable_platform.simulate import Readouts
+
+Array = NDArray[np.float64]
+
+UNKNOWNS = (
+    "triad.x", "triad.y", "triad.z", "drift.x", "drift.y", "drift.z", "base.1", "base.2", "base.3",
+)  # fmt: skip
+"""Order of the covariance: triad attitude [rad], triad drift [rad/s], base attitude about Earth axes [rad]."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
+
+    ``covariance`` (9, 9) in the order of :data:`UNKNOWNS`; ``noise`` per source; ``rms`` after the fit.
+    ``accelerometer_tilt`` [rad]: what an accelerometer bias of one micro-g would add, for judgement: the
+    alignment cannot see biases.
+    """
+
+    place: Place
+    triad: Array
+    drift: Array
+    base: Array
+    covariance: Array
+    noise: dict[str, float]
+    rms: dict[str, float]
+    condition: float
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties (9,) in the order of :data:`UNKNOWNS`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def triad_vector(self) -> Array:
+        """Rotation vector (3,) [rad] from inertial axes to the triad."""
+        from piga.frames import matrix_to_rotation_vector
+
+        return matrix_to_rotation_vector(self.triad)
+
+    @property
+    def base_angles(self) -> Array:
+        """Roll, pitch, heading (3,) [rad] of the base."""
+        c = self.base
+        return np.array(
+            [
+                np.arctan2(c[2, 1], c[2, 2]),
+                np.arcsin(np.clip(-c[2, 0], -1.0, 1.0)),
+                np.arctan2(c[1, 0], c[0, 0]),
+            ]
+        )
+
+    def start(self, *, with_drift: bool) -> Start:
+        """Start of the navigation at the known place, with the drift found taken out or not."""
+        drift = self.drift if with_drift else np.zeros(3)
+        return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
+
+
+def align(
+    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 4
+) -> Alignment:
+    """Align on a record of a base at rest at a known place, misalignments being known.
+
+    Gauss-Newton on the exact geometry; the noise levels come from the residuals.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the record is too short for the attitude to show.
+    """
+    force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
+    x = replace(
+        coarse_unknowns(readouts, force, orders),
+        polar=Tip.of(known.polar, orders),
+        equatorial=Tip.of(known.equatorial, orders),
+        eta0=known.eta0,
+        eta_rate=known.eta_rate,
+    )
+    levels: list[float] | None = None
+    for _ in range(iterations):
+        groups = _groups(x, readouts, force, levels)
+        solution = solve(groups, UNKNOWNS)
+        levels = noise_levels([_reduced(g, solution) for g in groups], len(UNKNOWNS))
+        x = _moved(x, solution.step)
+    groups = _groups(x, readouts, force, levels)
+    solution = solve(groups, UNKNOWNS)
+    to_level = local_axes(place.latitude, place.longitude).T
+    return Alignment(
+        place=place,
+        triad=x.triad.T.copy(),
+        drift=x.drift,
+        base=to_level @ x.base,
+        covariance=solution.covariance,
+        noise={g.name: g.sigma for g in groups},
+        rms={g.name: float(np.sqrt(np.mean(g.residual**2))) for g in groups},
+        condition=solution.condition,
+    )
+
+
+def _groups(x: Unknowns, readouts: Readouts, force: Array, levels: Sequence[float] | None) -> list[Group]:
+    slow = len(names(len(x.polar.cosines))) - 8
+    angle, by_angle, _, _ = gimbal_rows(x, readouts)
+    felt, by_force = force_rows(x, readouts, force)
+    groups = [
+        Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x, readouts)),
+        Group("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
+    ]
+    return groups if levels is None else [replace(g, sigma=s) for g, s in zip(groups, levels, strict=True)]
+
+
+def _with_third(columns: Array, x: Unknowns, readouts: Readouts) -> Array:
+    """Add the third base angle, about the Earth's axis: seen by the gimbals like a turn of the triad about it."""
+    pole = x.triad[:, 2]
+    third = -columns[:, :, :3] @ pole
+    return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)
+
+
+def _reduced(group: Group, solution: Solution) -> Group:
+    return replace(group, residual=group.residual - group.regressors @ solution.step)
+
+
+def _moved(x: Unknowns, step: Array) -> Unknowns:
+    from piga.frames import rotation_vector_to_matrix
+
+    moved = x.moved(np.concatenate([np.zeros(len(names(len(x.polar.cosines))) - 8), step[:8]]))
+    return replace(moved, base=rotation_vector_to_matrix(np.array([0.0, 0.0, step[8]])) @ moved.base)

@@ -1,0 +1,143 @@
+"""The whole chain: simulate, identify, align, navigate with every model, compare with the theory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.stable_platform.alignment import Alignment, align
+from piga.stable_platform.analysis import CHANNELS, Lines, daily_lines, day_slices, theory_lines
+from piga.stable_platform.identification import MOVING_SOURCES, STATIC_SOURCES, Identification, identify
+from piga.stable_platform.models import Compensator, Knowledge, compensator, true_knowledge
+from piga.stable_platform.navigation import Errors, Navigation, Start, errors, navigate, true_start
+from piga.stable_platform.scenario import Model, Scenario
+from piga.stable_platform.simulate import Run, simulate
+
+Array = NDArray[np.float64]
+
+ARCMIN = np.pi / 10800.0
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What is known before navigating: misalignments, start, and how they were found (None: taken from truth)."""
+
+    knowledge: Knowledge
+    start: Start
+    identification: Identification | None
+    alignment: Alignment | None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ModelRun:
+    """One compensation model over the run: navigation, errors, lines per day and what the theory gives."""
+
+    compensator: Compensator
+    navigation: Navigation
+    errors: Errors
+    lines: Lines
+    theory: Lines | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All models over one run."""
+
+    run: Run
+    preparation: Preparation
+    models: Mapping[Model, ModelRun]
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of ``piga platform compare`` (``interface.md``)."""
+        theory = {m: _lines_document(r.theory) for m, r in self.models.items() if r.theory is not None}
+        return {
+            "models": {m: _lines_document(r.lines) for m, r in self.models.items()},
+            "theory": theory,
+            "notes": list(self.preparation.notes),
+        }
+
+
+def identified(run: Run) -> Identification:
+    """Identification from the calibration stretch of a run, from the sources that its base allows."""
+    s = run.scenario
+    sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
+    stretch = run.readouts.first(s.calibration_time)
+    return identify(stretch, s.place, sources=sources, orders=s.compensation.orders)
+
+
+def prepare(run: Run) -> Preparation:
+    """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
+    s, c = run.scenario, run.scenario.compensation
+    found = None
+    notes: list[str] = []
+    if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
+        found = identified(run)
+        notes += found.notes
+    elif c.misalignment == "identified":
+        notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
+    known = true_knowledge(s) if found is None else found.knowledge
+    aligned = None
+    start = true_start(run.truth)
+    if "aligned" in (c.attitude, c.drift):
+        aligned = align(run.readouts.first(s.calibration_time), s.place, known, orders=c.orders)
+        if c.attitude == "aligned":
+            start = aligned.start(with_drift=False)
+    drift = _drift(s, aligned)
+    return Preparation(
+        known, Start(start.position, start.velocity, start.triad, drift), found, aligned, tuple(notes)
+    )
+
+
+def _drift(s: Scenario, aligned: Alignment | None) -> Array:
+    if s.compensation.drift == "aligned" and aligned is not None:
+        return aligned.drift
+    if s.compensation.drift == "true":
+        w1x, w1y = s.polar.drift
+        w2z = s.equatorial.drift[1]
+        return np.array([w1x, w1y, w2z / np.cos(s.redundancy) - w1x * np.tan(s.redundancy)])
+    return np.zeros(3)
+
+
+def run_model(run: Run, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
+    """Navigate the run with one model; lines per day, and theory where the base is at rest."""
+    s = run.scenario
+    made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
+    navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
+    error = errors(navigation, run.truth, run.readouts)
+    rate = s.polar_rotation.rate or 2.0 * np.pi / 480.0
+    lines = daily_lines(error, rate, s.place.latitude)
+    theory = None
+    if run.truth.motion.at_rest and s.polar_rotation.rate > 0.0 and s.polar_rotation.turns == 0:
+        theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
+    return ModelRun(made, navigation, error, lines, theory)
+
+
+def compare(scenario: Scenario) -> Comparison:
+    """Simulate the scenario and navigate it with every model it names.
+
+    Raises
+    ------
+    PigaError
+        If the scenario cannot be simulated, or its misalignments cannot be identified.
+    """
+    run = simulate(scenario)
+    preparation = prepare(run)
+    every = max(1, round(1.0 / scenario.step))
+    models = {m: run_model(run, preparation, m, every=every) for m in scenario.compensation.models}
+    return Comparison(run, preparation, models)
+
+
+def _lines_document(lines: Lines) -> dict[str, Any]:
+    document: dict[str, Any] = {"day": [int(day) for day in lines.day]}
+    for name in CHANNELS:
+        if name.endswith("velocity"):
+            document[f"{name}_line_m_s"] = [float(v) for v in lines.amplitude[name]]
+        else:
+            document[f"{name}_line_arcmin"] = [float(v / ARCMIN) for v in lines.amplitude[name]]
+    document["position_error_m"] = [None if np.isnan(v) else float(v) for v in lines.position]
+    return document

@@ -1,0 +1,182 @@
+"""What is wrong with a stand: each imperfection by the name it has in the uncertainty budget.
+
+The reference that a lab writes into its log is the stand without imperfections; the instrument feels
+the stand with them. Scalars and vectors in SI; all zero by default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.frames import rotation_vector_to_matrix
+from piga.units import to_si
+
+Array = NDArray[np.float64]
+Vector = tuple[float, ...]
+Harmonic = tuple[int, float, float]
+
+GENERAL = ("reference_scale", "reference_bias", "reference_misalignment", "timing", "temperature")
+"""Imperfections that every stand has: they act on its reference, its clock and its thermometer."""
+
+
+def _about(unit: str, size: int, meaning: str) -> dict[str, str | int]:
+    return {"unit": unit, "size": size, "meaning": meaning}
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """Imperfections of a stand: true value less assumed value.
+
+    Fields are SI; their ``metadata`` holds the unit in which they are reported, the size and the meaning.
+    """
+
+    reference_scale: float = field(
+        default=0.0, metadata=_about("ppm", 1, "relative error of the specific-force reference")
+    )
+    reference_bias: Vector = field(
+        default=(0.0, 0.0, 0.0), metadata=_about("ug", 3, "offset of the specific-force reference, base axes")
+    )
+    reference_misalignment: Vector = field(
+        default=(0.0, 0.0, 0.0),
+        metadata=_about("arcsec", 3, "small turn of the instrument on the stand about X0, Y0, Z0"),
+    )
+    gravity: float = field(default=0.0, metadata=_about("ug", 1, "local gravity"))
+    timing: float = field(default=0.0, metadata=_about("ppm", 1, "relative error of the clock's rate"))
+    temperature: float = field(default=0.0, metadata=_about("K", 1, "offset of the thermometer"))
+    levelling: Vector = field(
+        default=(0.0, 0.0), metadata=_about("arcsec", 2, "tilt of the stand about its two levelling axes")
+    )
+    angle_error: float = field(default=0.0, metadata=_about("arcsec", 1, "index error of the dividing head"))
+    angle_harmonics: tuple[Harmonic, ...] = field(
+        default=(), metadata=_about("arcsec", 0, "dividing errors: order, amplitude, phase")
+    )
+    settling: float = field(
+        default=0.0, metadata=_about("arcsec", 1, "angle still to go when a position is reached")
+    )
+    arm_radius: float = field(
+        default=0.0, metadata=_about("um", 1, "effective radius of the centrifuge or lever arm on the table")
+    )
+    arm_stretch: float = field(
+        default=0.0, metadata=_about("s^2/rad^2", 1, "relative growth of the radius per squared rate")
+    )
+    rate_error: float = field(
+        default=0.0, metadata=_about("ppm", 1, "relative error of the centrifuge or table rate")
+    )
+    rate_ripple: float = field(
+        default=0.0, metadata=_about("ppm", 1, "relative ripple of the rate once a revolution")
+    )
+    transverse_motion: float = field(
+        default=0.0, metadata=_about("ppm", 1, "transverse over axial motion of the vibration table")
+    )
+    rocking: float = field(
+        default=0.0,
+        metadata=_about(
+            "arcsec", 1, "rotation of the vibration table at peak drive, about the horizontal axis across it"
+        ),
+    )
+
+    def stand_specific(self) -> tuple[str, ...]:
+        """Names of the imperfections that are not zero and belong to particular stands."""
+        return tuple(
+            e.name for e in fields(self) if e.name not in GENERAL and np.any(np.asarray(getattr(self, e.name)))
+        )
+
+    def require(self, accepted: Iterable[str], stand: str) -> None:
+        """Refuse imperfections that ``stand`` does not have.
+
+        Raises
+        ------
+        ArgumentError
+            Naming the imperfection and those that the stand has.
+        """
+        names = set(accepted)
+        for name in self.stand_specific():
+            if name not in names:
+                raise ArgumentError(
+                    f"imperfection '{name}' does not exist on a {stand}",
+                    remedy=f"it has: {', '.join((*GENERAL, *sorted(names)))}",
+                )
+
+    def felt(self, force: Array, rate: Array) -> tuple[Array, Array]:
+        """What the instrument feels where the stand makes ``force`` and ``rate``, (n, 3) each."""
+        turn = rotation_vector_to_matrix(np.array(self.reference_misalignment))
+        true = (1.0 + self.reference_scale) * force + np.array(self.reference_bias)
+        return true @ turn, rate @ turn
+
+
+NONE = Imperfections()
+"""A perfect stand: what the lab's reference describes."""
+
+
+def imperfection_units() -> dict[str, str]:
+    """Unit of each imperfection in scenario files and budgets."""
+    return {entry.name: str(entry.metadata["unit"]) for entry in fields(Imperfections)}
+
+
+def _scalar(value: Any, unit: str, what: str) -> float:
+    return to_si(value, unit, what=what)
+
+
+def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.Generator | None) -> Any:
+    if name == "angle_harmonics":
+        return tuple(_harmonic(item, what, rng) for item in _listed(value, what))
+    if size == 1:
+        number = _scalar(value, unit, what)
+        return number if rng is None else number * float(rng.standard_normal())
+    if rng is not None and not isinstance(value, (list, tuple)):
+        value = [value] * size
+    items = _listed(value, what)
+    if len(items) != size:
+        raise ArgumentError(
+            f"{what}: {len(items)} values found, {size} needed", remedy=f"give a list of {size}"
+        )
+    numbers = np.array([_scalar(item, unit, what) for item in items])
+    return tuple(float(v) for v in (numbers if rng is None else numbers * rng.standard_normal(size)))
+
+
+def _listed(value: Any, what: str) -> list[Any]:
+    if not isinstance(value, (list, tuple)):
+        raise ArgumentError(
+            f"{what}: a list is needed, got {value!r}", remedy="write e.g. ['1 arcsec', '0 arcsec']"
+        )
+    return list(value)
+
+
+def _harmonic(item: Any, what: str, rng: np.random.Generator | None) -> Harmonic:
+    parts = _listed(item, what)
+    if len(parts) != 3 or isinstance(parts[0], bool) or not isinstance(parts[0], int):
+        raise ArgumentError(f"{what}: {item!r} is not [order, 'amplitude', 'phase']")
+    amplitude = to_si(parts[1], "rad", what=what)
+    phase = to_si(parts[2], "rad", what=what)
+    return int(parts[0]), amplitude if rng is None else amplitude * float(rng.standard_normal()), phase
+
+
+def imperfections(
+    values: Mapping[str, Any], *, rng: np.random.Generator | None = None, where: str = "[imperfections]"
+) -> Imperfections:
+    """Imperfections from text or numbers as written in a scenario.
+
+    With ``rng`` the values are standard uncertainties and the true imperfections are drawn from normal
+    distributions; a single value given for a vector then holds for each component.
+
+    Raises
+    ------
+    ArgumentError, UnitError
+        Naming the key at fault.
+    """
+    known = {entry.name: entry.metadata for entry in fields(Imperfections)}
+    for name in values:
+        if name not in known:
+            raise ArgumentError(f"{where}: unknown key '{name}'", remedy=f"known keys: {', '.join(known)}")
+    chosen = {
+        name: _one(name, values[name], str(meta["unit"]), int(meta["size"]), f"{where} {name}", rng)
+        for name, meta in known.items()
+        if name in values
+    }
+    return Imperfections(**chosen)

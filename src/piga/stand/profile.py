@@ -1,0 +1,153 @@
+"""The contract of all stands: a table of specific force and base rate with labelled segments.
+
+A stand is two functions: the plan of its segments, and what an instrument on it feels at any time.
+:func:`sample_stand` turns them into a :class:`Profile`, the table that the rest works with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.stand.imperfections import NONE, Imperfections
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a test: ``label``, ``start`` and ``duration`` [s]; moves between positions are not recorded."""
+
+    label: str
+    start: float
+    duration: float
+    recorded: bool = True
+
+    @property
+    def stop(self) -> float:
+        """End of the segment [s]."""
+        return self.start + self.duration
+
+
+class Stand(Protocol):
+    """What every stand offers."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind of stand, as in scenario files."""
+        ...
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Names of the stand-specific imperfections that it has."""
+        ...
+
+    @property
+    def fastest(self) -> float:
+        """Step [s] that resolves its fastest motion."""
+        ...
+
+    def segments(self) -> tuple[Segment, ...]:
+        """The plan: segments in order, without gaps."""
+        ...
+
+    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Specific force [m/s^2] and inertial base rate [rad/s] at times ``t`` [s], base axes, (n, 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A test as a table, one row per sample time.
+
+    ``t`` [s] (n,); ``segment`` (n,) index into ``segments``; ``force`` [m/s^2] and ``base_rate`` [rad/s]
+    (n, 3) as the instrument feels them; ``reference`` and ``reference_rate`` (n, 3) as the lab's log
+    states them.
+    """
+
+    t: Array
+    segment: NDArray[np.int32]
+    segments: tuple[Segment, ...]
+    force: Array
+    base_rate: Array
+    reference: Array
+    reference_rate: Array
+
+    @property
+    def recorded(self) -> NDArray[np.bool_]:
+        """Whether each row is in a recorded segment."""
+        return np.array([s.recorded for s in self.segments])[self.segment]
+
+
+def plan(parts: list[tuple[str, float, bool]], start: float = 0.0) -> tuple[Segment, ...]:
+    """Segments one after the other from (label, duration, recorded); empty ones are left out."""
+    segments = []
+    for label, duration, recorded in parts:
+        if duration > 0.0:
+            segments.append(Segment(label, start, duration, recorded))
+            start += duration
+    return tuple(segments)
+
+
+def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:
+    """Segment of each time: a border belongs to the recorded side, between two recorded ones to the later."""
+    starts = np.array([s.start for s in segments])
+    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(segments) - 1)
+    recorded = np.array([s.recorded for s in segments])
+    before = np.maximum(index - 1, 0)
+    at_border = np.abs(t - starts[index]) < 1e-9
+    keep_before = at_border & ~recorded[index] & recorded[before]
+    return np.where(keep_before, before, index).astype(np.int32)
+
+
+def check_step(segments: tuple[Segment, ...], step: float) -> None:
+    """Refuse a sample interval that does not divide every segment.
+
+    Raises
+    ------
+    ArgumentError
+        Naming the segment.
+    """
+    for segment in segments:
+        ratio = segment.duration / step
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            raise ArgumentError(
+                f"segment '{segment.label}' lasts {segment.duration:g} s, not a multiple of the "
+                f"sample interval {step:g} s",
+                remedy="change the duration or the sample rate",
+            )
+
+
+def sample_stand(
+    stand: Stand, step: float, *, errors: Imperfections = NONE, oversample: int = 1, extra: int = 0
+) -> Profile:
+    """Sample a stand at every ``step/oversample`` [s], with ``extra`` rows beyond its end.
+
+    Raises
+    ------
+    ArgumentError
+        If the stand does not have an imperfection, or ``step`` does not divide its segments.
+    """
+    errors.require(stand.accepted, stand.kind)
+    segments = stand.segments()
+    if not segments:
+        raise ArgumentError(f"the {stand.kind} has no segment", remedy="give it a duration")
+    check_step(segments, step)
+    end = round((segments[-1].stop - segments[0].start) / step) * oversample
+    t = segments[0].start + np.arange(end + extra + 1) * step / oversample
+    force, rate = errors.felt(*stand.motion(t, errors))
+    reference, reference_rate = stand.motion(t, NONE)
+    return Profile(t, segment_index(t, segments), segments, force, rate, reference, reference_rate)
+
+
+def force_change(stand: Stand, t: Array, errors: Imperfections) -> Array:
+    """What imperfections change in the specific force at times ``t`` [m/s^2], (n, 3): true less reference.
+
+    The link to the uncertainty budget: the change per standard uncertainty of one imperfection, carried
+    through a calibration, is that row of the budget.
+    """
+    return errors.felt(*stand.motion(t, errors))[0] - stand.motion(t, NONE)[0]

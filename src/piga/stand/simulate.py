@@ -1,0 +1,312 @@
+"""Stand and instrument together: the motion of the gimbal, and the log that a lab would have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.instrument.electronics import (
+    Electronics,
+    Temperature,
+    held_noise,
+    interpolate,
+    output_phases,
+    random_walk,
+    read_output,
+    sampling_times,
+)
+from piga.instrument.parameters import ErrorModel, Instrument
+from piga.instrument import propagate
+from piga.instrument.twin import Start, TwinMotion, run_twin
+from piga.instrument.twin_linear import require_stable
+from piga.instrument.twin_parameters import TwinParameters
+from piga.stand.imperfections import NONE, Imperfections
+from piga.stand.profile import Profile, Segment, Stand, sample_stand
+
+Array = NDArray[np.float64]
+Model = Literal["quasi-steady", "twin"]
+Harmonics = Mapping[int, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """The instrument under test, true values in SI.
+
+    ``error_model`` holds the polynomial and drift terms; ``harmonics`` maps an order to the amplitudes
+    [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle. ``twin`` adds rotor, float and
+    servo for the model ``twin``; then K, beta and alpha0 of ``instrument`` replace its own.
+    """
+
+    instrument: Instrument
+    error_model: ErrorModel = field(default_factory=ErrorModel)
+    harmonics: Harmonics = field(default_factory=dict)
+    twin: TwinParameters | None = None
+    start: Start = "slow-manifold"
+
+    @property
+    def design(self) -> TwinParameters:
+        """The twin with this instrument's K, beta and alpha0.
+
+        Raises
+        ------
+        ArgumentError
+            If no twin is given.
+        """
+        if self.twin is None:
+            raise ArgumentError("the model 'twin' needs [twin] parameters", remedy='e.g. preset = "example"')
+        own = self.instrument
+        twin = self.twin.with_scale_factor(own.scale_factor)
+        return replace(twin, pick_off_null=own.beta, alpha0=own.alpha0)
+
+
+@dataclass(frozen=True)
+class Log:
+    """What the lab records, per row.
+
+    Time [s], segment index and names, output, reference [m/s^2], base rate [rad/s], temperature [K].
+    """
+
+    t: Array
+    segment: NDArray[np.int32]
+    labels: tuple[str, ...]
+    output: NDArray
+    reference: Array
+    base_rate: Array
+    temperature: Array
+
+
+@dataclass(frozen=True)
+class SimulatedTest:
+    """A simulated test: the log, and the truth beside it on the fine grid of the simulation.
+
+    ``alpha`` [rad] and ``rate`` [rad/s] at ``profile.t``; ``motion`` is the twin's, else None; ``phases``
+    [rad] are the phases of the output zero per segment of the log.
+    """
+
+    model: Model
+    specimen: Specimen
+    electronics: Electronics
+    imperfections: Imperfections
+    stand: Stand
+    seed: int
+    profile: Profile
+    alpha: Array
+    rate: Array
+    motion: TwinMotion | None
+    phases: tuple[float, ...]
+    log: Log
+
+
+def simulate_test(
+    stand: Stand,
+    specimen: Specimen,
+    electronics: Electronics,
+    *,
+    imperfections: Imperfections = NONE,
+    temperature: Temperature | None = None,
+    model: Model = "quasi-steady",
+    seed: int = 1,
+    step: float | None = None,
+    force: bool = False,
+) -> SimulatedTest:
+    """Simulate a test.
+
+    Parameters
+    ----------
+    stand, specimen, electronics:
+        What excites, what is excited, and how its output is read.
+    imperfections:
+        What the stand does other than its reference says.
+    temperature:
+        Temperature of the instrument; None: constant 20 degC.
+    model:
+        ``quasi-steady`` (the cross-coupled instrument) or ``twin`` (rotor, float and servo).
+    seed:
+        Seed of all noise; the same seed gives the same log to the bit.
+    step:
+        Step of the grid on which the stand's motion is sampled [s], rounded down to divide the sample
+        interval; None: what the stand's fastest motion needs.
+    force:
+        Simulate an unstable servo loop as well.
+
+    Raises
+    ------
+    ArgumentError
+        If the parts do not fit each other; :class:`UnstableDesignError` for an unstable loop.
+    """
+    temperature = temperature or Temperature()
+    oversample = _oversample(stand, specimen, electronics, model, step)
+    grid = electronics.interval / oversample
+    profile = sample_stand(
+        stand,
+        electronics.interval,
+        errors=imperfections,
+        oversample=oversample,
+        extra=_overshoot(stand, electronics, imperfections, grid),
+    )
+    streams = np.random.default_rng(seed).spawn(4)
+    kelvin = temperature.at(profile.t)
+    if model == "twin":
+        motion = _twin_motion(specimen, electronics, profile, kelvin, grid, streams, force=force)
+        alpha, rate = motion.alpha, motion.rate
+    else:
+        motion = None
+        alpha, rate = _quasi_steady(specimen, electronics, profile, kelvin, grid, streams)
+    log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
+    return SimulatedTest(
+        model, specimen, electronics, imperfections, stand, seed, profile, alpha, rate, motion, phases, log
+    )
+
+
+def _oversample(
+    stand: Stand, specimen: Specimen, electronics: Electronics, model: Model, step: float | None
+) -> int:
+    wanted = step if step is not None else min(stand.fastest, 0.05)
+    if step is None and model == "twin":
+        p = specimen.design
+        noisy = p.pick_off_noise or p.torque_noise or electronics.angle_random_walk
+        wanted = min(wanted, 5e-3) if noisy else wanted
+    if wanted <= 0.0:
+        raise ArgumentError(f"step: {wanted:g} s is not positive")
+    return max(1, math.ceil(electronics.interval / wanted - 1e-9))
+
+
+def _overshoot(stand: Stand, e: Electronics, errors: Imperfections, grid: float) -> int:
+    """Rows needed beyond the end for late samples."""
+    end = stand.segments()[-1].stop
+    late = max(0.0, end * errors.timing) + max(0.0, e.clock_offset) + 6.0 * e.clock_jitter
+    return math.ceil(late / grid) if late > 0.0 else 0
+
+
+def _quasi_steady(
+    specimen: Specimen,
+    e: Electronics,
+    profile: Profile,
+    kelvin: Array,
+    grid: float,
+    streams: list[np.random.Generator],
+) -> tuple[Array, Array]:
+    """Exact motion; random walk exactly, by turning the transverse inputs back by the walked angle."""
+    density = 0.0 if e.kind == "rate" else e.angle_random_walk
+    walk = random_walk(streams[0], profile.t.size, grid, density)
+    force = profile.force.copy()
+    force[:, 0] += random_walk(streams[1], profile.t.size, grid, e.bias_random_walk)
+    base_rate = profile.base_rate
+    if density:
+        force, base_rate = _walked(force, walk), _walked(base_rate, walk)
+    harmonic_rate = np.zeros(profile.t.size)
+    for _ in range(20):
+        shifted = base_rate.copy()
+        shifted[:, 0] -= harmonic_rate
+        alpha, rate = propagate(
+            specimen.instrument,
+            profile.t,
+            force,
+            shifted,
+            with_rate=True,
+            error_model=specimen.error_model,
+            temperature=kelvin,
+        )
+        alpha = alpha + walk
+        new_rate = specimen.instrument.scale_factor * harmonic_force(specimen.harmonics, alpha)
+        if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
+            return alpha, rate
+        harmonic_rate = new_rate
+    raise ArgumentError(
+        "harmonics: too large to be simulated", remedy="harmonics are small corrections, e.g. 1e-5 g"
+    )
+
+
+def _walked(vectors: Array, angle: Array) -> Array:
+    """Transverse components in axes turned by ``angle`` about X0."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = vectors.T
+    return np.column_stack([x, c * y + s * z, c * z - s * y])
+
+
+def harmonic_force(harmonics: Harmonics, alpha: Array) -> Array:
+    """Specific force [m/s^2] that the harmonics add at gimbal angle ``alpha`` [rad], (n,)."""
+    total = np.zeros(alpha.size)
+    for order, (sine, cosine) in harmonics.items():
+        total += sine * np.sin(order * alpha) + cosine * np.cos(order * alpha)
+    return total
+
+
+def _twin_motion(
+    specimen: Specimen,
+    e: Electronics,
+    profile: Profile,
+    kelvin: Array,
+    grid: float,
+    streams: list[np.random.Generator],
+    *,
+    force: bool,
+) -> TwinMotion:
+    p = specimen.design
+    if not force:
+        require_stable(p)
+    own = specimen.error_model
+    if specimen.harmonics or own.s1 or own.c1:
+        raise ArgumentError(
+            "harmonics of the gimbal angle cannot be prescribed to the twin: it makes its own",
+            remedy='use model "quasi-steady", or leave s1, c1, s2, ... out',
+        )
+    size = profile.t.size
+    felt = profile.force.copy()
+    felt[:, 0] += own.specific_force(profile.t, profile.force, kelvin)
+    felt[:, 0] += random_walk(streams[1], size, grid, e.bias_random_walk)
+    noise = np.zeros((size, 3))
+    noise[:, 0] = held_noise(streams[2], size, grid, p.torque_noise)
+    if e.kind != "rate":
+        walk = random_walk(streams[0], size, grid, e.angle_random_walk)
+        noise[:-1, 1] = -p.angular_momentum * np.diff(walk) / grid
+    noise[:, 2] = held_noise(streams[2], size, grid, p.pick_off_noise)
+    return run_twin(p, profile.t, felt, profile.base_rate, noise=noise, start=specimen.start)
+
+
+def _read(
+    e: Electronics,
+    profile: Profile,
+    alpha: Array,
+    rate: Array,
+    kelvin: Array,
+    oversample: int,
+    errors: Imperfections,
+    rng: np.random.Generator,
+) -> tuple[Log, tuple[float, ...]]:
+    """The log, and the phase of its output zero per segment."""
+    start, grid = float(profile.t[0]), e.interval / oversample
+    last = round((profile.segments[-1].stop - start) / e.interval)
+    rows = np.arange(last + 1) * oversample
+    rows = rows[profile.recorded[rows]]
+    t = profile.t[rows]
+    instants = sampling_times(e, t - start, errors.timing, rng) + start
+    slope = np.gradient(rate, grid)
+    angle = interpolate(instants, start, grid, alpha, rate)
+    output = read_output(e, angle, interpolate(instants, start, grid, rate, slope), rng)
+    labels, segment = _labels(profile.segments, profile.segment[rows])
+    log = Log(
+        t,
+        segment,
+        labels,
+        output,
+        profile.reference[rows],
+        profile.reference_rate[rows],
+        kelvin[rows] - errors.temperature,
+    )
+    lost = np.diff(t, prepend=t[0]) > 1.5 * e.interval
+    return log, output_phases(e, angle, output, segment, lost)
+
+
+def _labels(
+    segments: tuple[Segment, ...], index: NDArray[np.int32]
+) -> tuple[tuple[str, ...], NDArray[np.int32]]:
+    """Names of the segments that occur, and the index of each row among them."""
+    used, inverse = np.unique(index, return_inverse=True)
+    return tuple(segments[int(k)].label for k in used), inverse.astype(np.int32)

@@ -1,0 +1,349 @@
+"""Calibration end to end on synthetic records with known truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.design import Design
+from piga.calibration.request import make_request
+from piga.records.run_file import UncertaintyTable
+from piga.units import G0
+from tests.calibration.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
+
+pytestmark = pytest.mark.only_compiled
+
+NOISES = {
+    "white": {"white": 2.5e-5},
+    "walk": {"white": 1e-9, "walk": 3e-5},
+    "mixed": {"white": 2.5e-5, "walk": 2e-5},
+    "counts": {"white": 1e-6, "count_angle": 2.0 * np.pi / 72000},
+}
+
+
+@pytest.mark.parametrize("noise", list(NOISES))
+@pytest.mark.parametrize("method", ["information", "rate", "recursive"])
+def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> None:
+    run = record(np.random.default_rng(11), **NOISES[noise])
+    calibration = piga.calibrate(run, TERMS, method)
+    assert all(abs(z) < 4.0 for z in errors(calibration).values()), errors(calibration)
+    assert calibration["tan_beta"].std < 3e-6
+    assert calibration.degrees_of_freedom == run.size - len(run.labels) - 6
+
+
+def test_recursive_is_batch_and_has_a_history() -> None:
+    run = record(np.random.default_rng(12), **NOISES["mixed"])
+    batch = piga.calibrate(run, TERMS)
+    recursive = piga.calibrate(run, TERMS, "recursive")
+    for a, b in zip(batch.coefficients, recursive.coefficients, strict=True):
+        assert a.value == pytest.approx(b.value, rel=1e-12)
+    assert recursive.history is not None
+    for coefficient in batch.coefficients:
+        assert recursive.history[coefficient.key][-1] == pytest.approx(coefficient.value, rel=1e-9)
+        assert recursive.history[f"u({coefficient.key})"][-1] == pytest.approx(coefficient.std, rel=1e-6)
+    assert recursive.history["u(tan_beta)"][0] > 3.0 * recursive.history["u(tan_beta)"][-1]
+
+
+def test_per_segment_phases_share_tan_beta() -> None:
+    run = record(np.random.default_rng(13), per_segment=True)
+    calibration = piga.calibrate(run, TERMS, phase="per-segment")
+    assert all(abs(z) < 4.0 for z in errors(calibration).values())
+    phases = [c for c in calibration.coefficients if c.name == "phi"]
+    assert [c.segment for c in phases] == list(run.labels)
+    assert calibration["phi[0]"].value == pytest.approx(PHI, abs=5.0 * calibration["phi[0]"].std)
+    with pytest.raises(KeyError, match="no coefficient 'k9'"):
+        calibration["k9"]
+
+
+def test_whitened_beats_angle_blind_methods() -> None:
+    """With angle noise the rate method is far from efficient; the whitened one never loses to it."""
+    run = record(np.random.default_rng(14), white=5e-5)
+    whitened, rate = piga.calibrate(run, TERMS), piga.calibrate(run, TERMS, "rate")
+    assert whitened["scale_factor"].std < 0.6 * rate["scale_factor"].std
+
+
+def test_rate_log() -> None:
+    rng = np.random.default_rng(15)
+    t = np.arange(20_001) * 0.01
+    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
+    inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
+    _, rate = piga.propagate(inst, t, f, with_rate=True)
+    run = piga.Run.from_arrays(t, rate + 1e-5 * rng.standard_normal(t.size), f, scale_factor=SCALE, kind="rate")
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
+    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=4.0 * calibration["scale_factor"].std)
+    assert abs(calibration["k0"].value) < 4.0 * calibration["k0"].std
+    assert calibration.angle_random_walk == pytest.approx(1e-5 * 0.1, rel=0.03)
+
+
+def test_base_rate_is_part_of_the_model() -> None:
+    """Earth rate is 82 micro-g here: left out it must show in k0, given it must not."""
+    t = np.arange(0.0, 200.0, 0.05)
+    f = G0 * np.column_stack([1.0 + 0.5 * np.sin(0.2 * t), 2.0 * np.cos(0.11 * t), 0.0 * t])
+    omega = np.tile([4.7e-5, -2e-5, 5.6e-5], (t.size, 1))
+    inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.3)
+    alpha = piga.propagate(inst, t, f, base_rate=omega)
+    given = piga.Run.from_arrays(t, alpha, f, scale_factor="0.889 rad/s/g", base_rate=omega)
+    calibration = piga.calibrate(given, ["scale_factor", "tan_beta", "k0"])
+    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=1e-8)
+    assert calibration["tan_beta"].value == pytest.approx(0.00484817479568412, abs=2e-8)
+    assert abs(calibration["k0"].value) < 1e-8
+    without = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    assert piga.calibrate(without, ["scale_factor", "tan_beta", "k0"])["k0"].value == pytest.approx(
+        -5.29e-5, rel=0.01
+    )
+
+
+def test_every_term_of_the_error_model() -> None:
+    """A made-up record holding every term at once, noiseless, is solved to the interpolation error."""
+    rng = np.random.default_rng(16)
+    t = np.arange(0.0, 400.0, 0.02)
+    f = G0 * np.column_stack(
+        [np.sin(0.5 * t) + 0.7 * np.sin(0.13 * t), np.cos(0.21 * t) * 1.5, np.sin(0.34 * t + 1.0)]
+    )
+    temperature = 293.15 + 8.0 * np.sin(0.017 * t)
+    truth = {"k0": 1e-3, "k2": 2e-4, "k3": -5e-5, "k2o": 3e-4, "m_Y": 1e-4, "m_Z": -2e-4, "k_XY": 1e-4}
+    truth |= {"k_XZ": 3e-5, "k_YY": -4e-5, "k_ZZ": 6e-5, "k_YZ": 7e-5, "k0_t": 1e-7, "k0_T": 2e-5, "k1_T": 3e-5}
+    truth |= {"s1": 2e-4, "c1": -1e-4, "s2": 1e-4, "c2": 5e-5}
+    x, y, z = f.T / G0
+    dT, middle = temperature - 293.15, t - 0.5 * (t[0] + t[-1])
+    force = truth["k0"] + truth["k2"] * x**2 + truth["k3"] * x**3 + truth["k2o"] * x * abs(x)
+    force += truth["m_Y"] * y + truth["m_Z"] * z + truth["k_XY"] * x * y + truth["k_XZ"] * x * z
+    force += truth["k_YY"] * y**2 + truth["k_ZZ"] * z**2 + truth["k_YZ"] * y * z
+    force += truth["k0_t"] * middle + truth["k0_T"] * dT + truth["k1_T"] * x * dT
+    alpha = _integrate_with_harmonics(t, f, force * G0, truth)
+    run = piga.Run.from_arrays(t, alpha - 0.4, f, scale_factor=SCALE, temperature=temperature)
+    run = replace(run, row=run.row + int(rng.integers(0, 1)))
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", *truth])
+    for name, value in truth.items():
+        assert calibration[name].value == pytest.approx(value, abs=2e-7), name
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=2e-7)
+    assert calibration["phi"].value == pytest.approx(0.4, abs=1e-3)
+
+
+def _integrate_with_harmonics(t, f, force, truth):
+    """Independent fine Runge-Kutta integration of equation (1) with the error terms."""
+    K, tangent = 0.8884 / G0, np.tan(BETA)
+    fine = 4
+
+    def rate(alpha: float, v: np.ndarray, e: float) -> float:
+        s, c = np.sin(alpha), np.cos(alpha)
+        ripple = (
+            truth["s1"] * s
+            + truth["c1"] * c
+            + truth["s2"] * np.sin(2 * alpha)
+            + truth["c2"] * np.cos(2 * alpha)
+        )
+        return K * (v[0] + tangent * (v[1] * s - v[2] * c) + e + ripple * G0)
+
+    alpha = np.empty(t.size)
+    alpha[0] = now = 0.4
+    for i in range(t.size - 1):
+        h = (t[i + 1] - t[i]) / fine
+        for j in range(fine):
+            u = [(j + p) / fine for p in (0.0, 0.5, 1.0)]
+            v = [f[i] + p * (f[i + 1] - f[i]) for p in u]
+            e = [force[i] + p * (force[i + 1] - force[i]) for p in u]
+            k1 = rate(now, v[0], e[0])
+            k2 = rate(now + 0.5 * h * k1, v[1], e[1])
+            k3 = rate(now + 0.5 * h * k2, v[1], e[1])
+            k4 = rate(now + h * k3, v[2], e[2])
+            now += h * (k1 + 2 * k2 + 2 * k3 + k4) / 6.0
+        alpha[i + 1] = now
+    return alpha
+
+
+def test_trapezoid_of_the_coupling_would_be_biased() -> None:
+    """The product integration holds tan_beta where the plain trapezoid is short by (d psi)^2/12."""
+    t = np.arange(0.0, 100.0, 0.1)
+    f = np.tile(G0 * np.array([2.0, 3.0, 0.0]), (t.size, 1))
+    inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec")
+    run = piga.Run.from_arrays(t, piga.propagate(inst, t, f), f, scale_factor=SCALE)
+    found = piga.calibrate(run, ["tan_beta"])["tan_beta"].value
+    assert found == pytest.approx(0.00484817479568412, rel=2e-6)
+    psi_step = 0.8884 * 2.0 * 0.1
+    assert psi_step**2 / 12.0 > 2e-3
+
+
+def ramp(kind: str) -> piga.Run:
+    t = np.arange(10_001) * 0.01
+    a_x = 2.06 * G0 * t / 100.0 if kind == "ramp" else np.full(t.size, 2.06 * G0)
+    f = np.column_stack([a_x, 5.0 * a_x, 0.0 * a_x])
+    inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=np.pi / 4)
+    _, rate = piga.propagate(inst, t, f, with_rate=True)
+    return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+
+
+def test_published_recursion_on_the_published_ramp() -> None:
+    calibration = piga.calibrate(ramp("ramp"), ["tan_beta"], "published")
+    assert calibration["tan_beta"].value == pytest.approx(4.84683e-3, abs=5e-9)
+    assert calibration["phi"].value == pytest.approx(0.78672, abs=1e-5)
+    K = 0.8884 / G0
+    assert calibration.residual_max_after / K / G0 == pytest.approx(1.67e-3, abs=5e-6)
+    assert calibration.residual_max_before / K / G0 == pytest.approx(0.05, abs=0.001)
+
+
+def test_published_recursion_converges_to_a_wrong_solution_from_constant_input() -> None:
+    calibration = piga.calibrate(ramp("constant"), ["tan_beta"], "published")
+    assert calibration.history is not None
+    assert calibration.history["tan_beta"][-1] == pytest.approx(-2.6e-3, abs=5e-5)
+    assert calibration.history["phi"][-1] == pytest.approx(-3.24, abs=5e-3)
+    ours = piga.calibrate(ramp("constant"), ["tan_beta"])
+    assert ours["tan_beta"].value == pytest.approx(0.00484817479568412, rel=1e-9)
+    assert ours["phi"].value == pytest.approx(np.pi / 4, abs=1e-7)
+
+
+def test_phase_from_input_leaves_the_published_residual() -> None:
+    calibration = piga.calibrate(ramp("ramp"), ["tan_beta"], phase_source="input")
+    assert calibration.residual_max_after / 0.8884 == pytest.approx(1.67e-3, rel=0.01)
+    assert piga.calibrate(ramp("ramp"), ["tan_beta"]).residual_max_after / 0.8884 < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("terms", "options", "message"),
+    [
+        (["scale_factor", "k1"], {}, "same coefficient"),
+        (["k7"], {}, "unknown term 'k7'"),
+        (["s1"], {}, "'s1' without 'c1'"),
+        (["phi"], {}, "comes with tan_beta"),
+        ([], {}, "no term"),
+        (["k0", "k0"], {}, "named twice"),
+        (["k0_T"], {}, "needs the temperature"),
+        (["k0"], {"method": "magic"}, "method: 'magic' is not known"),
+        (["k0"], {"method": "published"}, "estimates \\[tan_beta\\]"),
+        (["tan_beta"], {"phase_source": "input", "phase": "per-segment"}, "needs phase = 'shared'"),
+    ],
+)
+def test_impossible_requests_are_refused_with_the_reason(terms: list[str], options: dict, message: str) -> None:
+    run = record(np.random.default_rng(1), seconds=5.0)
+    with pytest.raises(piga.PigaError, match=message):
+        piga.calibrate(run, terms, **options)
+
+
+def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
+    t = np.arange(0.0, seconds, 0.05)
+    force = np.tile(G0 * np.array(f), (t.size, 1))
+    inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
+    alpha = piga.propagate(inst, t, force) + 2e-5 * np.random.default_rng(2).standard_normal(t.size)
+    return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE)
+
+
+@pytest.mark.parametrize(
+    ("run", "terms", "named", "remedy"),
+    [
+        (still((1.0, 0.3, 0.0)), ["scale_factor", "k0"], ["scale_factor", "k0"], "a_x never changes"),
+        (still((1.0, 0.3, 0.0)), ["k0", "k2"], ["k0", "k2"], "another \\|a_x\\|"),
+        (still((1.0, 0.0, 0.0)), ["scale_factor", "tan_beta"], ["tan_beta"], "transverse force"),
+    ],
+)
+def test_what_cannot_be_identified_is_refused_by_name(run, terms, named, remedy) -> None:
+    with pytest.raises(piga.IdentifiabilityError, match=remedy) as caught:
+        piga.calibrate(run, terms)
+    assert all(name in caught.value.message for name in named)
+
+
+def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
+    run = record(np.random.default_rng(3), levels=(1.0,))
+    flat = replace(run, f=run.f * [1.0, 1.0, 0.0])
+    with pytest.raises(piga.IdentifiabilityError, match="one-plane tumble") as caught:
+        piga.calibrate(flat, ["scale_factor", "tan_beta", "k0", "k2", "k_YY"])
+    assert "k0, k2, k_YY" in caught.value.message
+
+
+def test_a_useless_estimate_is_refused() -> None:
+    """A hair of a_x is not information on k2 beside k0."""
+    run = still((1.0, 0.3, 0.0))
+    f = run.f.copy()
+    f[:, 0] *= 1.0 + 1e-7 * np.sin(run.t)
+    with pytest.raises(piga.IdentifiabilityError, match=r"does not determine|cannot separate"):
+        piga.calibrate(replace(run, f=f), ["tan_beta", "k0", "k2"])
+
+
+def test_tan_beta_in_the_noise_is_said() -> None:
+    t = np.arange(0.0, 60.0, 0.05)
+    f = np.tile(G0 * np.array([1.0, 0.4, 0.0]), (t.size, 1))
+    alpha = 0.8884 * t + 1e-3 * np.random.default_rng(4).standard_normal(t.size)
+    run = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    notes = " ".join(piga.calibrate(run, ["scale_factor", "tan_beta"]).notes)
+    assert "phi is not determined" in notes
+
+
+def test_type_b_first_order() -> None:
+    run = record(np.random.default_rng(17), white=1e-6)
+    table = UncertaintyTable(reference_scale="10 ppm", reference_misalignment="2 arcsec", timing="1 ppm")
+    plain, full = piga.calibrate(run, TERMS), piga.calibrate(replace(run, uncertainty=table), TERMS)
+    rows = {row["source"]: row for row in full.budget}
+    assert set(rows) == {
+        "fit residuals (repeatability)", "reference_scale", "timing",
+        "reference_misalignment X0", "reference_misalignment Y0", "reference_misalignment Z0",
+    }  # fmt: skip
+    scale = rows["reference_scale"]["contributions"]
+    assert scale["scale_factor"] == pytest.approx(-0.8884e-5, rel=1e-3)
+    assert rows["reference_misalignment Z0"]["contributions"]["m_Y"] == pytest.approx(
+        2.0 * np.pi / 648000, rel=1e-3
+    )
+    assert rows["timing"]["contributions"]["scale_factor"] == pytest.approx(-0.8884e-6, rel=1e-2)
+    total = sum(row["contributions"]["scale_factor"] ** 2 for row in full.budget) ** 0.5
+    assert full["scale_factor"].std == pytest.approx(total, rel=1e-9)
+    assert full["scale_factor"].std > 5.0 * plain["scale_factor"].std
+    assert full["scale_factor"].value == plain["scale_factor"].value
+
+
+def test_given_noise_levels_are_used() -> None:
+    from piga.records.run_file import EstimationTable
+
+    run = record(np.random.default_rng(18))
+    given = replace(run, estimation=EstimationTable(angle_rms="5e-5 rad", angle_random_walk="0 rad/sqrt(s)"))
+    found, used = piga.calibrate(run, TERMS), piga.calibrate(given, TERMS)
+    assert used.angle_rms == 5e-5
+    assert used["k0"].std == pytest.approx(2.0 * found["k0"].std, rel=0.05)
+    assert found.angle_rms == pytest.approx(2.5e-5, rel=0.03)
+
+
+def test_sampling_too_slow_for_the_motion_is_refused() -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    f = G0 * np.column_stack([30.0 * np.sin(2.0 * t), 1.0 + 0.0 * t, 0.0 * t])
+    run = piga.Run.from_arrays(t, np.cumsum(f[:, 0]) * 0.0 + t, f, scale_factor=SCALE)
+    with pytest.raises(piga.DataError, match=r"sample at [\d.]+ Hz"):
+        piga.calibrate(run, ["tan_beta"])
+
+
+def test_too_short_a_record() -> None:
+    t = np.arange(5) * 0.1
+    run = piga.Run.from_arrays(t, t, np.ones((5, 3)), scale_factor=SCALE)
+    with pytest.raises(piga.CalibrationError, match="4 increments for 6 parameters"):
+        piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k3"])
+
+
+def test_blocks_cover_every_increment_once() -> None:
+    run = record(np.random.default_rng(19), seconds=10.0)
+    design = Design(run, make_request(run, TERMS, None, None, None), run.scale_factor)
+    rows = np.concatenate([np.arange(b.start, b.stop)[b.h > 0.0] for b in design.blocks()])
+    np.testing.assert_array_equal(rows, np.flatnonzero(~run.begins))
+
+
+def test_relations_that_must_hold() -> None:
+    """Scale of time, turn of the transverse frame, doubled K: the estimates follow exactly."""
+    run = record(np.random.default_rng(20), **NOISES["mixed"])
+    base = piga.calibrate(run, TERMS)
+    slow = piga.calibrate(replace(run, t=run.t * 2.0), TERMS)
+    assert slow["scale_factor"].value == pytest.approx(base["scale_factor"].value / 2.0, rel=1e-9)
+    assert slow["k0"].value == pytest.approx(base["k0"].value, rel=1e-6)
+    mirrored = replace(run, f=run.f * [-1.0, 1.0, -1.0], output=-run.output)
+    mirror = piga.calibrate(mirrored, TERMS)
+    assert mirror["scale_factor"].value == pytest.approx(base["scale_factor"].value, rel=1e-12)
+    assert mirror["k0"].value == pytest.approx(-base["k0"].value, rel=1e-9)
+    assert mirror["m_Y"].value == pytest.approx(-base["m_Y"].value, rel=1e-9)
+    assert mirror["tan_beta"].value == pytest.approx(base["tan_beta"].value, rel=1e-9)
+    shifted = piga.calibrate(replace(run, output=run.output + 0.7), TERMS)
+    assert shifted["phi"].value == pytest.approx(base["phi"].value - 0.7, abs=1e-9)
+
+
+def test_truth_table_is_what_the_record_holds() -> None:
+    """Guards the synthetic records: with noise 1e-9 rad every coefficient is found to 1e-7."""
+    calibration = piga.calibrate(record(np.random.default_rng(21), white=1e-9), TERMS)
+    for name in ("tan_beta", "k0", "k2", "m_Y"):
+        assert calibration[name].value == pytest.approx(TRUTH[name], abs=1e-7)

@@ -1,0 +1,136 @@
+"""The commands as a user runs them: exit codes, JSON, results by rename, one clear message."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from piga.cli import common
+from piga.cli.demo import copy_example
+from piga.errors import PigaError
+from tests.records.files import lines, write_log, write_run
+
+
+def piga(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from piga.cli.main import main; main()", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=os.environ | {"COLUMNS": "100"})
+
+
+def small_run(folder: Path) -> Path:
+    rows = [row + f",{i // 30}" for i, row in enumerate(lines(60))]
+    turned = [row.replace(",1.0,0.1,", ",0.5,0.3,") if i >= 30 else row for i, row in enumerate(rows)]
+    write_log(folder, turned, header="t,n,fx,fy,fz,seg")
+    return write_run(folder, data='segment = "seg"')
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; sys.argv = ['piga', '--help']\n"
+        "from piga.cli.main import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'pyarrow', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for command in ("demo", "check", "calibrate", "compensate"):
+        assert command in done.stdout
+
+
+@pytest.mark.only_compiled
+def test_the_main_job(tmp_path: Path) -> None:
+    done = piga("demo", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "scale_factor" in done.stdout
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {
+        "tumble-a.toml", "tumble-a.csv", "calibration.json", "residuals.parquet", "report.html", "compensated.parquet",
+    }  # fmt: skip
+    residuals = pq.read_table(tmp_path / "out" / "residuals.parquet")
+    assert residuals.num_rows == 28824
+    assert residuals.schema.field("after").metadata == {b"unit": b"rad"}
+    compensated = pq.read_table(tmp_path / "out" / "compensated.parquet")
+    assert compensated.column_names == ["t", "ax", "dv", "u_ax", "flags"]
+
+
+def test_check_prints_findings_and_json(tmp_path: Path) -> None:
+    rows = lines()
+    del rows[10:12]
+    write_log(tmp_path, rows)
+    path = write_run(tmp_path)
+    done = piga("check", path)
+    assert done.returncode == 0
+    assert "1 x gap" in done.stdout
+    document = json.loads(piga("check", path, "--json").stdout)
+    assert document["quality"]["events"][0]["kind"] == "gap"
+    assert document["phase_kept"] is True
+
+
+def test_calibrate_json_and_files(tmp_path: Path) -> None:
+    done = piga("calibrate", small_run(tmp_path), "--out", tmp_path / "out", "--no-report", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["schema"] == "piga.calibration/1"
+    assert json.loads((tmp_path / "out" / "calibration.json").read_text()) == document
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"calibration.json", "residuals.parquet"}
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["calibrate", "none.toml"], "none.toml: cannot be read"),
+        (["calibrate", "run.toml", "--terms", "kO"], "unknown term 'kO'"),
+        (["calibrate", "run.toml", "--phase", "loose"], "phase: 'loose' is not known"),
+        (["calibrate", "run.toml", "--terms", "scale_factor,k0,k2,k3,k2o"], "this record"),
+        (["calibrate", "run.toml", "--out", "run.csv"], "cannot be created"),
+        (["calibrate"], "Missing argument"),
+        (["nonsense"], "No such command"),
+        (["check", "run.csv"], "not valid TOML"),
+    ],
+)
+def test_wrong_use_is_exit_2_with_one_message(tmp_path: Path, arguments: list[str], message: str) -> None:
+    small_run(tmp_path)
+    done = piga(*arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+
+
+def test_nothing_is_written_half(tmp_path: Path) -> None:
+    path = tmp_path / "result.txt"
+    path.write_text("old")
+
+    def fails(temporary: Path) -> None:
+        temporary.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(PigaError, match="No space left"):
+        common.write_by_rename(path, fails)
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["result.txt"]
+    common.write_by_rename(path, lambda temporary: temporary.write_text("new"))
+    assert path.read_text() == "new"
+    with pytest.raises(PigaError, match="cannot be written"):
+        common.write_by_rename(tmp_path / "none" / "x", lambda temporary: None)
+
+
+def test_control_sequences_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    common.say("a\x1b[31mb")
+    common.note("c\x07d")
+    captured = capsys.readouterr()
+    assert captured.out == "a?[31mb\n"
+    assert captured.err == "c?d\n"
+
+
+def test_the_example_is_copied_whole(tmp_path: Path) -> None:
+    run = copy_example(tmp_path)
+    assert run.read_text().startswith("# A dividing-head test")
+    assert (tmp_path / "tumble-a.csv").stat().st_size > 2_000_000

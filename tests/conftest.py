@@ -1,0 +1,16 @@
+"""Which tests run with the JIT off, and which only compiled."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests marked ``only_compiled`` are too long for interpreted kernels; they run in the compiled pass."""
+    if not numba.config.DISABLE_JIT:
+        return
+    skip = pytest.mark.skip(reason="runs in the compiled pass")
+    for item in items:
+        if "only_compiled" in item.keywords:
+            item.add_marker(skip)

@@ -1,0 +1,83 @@
+"""Derivatives of the motion against the complex step through an independent plain evaluation."""
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+
+import piga
+from piga.instrument import SENSITIVITY_NAMES, Instrument, closed_form, propagate, sensitivities
+
+pytestmark = pytest.mark.compiled
+
+INST = Instrument(0.0906, 0.02, -2.5)
+
+
+def plain_motion(K, beta, alpha0, t, f, omega):
+    """Equation (4) of docs/theory/motion with Magnus increments, for complex arguments."""
+    alpha, out = alpha0, [alpha0]
+    u = K * f - omega
+    r = np.stack([u[:, 0], cmath.tan(beta) * u[:, 1], cmath.tan(beta) * u[:, 2]], axis=1)
+    for k in range(t.size - 1):
+        h, (a0, y0, z0), (a1, y1, z1) = t[k + 1] - t[k], r[k], r[k + 1]
+        A = h * (a0 + a1) / 2 + h**2 / 12 * (y0 * z1 - z0 * y1)
+        Y = h * (y0 + y1) / 2 + h**2 / 12 * (a0 * z1 - z0 * a1)
+        Z = h * (z0 + z1) / 2 - h**2 / 12 * (a0 * y1 - y0 * a1)
+        x = cmath.sqrt((Y * Y + Z * Z - A * A) / 4)
+        C, S = cmath.cosh(x), cmath.sinh(x) / x
+        sine, cosine = cmath.sin(alpha), cmath.cos(alpha)
+        top, bottom = S * (A + Y * sine - Z * cosine) / 2, C - S * (Y * cosine + Z * sine) / 2
+        branch = math.pi if bottom.real < 0 else 0.0
+        step = 2 * (cmath.atan(top / bottom) + (branch if top.real > 0 else -branch))
+        alpha = alpha + step
+        out.append(alpha)
+    out = np.array(out)
+    return out, r[:, 0] + r[:, 1] * np.sin(out) - r[:, 2] * np.cos(out)
+
+
+@pytest.mark.parametrize(("h", "size"), [(0.02, 15.0), (0.6, 15.0), (0.6, 60.0)])
+@pytest.mark.parametrize("column", range(6))
+def test_against_the_complex_step(h, size, column):
+    rng = np.random.default_rng(4)
+    n = 40
+    t = np.cumsum(rng.uniform(0.5, 1.5, n) * h)
+    f, omega = rng.normal(0.0, size, (n, 3)), rng.normal(0.0, 0.05, (n, 3))
+    tiny = 1e-40j
+    arguments = [INST.scale_factor, INST.beta, INST.alpha0]
+    shifted = f.astype(complex)
+    if column < 3:
+        arguments[column] += tiny
+    else:
+        shifted[:, column - 3] += tiny
+    alpha, rate = plain_motion(*arguments, t, shifted, omega)
+    result = sensitivities(INST, t, f, omega)
+    assert result.alpha == pytest.approx(alpha.real, abs=1e-11)
+    scale = np.abs(alpha.imag * 1e40).max()
+    assert result.of_alpha(SENSITIVITY_NAMES[column]) == pytest.approx(alpha.imag * 1e40, abs=1e-11 * scale)
+    assert result.of_rate(SENSITIVITY_NAMES[column]) == pytest.approx(rate.imag * 1e40, abs=1e-10 * scale)
+
+
+def test_motion_is_that_of_propagate():
+    rng = np.random.default_rng(5)
+    t, f = np.arange(50) * 0.05, rng.normal(0.0, 20.0, (50, 3))
+    result = sensitivities(INST, t, f)
+    alpha, rate = propagate(INST, t, f, with_rate=True)
+    assert result.alpha == pytest.approx(alpha, abs=1e-13)
+    assert result.rate == pytest.approx(rate, abs=1e-13)
+
+
+def test_locked_gimbal_forgets_its_start():
+    """d(alpha)/d(alpha0) decays with twice the locking rate of the half angle."""
+    t = np.linspace(0.0, 400.0, 41)
+    force = (0.02, 50.0, 0.0)
+    forgotten = sensitivities(INST, t, np.tile(force, (41, 1))).of_alpha("alpha0")
+    _, rate = closed_form(INST, t, *force)
+    assert forgotten == pytest.approx(rate / rate[0], rel=1e-9)
+
+
+def test_bad_input_is_named():
+    with pytest.raises(piga.ArgumentError, match=r"f: nan at index \(1, 0\)"):
+        sensitivities(INST, [0.0, 1.0], [[0, 0, 0], [math.nan, 0, 0]])
+    with pytest.raises(piga.ArgumentError, match="too large"):
+        sensitivities(INST, [0.0, 1e9], np.ones((2, 3)))

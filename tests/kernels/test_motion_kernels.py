@@ -1,0 +1,198 @@
+"""Kernels of the motion against 50-digit arithmetic and their own definitions."""
+
+import math
+import os
+import subprocess
+import sys
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+from piga._kernels import double_double as dd
+from piga._kernels import motion_records as records
+from piga._kernels import transfer as block
+from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, split_turns, step_functions, unwrapped
+from piga._kernels.motion_sensitivity import unimodular_functions
+from piga._kernels.trig import double_arctangent
+
+pytestmark = pytest.mark.compiled
+
+
+def exact(pair):
+    return mp.mpf(float(pair[0])) + mp.mpf(float(pair[1]))
+
+
+@pytest.fixture(autouse=True)
+def _fifty_digits():
+    with mp.workdps(50):
+        yield
+
+
+def test_double_double_keeps_thirty_digits():
+    rng = np.random.default_rng(3)
+    for a, b in rng.normal(0.0, 1e3, (50, 2)):
+        x, y = dd.two_product(float(a), float(b)), dd.two_sum(float(a), float(b) * 1e-9)
+        assert exact(x) == mp.mpf(float(a)) * mp.mpf(float(b))
+        assert exact(y) == mp.mpf(float(a)) + mp.mpf(float(b) * 1e-9)
+        assert abs(exact(dd.multiply(x, y)) / (exact(x) * exact(y)) - 1) < 1e-30
+        assert abs(exact(dd.add(x, (-x[0], y[1]))) - (exact(x) - x[0] + y[1])) < 1e-30
+        positive = dd.multiply(x, x)
+        assert abs(exact(dd.square_root(positive)) ** 2 / exact(positive) - 1) < 1e-29
+
+
+@pytest.mark.parametrize("phase", [0.3, 1e3, 1e9, 6.3e11])
+def test_reduction_by_pi_at_any_phase(phase):
+    n, rest = dd.remainder_pi((phase, 1e-17 * phase))
+    reference = mp.mpf(phase) + mp.mpf(1e-17 * phase)
+    assert n == mp.nint(reference / mp.pi)
+    assert rest == pytest.approx(float(reference - mp.pi * mp.nint(reference / mp.pi)), abs=2e-16)
+
+
+@pytest.mark.parametrize("turns", [0.0, 1.0, -7.0, 1e6, 6e7])
+def test_turns_and_rest(turns):
+    alpha = unwrapped(turns, 1.25)
+    assert abs(alpha - (2 * mp.pi * int(turns) + mp.mpf(1.25))) <= 0.51 * np.spacing(abs(alpha))
+    whole, rest = split_turns(alpha)
+    assert whole == turns
+    assert rest == pytest.approx(1.25, abs=np.spacing(abs(alpha)))
+    assert abs(mp.mpf(TWO_PI_HIGH) + mp.mpf(TWO_PI_LOW) - 2 * mp.pi) < 1e-24
+
+
+def test_double_arctangent_to_an_ulp():
+    angles = np.concatenate([np.linspace(-np.pi, np.pi, 801)[1:-1], 10.0 ** np.arange(-300, 0, 20)])
+    for half in angles:
+        p, q = math.sin(half), math.cos(half)
+        reference = 2 * mp.atan(mp.mpf(p) / mp.mpf(q))
+        assert abs(double_arctangent(p, q) - reference) <= max(
+            1.5 * np.spacing(abs(float(reference))), 2.3e-16 * (half**2 > 0.1)
+        )
+        assert double_arctangent(-p, -q) == double_arctangent(p, q)
+    assert double_arctangent(1.0, 0.0) == math.pi
+    assert double_arctangent(-1.0, 0.0) == -math.pi
+    assert double_arctangent(0.0, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("x", [-90.0, -2.0, -0.4, -0.0624, -1e-9, 0.0, 1e-9, 0.0624, 0.0626, 0.4, 30.0, 1e4])
+def test_step_functions(x):
+    root = mp.sqrt(mp.mpf(x))
+    c, s = mp.re(mp.cosh(root)), mp.re(mp.sinh(root) / root if x else mp.mpf(1))
+    low, part = step_functions(x)
+    assert abs((1 + mp.mpf(low)) * s - part * c) < 3e-16 * mp.sqrt(c * c + s * s) * max(1, abs(part))
+    if abs(x) < 100:
+        for computed, reference in zip(
+            unimodular_functions(x), (c, s, (c - s) / (2 * x) if x else mp.mpf(1) / 6), strict=True
+        ):
+            assert abs(computed - reference) < 2e-15 * max(1, abs(reference))
+
+
+def _filled(m, size, seed=1):
+    w = np.zeros(block.SIZE)
+    rng = np.random.default_rng(seed)
+    for row in (block.STEP_A, block.STEP_Y, block.STEP_Z):
+        w[row : row + m] = rng.uniform(-size, size, m)
+    return w
+
+
+@pytest.mark.parametrize(("m", "size"), [(256, 0.02), (256, 0.5), (100, 0.5), (1, 0.1)])
+def test_chain_and_product_are_the_product_of_the_exponentials(m, size):
+    w = _filled(m, size)
+    assert block.matrices(w, m) == m
+    state = mp.matrix([mp.sin(mp.mpf("0.4")), mp.cos(mp.mpf("0.4"))])
+    p, q = float(state[0]), float(state[1])
+    state = mp.matrix([mp.mpf(p), mp.mpf(q)])
+    pairs = [state]
+    for j in range(m):
+        A, Y, Z = (mp.mpf(w[row + j]) / 2 for row in (block.STEP_A, block.STEP_Y, block.STEP_Z))
+        pairs.append(mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]])) * pairs[-1])
+    block.chain(w, m, p, q)
+    u, v, x, y = block.product(w, m)
+    for j in (1, m // 2, m // 2 + 1, m):
+        norm = mp.norm(pairs[j])
+        assert abs(w[block.PAIR_P + j] - pairs[j][0]) < 2e-16 * (m + 9) * norm
+        assert abs(w[block.PAIR_Q + j] - pairs[j][1]) < 2e-16 * (m + 9) * norm
+    grown = math.hypot(u, v) + math.hypot(x, y)
+    assert abs(u * p + x * q - pairs[m][0]) < 2e-16 * (m + 9) * grown
+    assert abs(v * p + y * q - pairs[m][1]) < 2e-16 * (m + 9) * grown
+
+
+def test_large_steps_are_counted_out():
+    w = _filled(256, 0.1)
+    w[block.STEP_A + 17] = 1.5
+    w[block.STEP_Y + 200] = math.nan
+    assert block.matrices(w, 256) == 254
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_angles_count_turns_both_ways(direction):
+    half = 0.3 + direction * 0.2 * np.arange(257)
+    w = np.zeros(block.SIZE)
+    w[block.PAIR_P : block.PAIR_P + 257] = np.sin(half)
+    w[block.PAIR_Q : block.PAIR_Q + 257] = np.cos(half)
+    alpha = np.empty(256)
+    turns = block.angles(w, 256, 5.0, alpha)
+    assert alpha == pytest.approx(10 * math.pi + 2 * half[1:], abs=1e-12)
+    assert turns == 5 + round(2 * half[-1] / (2 * math.pi))
+
+
+@pytest.mark.parametrize("m", [3, 5])
+def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
+    """Mean rates of quadratic input over uneven intervals give the increments with the true slopes."""
+    t = np.cumsum(np.r_[0.3, np.random.default_rng(m).uniform(0.5, 2.0, m)])
+    c = np.array([[1.0, 0.4, -0.3], [0.2, -0.7, 0.9], [0.5, 0.1, -0.2]])
+    integral = t[:, None] * c[0] + t[:, None] ** 2 / 2 * c[1] + t[:, None] ** 3 / 3 * c[2]
+    w = np.zeros(block.SIZE)
+    records.load_means(t, np.diff(integral, axis=0), np.empty((0, 3)), 1.0, 1.0, w[1:])
+    records.fill_edges(w, m, 0, 0)
+    records.steps_from_means(w, m)
+    records.edge_step(w, 1, 2, 3)
+    records.edge_step(w, m, m - 1, m - 2)
+    h = np.diff(t)[:, None]
+    mean = np.diff(integral, axis=0) / h
+    (a, y, z), (sa, sy, sz) = mean.T, (c[1] + (t[1:] + t[:-1])[:, None] * c[2]).T
+    cross = h[:, 0] ** 3 / 12
+    for row, expected in (
+        (block.STEP_A, h[:, 0] * a + cross * (y * sz - z * sy)),
+        (block.STEP_Y, h[:, 0] * y + cross * (a * sz - z * sa)),
+        (block.STEP_Z, h[:, 0] * z - cross * (a * sy - y * sa)),
+    ):
+        assert w[row : row + m] == pytest.approx(expected, abs=1e-13)
+
+
+SCRIPT = """
+import numpy as np, piga
+from piga.instrument import *
+inst = Instrument(0.09, 0.005, 0.3)
+t, f = np.arange(5.0), np.ones((5, 3))
+frozen = f.copy(); frozen.flags.writeable = False
+propagate(inst, t, f); propagate(inst, t, frozen); propagate(inst, t, np.asfortranarray(f))
+propagate_rate(inst, t, f)
+propagate(inst, t, f, f, with_rate=True, error_model=ErrorModel(k0=1e-3))
+propagate_increments(inst, t, f[1:])
+propagate_segments(inst, t, f); propagate_fleet([inst, inst], t, f)
+sensitivities(inst, t, f); closed_form(inst, t, 1, 2, 3)
+propagate_function(inst, t, lambda s: (1.0, 2.0, s))
+big = np.arange(40000.0) * 1e-3; propagate(inst, big, np.ones((40000, 3)), workers=2)
+from numba.core.dispatcher import Dispatcher
+import piga._kernels as room, pkgutil, importlib
+compiled = hits = 0
+for module in pkgutil.iter_modules(room.__path__):
+    for thing in vars(importlib.import_module(room.__name__ + "." + module.name)).values():
+        if isinstance(thing, Dispatcher) and thing.py_func.__module__ == room.__name__ + "." + module.name:
+            compiled += sum(thing.stats.cache_misses.values()); hits += sum(thing.stats.cache_hits.values())
+print(compiled, hits)
+"""
+
+
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled")
+def test_a_warm_cache_compiles_nothing(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    counts = []
+    for _ in range(2):
+        run = subprocess.run(
+            [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True
+        )
+        counts.append(tuple(map(int, run.stdout.split())))
+    assert counts[0][0] > 0
+    assert counts[1][0] == 0
+    assert counts[1][1] > 0

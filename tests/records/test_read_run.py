@@ -1,0 +1,336 @@
+"""Reading recorded tests: clean, dirty and damaged."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pyarrow import parquet
+
+import piga
+from piga.units import G0
+from tests.records.files import events, lines, psi_steps, read, write_log, write_run
+
+STEP = 10179.0 / 20.0 * 2.0 * np.pi / 72000
+
+
+def test_a_clean_log(tmp_path: Path) -> None:
+    run = read(tmp_path, lines())
+    assert run.size == 40
+    assert run.quality.used == 40
+    assert run.quality.events == ()
+    np.testing.assert_allclose(run.f[0], [G0, 0.1 * G0, 0.0])
+    np.testing.assert_allclose(psi_steps(run), STEP, atol=1e-4)
+    assert run.resolution == pytest.approx(2 * np.pi / 72000)
+    assert run.labels == ("all",)
+    assert run.row[0] == 2
+    assert set(run.input_sha256) == {"run.toml", "run.csv"}
+
+
+@pytest.mark.parametrize(
+    ("encoding", "mark"), [("utf-8-sig", ""), ("gb18030", "时间"), ("utf-16", "时间"), ("utf-8", "时间")]
+)
+def test_encodings(tmp_path: Path, encoding: str, mark: str) -> None:
+    text = "\n".join([f"t,n,fx,fy,fz,{mark}x", *[row + ",0" for row in lines()]]) + "\n"
+    (tmp_path / "run.csv").write_bytes(text.encode(encoding))
+    run = piga.read_run(write_run(tmp_path))
+    assert run.size == 40
+    assert ("encoding" in events(run)) == (encoding != "utf-8")
+
+
+def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    rows = [row.replace(",", ";").replace(".", ",") for row in lines()]
+    run = read(tmp_path, rows, header="t;n;fx;fy;fz")
+    np.testing.assert_allclose(run.f[:, 1], 0.1 * G0)
+    np.testing.assert_allclose(np.diff(run.t), 0.05)
+
+
+def test_mixed_decimal_marks_are_refused(tmp_path: Path) -> None:
+    rows = [row.replace(",", ";") for row in lines()]
+    rows[3] = rows[3].replace(".", ",")
+    with pytest.raises(piga.DataError, match=r"decimal mark is ambiguous"):
+        read(tmp_path, rows, header="t;n;fx;fy;fz")
+
+
+def test_units_row_and_units_in_the_header(tmp_path: Path) -> None:
+    run = read(tmp_path, ["s,,g,g,g", *lines()])
+    assert run.size == 40
+    assert run.row[0] == 3
+    bracketed = read(tmp_path, lines(), header="t [s],n,fx [g],fy (g),fz [g]")
+    assert bracketed.size == 40
+    with pytest.raises(piga.DataError, match=r"column 'fx' is in 'm/s\^2' there, but in 'g'"):
+        read(tmp_path, lines(), header="t,n,fx [m/s^2],fy,fz")
+
+
+def test_blank_lines_are_skipped_and_rows_stay_those_of_the_file(tmp_path: Path) -> None:
+    rows = lines()
+    rows.insert(5, "")
+    rows.insert(9, "  ")
+    run = read(tmp_path, rows)
+    assert run.size == 40
+    assert events(run)["blank-line"] == 2
+    assert run.row[-1] == 43
+
+
+def test_missing_values_are_masked_and_counted(tmp_path: Path) -> None:
+    rows = lines()
+    for i, token in ((7, "NaN"), (20, ""), (21, "OVER")):
+        cells = rows[i].split(",")
+        cells[2] = token
+        rows[i] = ",".join(cells)
+    run = read(tmp_path, rows)
+    assert run.size == 37
+    assert run.quality.masked == 3
+    assert events(run)["missing-value"] == 3
+    assert events(run)["gap"] == 2
+    assert [e.first_row for e in run.quality.events if e.kind == "missing-value"] == [9]
+
+
+def test_truncated_last_line_is_not_used(tmp_path: Path) -> None:
+    write_log(tmp_path, lines())
+    path = tmp_path / "run.csv"
+    path.write_bytes(path.read_bytes()[:-3])
+    run = piga.read_run(write_run(tmp_path))
+    assert run.size == 39
+    assert events(run)["truncated-last-line"] == 1
+
+
+def test_dropped_samples_make_a_gap(tmp_path: Path) -> None:
+    rows = lines()
+    del rows[10:13]
+    run = read(tmp_path, rows)
+    assert events(run) == {"gap": 1}
+    assert int(np.flatnonzero(run.begins)[1]) == 10
+    np.testing.assert_allclose(psi_steps(run), STEP, atol=1e-4)
+
+
+def test_repeated_and_conflicting_rows(tmp_path: Path) -> None:
+    rows = lines()
+    rows.insert(10, rows[9])
+    clash = rows[20].split(",")
+    clash[1] = str(int(clash[1]) + 3)
+    rows.insert(21, ",".join(clash))
+    run = read(tmp_path, rows)
+    found = events(run)
+    assert found["repeated-row"] == 1
+    assert found["conflicting-row"] == 1
+    assert run.size == 39
+
+
+def test_time_that_jumps_back_splits_the_record(tmp_path: Path) -> None:
+    rows = [*lines(20), *lines(20)]
+    run = read(tmp_path, rows)
+    assert events(run)["time-jump-back"] == 1
+    assert run.begins.sum() == 2
+
+
+@pytest.mark.parametrize("bits", [16, 24])
+def test_counters_that_wrap(tmp_path: Path, bits: int) -> None:
+    start = 2**bits - 3000
+    rows = []
+    for i, row in enumerate(lines()):
+        cells = row.split(",")
+        cells[1] = str((start + int(cells[1])) % 2**bits)
+        rows.append(",".join(cells) + f",{i // 20}")
+    run = read(
+        tmp_path,
+        rows,
+        header="t,n,fx,fy,fz,seg",
+        instrument=f"counter_bits = {bits}",
+        data='segment = "seg"',
+    )
+    assert events(run)["counter-roll-over"] == 1
+    np.testing.assert_allclose(psi_steps(run), STEP, atol=1e-4)
+    assert run.phase_group == (0, 1)
+    assert events(run)["phase-lost"] == 1
+    with pytest.raises(piga.CalibrationError, match=r"'shared' is not possible.*segment '1'"):
+        piga.calibrate(run, ["tan_beta"])
+
+
+def test_a_counter_of_whole_revolutions_keeps_its_phase(tmp_path: Path) -> None:
+    rows = [f"{i / 20:.4f},{(9000 * i) % 65536},1.0,0.1,0.0,{i // 20}" for i in range(40)]
+    path = write_run(tmp_path, instrument="counter_bits = 16", data='segment = "seg"')
+    path.write_text(path.read_text().replace("72000", "32768"))
+    write_log(tmp_path, rows, header="t,n,fx,fy,fz,seg")
+    assert piga.read_run(path).phase_group == (0, 0)
+
+
+def test_a_gap_inside_a_segment_loses_the_phase_of_a_wrapping_counter(tmp_path: Path) -> None:
+    rows = lines()
+    del rows[10:15]
+    rows = [",".join([c if k != 1 else str(int(c) % 65536) for k, c in enumerate(r.split(","))]) for r in rows]
+    run = read(tmp_path, rows, instrument="counter_bits = 16")
+    assert run.labels == ("all", "all/2")
+    assert events(run)["segment-split"] == 1
+
+
+def test_a_counter_too_narrow_for_the_rate_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError, match=r"(?s)more than half .* sample at [\d.]+ Hz"):
+        read(tmp_path, [f"{i / 20},{i % 256},1.0,0.1,0.0" for i in range(40)], instrument="counter_bits = 8")
+    with pytest.raises(piga.DataError, match=r"outside the range"):
+        read(tmp_path, lines(400), instrument="counter_bits = 16")
+
+
+def test_a_folded_counter_without_its_width_is_refused(tmp_path: Path) -> None:
+    rows = [
+        ",".join([c if k != 1 else str(int(c) % 65536) for k, c in enumerate(r.split(","))]) for r in lines(400)
+    ]
+    with pytest.raises(piga.DataError, match=r"(?s)row 131, column 'n': the output jumps.*counter_bits"):
+        read(tmp_path, rows)
+
+
+def test_angle_that_folds(tmp_path: Path) -> None:
+    rows = [f"{i / 20},{(25.4 * i) % 360.0:.6f},1.0,0.1,0.0" for i in range(60)]
+    write_log(tmp_path, rows)
+    path = write_run(tmp_path)
+    text = path.read_text().replace('kind = "counts" }', 'kind = "angle", unit = "deg", wraps_at = "360 deg" }')
+    path.write_text(text)
+    run = piga.read_run(path)
+    np.testing.assert_allclose(psi_steps(run), np.radians(25.4), atol=1e-7)
+    assert run.phase_group == (0,)
+
+
+def test_rate_and_temperature_and_base_rate(tmp_path: Path) -> None:
+    rows = [f"{i / 20},50.9,1.0,0.1,0.0,25.0,15.0,0,0" for i in range(30)]
+    write_log(tmp_path, rows, header="t,n,fx,fy,fz,T,wx,wy,wz")
+    data = (
+        'temperature = { column = "T", unit = "degC" }\n'
+        'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/h" }'
+    )
+    path = write_run(tmp_path, data=data)
+    path.write_text(path.read_text().replace('kind = "counts" }', 'kind = "rate", unit = "deg/s" }'))
+    run = piga.read_run(path)
+    assert run.kind == "rate"
+    np.testing.assert_allclose(run.output, np.radians(50.9))
+    assert run.temperature is not None
+    assert run.base_rate is not None
+    np.testing.assert_allclose(run.temperature, 298.15)
+    np.testing.assert_allclose(run.base_rate[:, 0], np.radians(15.0) / 3600)
+
+
+def test_sample_rate_instead_of_time(tmp_path: Path) -> None:
+    write_log(tmp_path, lines())
+    path = write_run(tmp_path)
+    path.write_text(path.read_text().replace('time = { column = "t", unit = "s" }', 'sample_rate = "20 Hz"'))
+    np.testing.assert_allclose(np.diff(piga.read_run(path).t), 0.05)
+
+
+def test_a_segment_visited_twice_is_two_segments(tmp_path: Path) -> None:
+    rows = [row + f",{(0, 1, 0)[i // 14]}" for i, row in enumerate(lines())]
+    run = read(tmp_path, rows, header="t,n,fx,fy,fz,seg", data='segment = "seg"')
+    assert run.labels == ("0", "1", "0#2")
+
+
+def test_parquet_is_read_like_csv(tmp_path: Path) -> None:
+    plain = read(tmp_path, lines())
+    columns = {"t": plain.t, "n": np.round(plain.output / plain.resolution).astype(np.int64)}
+    columns |= {name: plain.f[:, i] / G0 for i, name in enumerate(("fx", "fy", "fz"))}
+    parquet.write_table(pa.table(columns), tmp_path / "run.parquet")
+    run = piga.read_run(write_run(tmp_path, "run.parquet"))
+    np.testing.assert_allclose(run.output, plain.output, atol=1e-15)
+    np.testing.assert_allclose(run.f, plain.f, rtol=1e-15)
+
+
+def test_gzip_is_read(tmp_path: Path) -> None:
+    write_log(tmp_path, lines())
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress((tmp_path / "run.csv").read_bytes()))
+    assert piga.read_run(write_run(tmp_path, "run.csv.gz")).size == 40
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ((5, "abc"), r"row 7, column 'n' \(B\): 'abc' is not a number"),
+        ((5, "１２"), "full-width"),
+        ((5, "1 000"), "'1 000' is not a number"),
+        ((5, "7,8"), "row 7 has 6 cells, the header has 5"),
+        ((5, "12.5"), "row 7, column 'n': .*12.5.* is no whole count"),
+        ((5, "9" * 20), "no whole count"),
+        ((5, "1\x00"), "NUL"),
+    ],
+)
+def test_damaged_cells_are_named(tmp_path: Path, change: tuple[int, str], message: str) -> None:
+    rows = lines()
+    cells = rows[change[0]].split(",")
+    cells[1] = change[1]
+    rows[change[0]] = ",".join(cells)
+    with pytest.raises(piga.DataError, match=message) as caught:
+        read(tmp_path, rows)
+    assert "run.csv" in str(caught.value)
+    assert "remedy" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b"\n\n", "is empty"),
+        (b"t,n,fx,fy,fz\n", "no data"),
+        (b"t,n,fx,fy,fz\n0,1", "no data"),
+        (b"t,t,fx,fy,fz\n0,1,1,1,1\n", "stands more than once"),
+        (b"0,1,1,1,1\n0.1,1,1,1,1\n", "not column names"),
+        (b"t,m,fx,fy,fz\n0,1,1,1,1\n", "no column 'n'; the columns are: t, m, fx"),
+        (b"t,n,fx,fy,fz\n0,1,1,1,1\n", "fewer than two usable rows"),
+        (b"t,n,fx,fy,fz\n0,nan,1,1,1\n1,nan,1,1,1\n", "no row has all"),
+        (b"t,n,fx,fy,fz\n1,1,1,1,1\n1,1,1,1,1\n", "fewer than two usable rows"),
+        (b"\xff\xfe\xff", "utf-16|NUL|empty"),
+    ],
+)
+def test_unusable_files(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "run.csv").write_bytes(content)
+    with pytest.raises(piga.DataError, match=message):
+        piga.read_run(write_run(tmp_path))
+
+
+def test_missing_and_foreign_files(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError, match=r"run\.csv: cannot be read"):
+        piga.read_run(write_run(tmp_path))
+    (tmp_path / "run.parquet").write_bytes(b"PAR1 not really")
+    with pytest.raises(piga.DataError, match=r"not a readable Parquet"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+    (tmp_path / "run.doc").write_bytes(b"x")
+    with pytest.raises(piga.DataError, match=r"files of kind '.doc'"):
+        piga.read_run(write_run(tmp_path, "run.doc"))
+    (tmp_path / "bad.csv.gz").write_bytes(b"no gzip")
+    with pytest.raises(piga.DataError, match=r"cannot be read"):
+        piga.read_run(write_run(tmp_path, "bad.csv.gz"))
+    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(b"0" * 50_000_000))
+    with pytest.raises(piga.DataError, match=r"unpacks to more than"):
+        piga.read_run(write_run(tmp_path, "bomb.csv.gz"))
+
+
+def test_parquet_faults(tmp_path: Path) -> None:
+    parquet.write_table(pa.table({"t": [0.0, 1.0], "n": ["a", "b"]}), tmp_path / "run.parquet")
+    with pytest.raises(piga.DataError, match=r"no column 'fx'|holds string"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+    full = {"t": [0.0, 1.0, 2.0], "n": [0, None, 5], "fx": [1.0] * 3, "fy": [0.0] * 3, "fz": [0.0] * 3}
+    parquet.write_table(pa.table(full), tmp_path / "run.parquet")
+    run = piga.read_run(write_run(tmp_path, "run.parquet"))
+    assert run.size == 2
+    assert events(run)["missing-value"] == 1
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=300))
+def test_any_bytes_are_read_or_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "run.csv").write_bytes(b"t,n,fx,fy,fz\n0,1,1,1,1\n" + content)
+    try:
+        piga.read_run(write_run(tmp_path))
+    except piga.PigaError as error:
+        assert error.remedy  # noqa: PT017 - either outcome is right, nothing else may happen
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**32 - 1), st.integers(13, 30))
+def test_unwrapping_gives_back_any_counter(tmp_path: Path, seed: int, bits: int) -> None:
+    rng = np.random.default_rng(seed)
+    limit = min(2**bits // 2 - 1, 600)
+    counts = np.cumsum(rng.integers(-limit, limit, 60)) + rng.integers(0, 2**bits)
+    rows = [f"{i / 20},{int(c) % 2**bits},1.0,0.1,0.0" for i, c in enumerate(counts)]
+    run = read(tmp_path, rows, instrument=f"counter_bits = {bits}")
+    np.testing.assert_allclose(np.diff(run.output) / run.resolution, np.diff(counts), atol=1e-6)

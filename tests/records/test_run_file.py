@@ -1,0 +1,91 @@
+"""Run files: what is refused, and how it is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import piga
+from piga.records import read_run_file
+from tests.records.files import write_run
+
+
+def test_a_valid_file(tmp_path: Path) -> None:
+    run_file = read_run_file(write_run(tmp_path))
+    assert run_file.model.phase == "shared"
+    assert run_file.data.reference is not None
+    assert run_file.data.reference.columns == ("fx", "fy", "fz")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            'serial = "T-1"',
+            'seriol = "T-1"',
+            r"\[instrument\] has the unknown key 'seriol'.*did you mean 'serial'",
+        ),
+        ('serial = "T-1"', "serial = 7", r"\[instrument.serial\]: expected `str`"),
+        ('serial = "T-1"\n', "", r"\[instrument\] lacks the key 'serial'"),
+        ('"0.8884 rad/s/g"', '"0.8884 g"', r"\[instrument\] scale_factor: .*quantity in 'rad/s/g'"),
+        ('"0.8884 rad/s/g"', '"-1 rad/s/g"', "must be positive"),
+        ("72000", "0", "counts_per_revolution: must be positive"),
+        ("counts_per_revolution = 72000", "", "counts_per_revolution is missing"),
+        (
+            "counts_per_revolution = 72000",
+            "counts_per_revolution = 72000\ncounter_bits = 99",
+            "outside 1 to 62",
+        ),
+        ('unit = "s"', 'unit = "deg"', r"\[data\] time: unit 'deg'"),
+        ('unit = "g" }', 'unit = "furlong" }', r"\[data\] reference: unknown unit 'furlong'"),
+        ('kind = "counts"', 'kind = "pulses"', "invalid enum value 'pulses'"),
+        ('kind = "counts"', 'kind = "angle"', "kind 'angle' needs a unit"),
+        ('kind = "counts"', 'kind = "counts", unit = "rad"', "does not go with kind 'counts'"),
+        ('kind = "counts"', 'kind = "counts", wraps_at = "1 rev"', "wraps_at is for kind 'angle'"),
+        ('kind = "counts"', 'kind = "angle", unit = "deg", wraps_at = "-1 rev"', "wraps_at must be positive"),
+        ('time = { column = "t", unit = "s" }', "", "either time or sample_rate"),
+        ('time = { column = "t", unit = "s" }', 'sample_rate = "0 Hz"', "sample_rate: must be positive"),
+        ('"fx", "fy", "fz"', '"fx", "fy"', r"\[data.reference.columns\]"),
+        ('terms = ["scale_factor", "k0"]', 'terms = ["kO"]', "unknown term 'kO'"),
+        ('terms = ["scale_factor", "k0"]', 'phase = "loose"', "invalid enum value 'loose'"),
+        ("[model]", '[uncertainty]\nreference_scale = "-1 ppm"\n[model]', "is negative"),
+        ("[model]", '[uncertainty]\nreference_scale = "2 arcsec"\n[model]', "quantity in 'ppm'"),
+        ("[model]", '[estimation]\nangle_rms = "1 urad"\n[model]', "together or not at all"),
+        ("[model]", "[modell]", "unknown key 'modell'.*did you mean 'model'"),
+        ("[model]", "[model", "not valid TOML: .*line"),
+        ("[data]", '[data]\ndelimiter = ","\ndecimal = ","', "the same character"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = write_run(tmp_path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    pattern = "(?s)" + message
+    with pytest.raises(piga.RunFileError, match=pattern) as caught:
+        read_run_file(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(piga.RunFileError, match="cannot be read"):
+        read_run_file(tmp_path / "none.toml")
+    (tmp_path / "big.toml").write_bytes(b"#" * (1 << 21))
+    with pytest.raises(piga.RunFileError, match="larger than"):
+        read_run_file(tmp_path / "big.toml")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(piga.RunFileError, match="not UTF-8"):
+        read_run_file(tmp_path / "bytes.toml")
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(max_size=200))
+def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "any.toml"
+    path.write_text(text, encoding="utf-8", errors="replace")
+    with pytest.raises(piga.PigaError):
+        read_run_file(path)

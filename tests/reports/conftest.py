@@ -1,0 +1,7 @@
+import pytest
+from tests.reports.example import calibration
+
+
+@pytest.fixture(scope="session")
+def cal():
+    return calibration()

@@ -1,0 +1,175 @@
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+from tests.reports.example import calibration
+from tests.reports.test_page import Checker
+
+from piga.reports.calibration import (
+    calibration_figures,
+    calibration_page,
+    calibration_text,
+    write_calibration_report,
+)
+from piga.reports.calibration_figures import elapsed_time, residual_figure, scale_factor
+from piga.reports.page import Notice, Table, page_html
+
+
+def tables(page):
+    return {
+        section.anchor: [block for block in section.blocks if isinstance(block, Table)]
+        for section in page.sections
+    }
+
+
+@pytest.fixture(scope="module")
+def written(cal, tmp_path_factory):
+    return write_calibration_report(cal, tmp_path_factory.mktemp("report") / "report.html")
+
+
+def test_report_is_one_light_well_formed_file(written):
+    text = written.read_text(encoding="utf-8")
+    assert written.stat().st_size < 2_000_000
+    parsed = Checker(text)
+    assert not parsed.faults
+    assert not parsed.stack
+    assert len(parsed.all("figure")) == 5
+    ids = [attrs["id"] for _, attrs in parsed.elements if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    assert not re.search(r"\bnan\b|\binf\b", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+
+
+def test_every_axis_has_quantity_and_unit(cal):
+    for figure in calibration_figures(cal):
+        assert figure.caption
+        for panel in figure.panels:
+            for axis in (panel.x, panel.y):
+                assert axis.quantity
+                assert axis.unit
+
+
+def test_every_section_says_what_good_looks_like(cal):
+    for section in calibration_page(cal).sections[1:-1]:
+        assert "Good:" in section.blocks[0].text or section.anchor == "residuals", section.title
+
+
+def test_coefficients_are_rounded_by_their_uncertainty(cal):
+    table = tables(calibration_page(cal))["coefficients"][0]
+    rows = {row[0].text: [cell.text for cell in row] for row in table.cells}
+    assert rows["scale_factor"][1:6] == ["0.8885092", "0.0000014", "0.0000027", "rad/s/g", "1.6 ppm"]
+    assert rows["k0"][1:5] == ["1600.2", "1.1", "2.2", "µg"]
+    assert rows["tan_beta"][1] == "3.5874\u00a0×\u00a010⁻⁴"
+    assert any("β = 73.996(47)″" in note for note in table.notes)
+    assert any("k2 is smaller than its own uncertainty" in note for note in table.notes)
+
+
+def test_expanded_uncertainty_uses_student(cal):
+    few = dataclasses.replace(cal, degrees_of_freedom=6.0)
+    row = tables(calibration_page(few))["coefficients"][0].cells[0]
+    assert row[3].text == "0.0000034"  # 2.447 times 1.4e-6
+
+
+def test_correlations_are_those_of_the_covariance(cal):
+    cells = tables(calibration_page(cal))["coefficients"][1].cells
+    expected = cal.covariance[1, 0] / math.sqrt(cal.covariance[0, 0] * cal.covariance[1, 1])
+    assert float(cells[1][1].text.replace("−", "-")) == pytest.approx(expected, abs=0.005)
+
+
+def test_budget_combines_the_sources(cal):
+    cells = tables(calibration_page(cal))["budget"][0].cells
+    assert [row[0].text for row in cells] == [
+        "Fit to the record", "Reference scale", "Reference misalignment", "Combined",
+    ]  # fmt: skip
+    assert cells[-1][3].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
+    assert cells[-1][-1].text == "9.8"  # hypot(1.3, 9.7) urad
+
+
+def test_missing_type_b_is_said():
+    page = calibration_page(calibration(budget=False, with_residuals=False))
+    budget = next(section for section in page.sections if section.anchor == "budget")
+    assert any(isinstance(block, Notice) and "type B" in block.text for block in budget.blocks)
+
+
+def test_report_without_residuals_still_stands():
+    page = calibration_page(calibration(with_residuals=False))
+    text = page_html(page)
+    assert [figure.key for figure in page.figures()] == ["segment-rms"]
+    assert "The residuals are not part of this record" in text
+
+
+def test_phase_per_segment_stands_in_the_segment_table():
+    page = calibration_page(calibration(phase="per-segment", with_residuals=False))
+    table = tables(page)["segments"][0]
+    assert table.columns[-1].heading == "Phase φ"
+    assert table.cells[3][-1].text == "0.3000(30)"
+    assert "phi" not in [row[0].text for row in tables(page)["coefficients"][0].cells]
+
+
+def test_a_hostile_serial_stays_text():
+    cal = calibration(serial="<script>alert(1)</script>", with_residuals=False)
+    text = page_html(calibration_page(cal))
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+
+
+def test_odd_numbers_do_not_break_the_page(cal):
+    strange = dataclasses.replace(
+        cal,
+        residuals=None,
+        degrees_of_freedom=math.inf,
+        condition=math.inf,
+        residual_rms=0.0,
+        covariance=np.zeros_like(cal.covariance),
+        coefficients=tuple(dataclasses.replace(c, std=math.nan) for c in cal.coefficients),
+    )
+    text = page_html(calibration_page(strange))
+    assert not re.search(r"\bnan\b|\binf\b", re.sub(r"<(script|style).*?</\1>", "", text, flags=re.DOTALL))
+
+
+def test_curves_break_between_segments_and_at_holes(cal):
+    found = cal.residuals
+    keep = (found.t < 20.0) | (found.t > 40.0)
+    cut = dataclasses.replace(
+        found, **{field.name: getattr(found, field.name)[keep] for field in dataclasses.fields(found)}
+    )
+    gaps = np.isnan(residual_figure(cut).panels[1].series[0].arrays()[1]).sum()
+    assert gaps == 24 + 1
+
+
+def test_methods_without_whitening_leave_that_figure_out(cal):
+    found = dataclasses.replace(cal.residuals, innovation=np.full(cal.residuals.t.size, np.nan))
+    page = calibration_page(dataclasses.replace(cal, residuals=found))
+    assert "whiteness" not in [figure.key for figure in page.figures()]
+    assert len(page.tiles) == 7
+
+
+def test_masked_rows_without_findings_are_said(cal):
+    quality = dataclasses.replace(cal.quality, events=())
+    page = calibration_page(dataclasses.replace(cal, quality=quality, residuals=None))
+    blocks = next(section for section in page.sections if section.anchor == "quality").blocks
+    assert [block.kind for block in blocks if isinstance(block, Notice)] == ["info"]
+
+
+def test_clock_that_starts_again_in_each_segment_gives_rising_time(cal):
+    found = cal.residuals
+    again = dataclasses.replace(found, t=found.t % 70.0)
+    assert np.all(np.diff(elapsed_time(again)) >= 0.0)
+
+
+def test_scale_factor_falls_back_to_the_nominal_one(cal):
+    assert scale_factor(cal) == pytest.approx(0.88850921 / 9.80665)
+    without = dataclasses.replace(cal, coefficients=cal.coefficients[1:])
+    assert scale_factor(without) == cal.scale_factor_nominal
+
+
+def test_terminal_summary_is_aligned_ascii(cal):
+    text = calibration_text(cal)
+    assert text.isascii()
+    assert "0.8885092" in text
+    assert "10217 -> 3.16 arcsec" in text.replace(" 217", "217") or "-> 3.1" in text
+    lines = text.splitlines()
+    start = next(i for i, line in enumerate(lines) if "coefficient" in line and "unit" in line)
+    column = lines[start].index("unit")
+    assert all(line[column - 1] == " " and line[column] != " " for line in lines[start : start + 7])

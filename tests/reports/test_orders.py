@@ -1,0 +1,93 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
+
+from piga.records.calibration import Residuals
+from piga.reports.orders import order_spectrum, ripple
+from piga.units import ARCSEC, G0
+
+MICRO_G = 1e-6 * G0
+
+
+def ramp(order_2, seed=3, rows=30_000):
+    """One segment with the input ramping from 0.5 to 2 g, unevenly sampled, with a hole of five turns."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.004, 0.016, rows))
+    keep = (t < 150.0) | (t > 190.0)
+    a_x = G0 * (0.5 + 1.5 * t / t[-1])
+    psi = 0.7 + np.concatenate(([0.0], np.cumsum(K * 0.5 * (a_x[1:] + a_x[:-1]) * np.diff(t))))
+    after = K * order_2 * ripple_integral(psi, t, 2, 1.1) + 3e-8 * t
+    columns = (np.arange(1, rows + 1), t, psi, a_x, 3.0 * after, after, after * 0.0)
+    return Residuals(*(column[keep] for column in columns), np.zeros(int(keep.sum()), dtype=np.int32))
+
+
+def at(spectrum, order):
+    return int(np.argmin(np.abs(spectrum.order - order)))
+
+
+def test_planted_second_order_is_found_to_one_percent():
+    planted = 50.0 * MICRO_G
+    spectrum = order_spectrum(residuals(order_2=planted, uneven=True, white=0.5 * ARCSEC, walk=0.2 * ARCSEC), K)
+    assert spectrum.after[at(spectrum, 2)] == pytest.approx(planted, rel=0.004)
+    assert spectrum.before[at(spectrum, 2)] == pytest.approx(planted, rel=0.01)
+    assert spectrum.after[at(spectrum, 4)] < 0.05 * planted
+
+
+def test_changing_rate_uneven_samples_and_a_hole_do_no_harm():
+    planted = 20.0 * MICRO_G
+    spectrum = order_spectrum(ramp(planted), K)
+    assert spectrum.segments == 1
+    # The hole is bridged as if the rate were constant there: 0.1 % is what that costs here.
+    assert spectrum.after[at(spectrum, 2)] == pytest.approx(planted, rel=0.01)
+    assert spectrum.before[at(spectrum, 2)] == pytest.approx(3 * planted, rel=0.01)
+
+
+def test_cross_coupling_is_order_one_and_is_gone_after(cal):
+    spectrum = order_spectrum(cal.residuals, K)
+    transverse = TAN_BETA * G0
+    assert 0.3 * transverse < spectrum.before[at(spectrum, 1)] < transverse
+    assert spectrum.after[at(spectrum, 1)] < 0.02 * transverse
+
+
+def test_noise_alone_lies_on_the_expected_noise():
+    white, walk = 2.2 * ARCSEC, 1.2 * ARCSEC
+    ratios = []
+    for seed in range(6):
+        spectrum = order_spectrum(residuals(seed=seed, white=white, walk=walk), K, (white, walk))
+        shown = spectrum.order >= 1.0
+        ratios.append(np.mean((spectrum.after / spectrum.noise)[shown] ** 2))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
+
+
+def test_segments_that_hardly_turn_are_left_out():
+    found = residuals()
+    still = dataclasses.replace(found, psi=found.psi * 1e-3)
+    assert order_spectrum(still, K).segments == 0
+    assert np.isnan(order_spectrum(still, K).after).all()
+    assert ripple(still, K).segments == 0
+
+
+def test_standing_samples_of_a_coarse_encoder_keep_their_time():
+    rows, planted = 60_000, 80.0 * MICRO_G
+    t = 0.002 * np.arange(rows)
+    psi = K * 0.2 * G0 * t + 0.3
+    after = K * planted * ripple_integral(psi, t, 2, 0.0)
+    coarse = np.round(psi / 1e-3) * 1e-3
+    zeros = np.zeros(rows)
+    found = Residuals(np.arange(rows), t, coarse, zeros, after, after, zeros, zeros.astype(np.int32))
+    spectrum = order_spectrum(found, K)
+    assert spectrum.after[at(spectrum, 2)] == pytest.approx(planted, rel=0.01)
+
+
+def test_ripple_shows_the_cross_coupling_and_its_removal(cal):
+    turned = ripple(cal.residuals, K)
+    mean = math.fsum(turned.before) / turned.before.size
+    first = 2.0 * np.mean((turned.before - mean) * np.exp(1j * turned.psi))
+    # 22 of the 24 positions turn; their mean transverse force is the mean of |sin| over them.
+    used = [abs(math.sin(math.radians(15 * s))) for s in range(24) if s not in {6, 18}]
+    assert abs(first) == pytest.approx(TAN_BETA * G0 * float(np.mean(used)), rel=0.05)
+    assert np.max(np.abs(turned.after)) < 0.15 * abs(first)
+    assert np.all(np.abs(turned.after) < 6.0 * turned.scatter)

@@ -1,0 +1,126 @@
+import json
+import math
+import re
+import sys
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from piga.errors import ArgumentError, PigaError
+from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.interactive import figure_spec
+from piga.reports.page import json_island
+from piga.reports.palette import LIGHT, css_names
+from piga.reports.static import figure_svg, series_key, write_figure
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def every_mark():
+    x = np.linspace(0.0, 10.0, 30)
+    marks = ("line", "points", "line+points", "bars", "steps")
+    series = [Series(x, np.sin(x) + i, name=mark, mark=mark, role="data") for i, mark in enumerate(marks)]
+    series.append(Series(x, x * 0.1, name="band", mark="band", upper=x * 0.1 + 1, role="model"))
+    series.append(Series(x, x * 0.2, name="error <b>", error=x * 0 + 0.1, role="x", dashed=True))
+    log = Panel(Axis("frequency", "Hz", log=True), Axis("density", "1"), (Series(x + 1, x, role="muted"),))
+    panel = Panel(Axis("time", "s"), Axis("angle", "arcsec"), tuple(series), title="All marks")
+    return Figure("marks", "Every mark.", (panel, log), columns=2, caption="All of them.")
+
+
+def test_static_and_interactive_show_the_same_series(cal):
+    from piga.reports.calibration import calibration_figures
+
+    for figure in (*calibration_figures(cal), every_mark()):
+        keys = {
+            series_key(figure, p, s) for p, panel in enumerate(figure.panels) for s in range(len(panel.series))
+        }
+        drawn = ET.fromstring(figure_svg(figure))  # noqa: S314
+        assert keys == {node.get("id") for node in drawn.iter() if node.get("id") in keys}
+        traces = figure_spec(figure)["data"]
+        assert keys == {trace["uid"] for trace in traces if not trace["uid"].endswith("-lower")}
+
+
+def test_interactive_numbers_are_those_of_the_figure():
+    figure = every_mark()
+    for trace, series in zip(figure_spec(figure)["data"][:5], figure.panels[0].series, strict=False):
+        x, y = series.arrays()
+        assert trace["x"] == pytest.approx(x, abs=1e-5 * 10)
+        assert trace["y"] == pytest.approx(y, abs=1e-5 * 10)
+
+
+def test_gaps_are_null_and_json_is_strict():
+    y = np.array([1.0, math.nan, math.inf, 4.0])
+    figure = Figure(
+        "gap", "Gap.", (Panel(Axis("time", "s"), Axis("angle", "rad"), (Series(np.arange(4), y),)),)
+    )
+    spec = json.loads(json_island(figure_spec(figure)))
+    assert spec["data"][0]["y"] == [1.0, None, None, 4.0]
+
+
+def test_a_million_rows_stay_light_and_keep_the_spike():
+    y = np.zeros(1_000_000)
+    y[777_777] = 3.0
+    figure = Figure("big", "Big.", (Panel(Axis("t", "s"), Axis("y", "rad"), (Series(np.arange(y.size), y),)),))
+    trace = figure_spec(figure)["data"][0]
+    assert len(trace["x"]) <= 2000
+    assert trace["x"][trace["y"].index(3.0)] == 777_777
+    assert len(figure_svg(figure)) < 80_000
+
+
+def test_hover_and_axes_carry_units():
+    spec = figure_spec(every_mark())
+    assert spec["layout"]["xaxis"]["title"]["text"] == "time [s]"
+    assert spec["layout"]["yaxis"]["title"]["text"] == "angle [arcsec]"
+    assert "arcsec" in spec["data"][0]["hovertemplate"]
+    assert " s<" in spec["data"][0]["hovertemplate"]
+
+
+def test_text_for_plotly_holds_no_markup_of_the_data():
+    names = [trace["name"] for trace in figure_spec(every_mark())["data"]]
+    assert "error &lt;b&gt;" in names
+
+
+def test_static_output_is_deterministic_and_leaves_no_global_style():
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    assert figure_svg(every_mark()) == figure_svg(every_mark())
+    assert dict(mpl.rcParams) == before
+
+
+def test_static_colours_follow_the_theme_and_ids_are_the_figures_own():
+    svg = figure_svg(every_mark())
+    assert not [colour for colour in css_names() if colour in svg]
+    assert "var(--role-model)" in svg
+    assert all(name.startswith("marks-") for name in re.findall(r'\bid="([^"]+)"', svg))
+    targets = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg))
+    assert targets <= set(re.findall(r'\bid="([^"]+)"', svg))
+    assert "<style" not in svg
+
+
+def test_palette_tells_before_from_after_in_grey_print():
+    def grey(colour):
+        red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+    assert abs(grey(LIGHT["before"]) - grey(LIGHT["after"])) > 40
+    assert len(set(LIGHT.values())) == len(LIGHT)
+
+
+@pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
+def test_figure_files_are_written_and_repeat(tmp_path, ending):
+    first = write_figure(every_mark(), tmp_path / f"a.{ending}").read_bytes()
+    assert first == write_figure(every_mark(), tmp_path / f"b.{ending}").read_bytes()
+    assert len(first) > 5000
+
+
+def test_missing_matplotlib_is_one_clear_message(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(PigaError, match=r"piga\[report\]"):
+        figure_svg(every_mark())
+
+
+def test_other_file_types_are_refused(tmp_path):
+    with pytest.raises(ArgumentError, match=r"\.svg, \.pdf or \.png"):
+        write_figure(every_mark(), tmp_path / "a.bmp")

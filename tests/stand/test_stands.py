@@ -1,0 +1,411 @@
+"""Stands: values of a recorded tumble test, kinematics differentiated in inertial space, imperfections."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piga.earth import EARTH_RATE, Site
+from piga.errors import ArgumentError, DataError
+from piga.records.run_file import UNCERTAINTY_UNITS
+from piga.stand import (
+    Centrifuge,
+    Composite,
+    DividingHead,
+    Drive,
+    Imperfections,
+    LoggedProfile,
+    RateTable,
+    SpinPlan,
+    VibrationTable,
+    force_change,
+    sample_stand,
+)
+from piga.stand.centrifuge import rates_for_levels
+from piga.stand.dividing_head import position_range
+from piga.stand.imperfections import NONE, imperfection_units, imperfections
+from piga.stand.logged import read_profile
+from piga.units import ARCSEC, G0
+
+SITE = Site(math.radians(40.0), gravity=9.80166)
+HEAD = DividingHead(SITE, position_range(0.0, 2 * math.pi, math.radians(15.0)))
+SPIN = SpinPlan((1.0, 4.0, 2.0), 2.0, 1.0)
+
+
+def derivative(function, t, h=1e-4):
+    return (function(t + h) - function(t - h)) / (2 * h)
+
+
+# -- dividing head --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("position", "force", "rate"),
+    [
+        (0, (0.99949116161, 0.0, 0.0), (4.687281170e-05, 0.0, 5.586084174e-05)),
+        (1, (0.965434326146, -0.258687348036, 0.0), (4.527565938e-05, -1.213157637e-05, 5.586084174e-05)),
+        (6, (0.0, -0.99949116161, 0.0), (0.0, -4.687281170e-05, 5.586084174e-05)),
+        (15, (-0.70674697811, 0.70674697811, 0.0), (-3.314408301e-05, 3.314408301e-05, 5.586084174e-05)),
+    ],
+)
+def test_positions_are_those_of_a_recorded_tumble_test(position, force, rate):
+    """Values as a lab's log of this stand states them (g, rad/s)."""
+    f, omega = HEAD.motion(np.array([90.0 * position + 30.0]), NONE)
+    assert f[0] / G0 == pytest.approx(force, abs=1e-11)
+    assert omega[0] == pytest.approx(rate, abs=1e-13)
+
+
+def test_positions_and_moves_alternate():
+    segments = HEAD.segments()
+    assert [s.label for s in segments[:3]] == ["0", "move to 1", "1"]
+    assert sum(s.recorded for s in segments) == 24
+    assert segments[-1].stop == 24 * 60 + 23 * 30
+    profile = sample_stand(HEAD, 0.5)
+    rows = profile.recorded
+    assert rows.sum() == 24 * 121
+    assert profile.t[rows][120] == 60.0
+    assert profile.t[rows][121] == 90.0
+
+
+def test_moves_turn_the_base_by_what_they_say():
+    """The recorded base rate along Z0 integrates to the angle that the specific force shows."""
+    t = np.arange(59.0, 92.0, 1e-3)
+    f, omega = HEAD.motion(t, Imperfections(settling=20 * ARCSEC, angle_error=3 * ARCSEC))
+    angle = np.unwrap(np.arctan2(-f[:, 1], f[:, 0]))
+    turned = (
+        np.concatenate([[0.0], np.cumsum(0.5 * (omega[1:, 2] + omega[:-1, 2]) * 1e-3)])
+        - (t - t[0]) * 5.586084174e-05
+    )
+    assert angle - angle[0] == pytest.approx(turned, abs=1e-6)
+
+
+def test_roll_turns_the_transverse_axes():
+    f, omega = replace(HEAD, roll=math.pi / 2).motion(np.array([100.0]), NONE)
+    plain_f, plain_omega = HEAD.motion(np.array([100.0]), NONE)
+    assert f[0] == pytest.approx([plain_f[0, 0], 0.0, -plain_f[0, 1]], abs=1e-12)
+    assert omega[0] == pytest.approx([plain_omega[0, 0], plain_omega[0, 2], -plain_omega[0, 1]], abs=1e-18)
+
+
+def test_gravity_and_earth_rate_keep_their_size_and_angle():
+    for azimuth in (0.0, 0.7):
+        f, omega = replace(HEAD, azimuth=azimuth, roll=0.3).motion(
+            np.arange(24) * 90.0 + 1.0, Imperfections(levelling=(0.01, -0.02))
+        )
+        assert np.linalg.norm(f, axis=1) == pytest.approx(9.80166, abs=1e-12)
+        assert np.linalg.norm(omega, axis=1) == pytest.approx(EARTH_RATE, rel=1e-12)
+        assert (f * omega).sum(axis=1) == pytest.approx(
+            9.80166 * EARTH_RATE * math.sin(math.radians(40)), rel=1e-9
+        )
+
+
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        (Imperfections(angle_error=ARCSEC), lambda x: -ARCSEC * np.sin(x)),
+        (Imperfections(levelling=(ARCSEC, 0.0)), lambda x: -ARCSEC * np.sin(x)),
+        (
+            Imperfections(angle_harmonics=((2, ARCSEC, 0.3),)),
+            lambda x: -ARCSEC * np.sin(2 * x + 0.3) * np.sin(x),
+        ),
+        (Imperfections(gravity=1e-5 * G0), lambda x: 1e-5 * G0 / 9.80166 * np.cos(x)),
+        (Imperfections(reference_scale=1e-6), lambda x: 1e-6 * np.cos(x)),
+        (Imperfections(reference_bias=(1e-5, 0, 0)), lambda x: 1e-5 / 9.80166 + 0 * x),
+        (Imperfections(reference_misalignment=(0, 0, ARCSEC)), lambda x: -ARCSEC * np.sin(x)),
+    ],
+)
+def test_imperfections_of_the_head_to_first_order(errors, expected):
+    """Change of the specific force along the input axis, over g, by position angle."""
+    t = np.arange(24) * 90.0 + 40.0
+    change = force_change(HEAD, t, errors)[:, 0] / 9.80166
+    assert change == pytest.approx(expected(np.array(HEAD.positions)), abs=2e-10)
+
+
+def test_bad_positions_are_refused():
+    with pytest.raises(ArgumentError, match="range is empty"):
+        position_range(0.0, 1.0, -0.1)
+    with pytest.raises(ArgumentError, match="none given"):
+        DividingHead(SITE, ())
+    with pytest.raises(ArgumentError, match="must be positive"):
+        DividingHead(SITE, (0.0,), dwell=-1.0)
+
+
+# -- spinning stands, against positions differentiated in inertial space -----------------------------
+
+
+def inertial(spindle, arm, t, h=2e-3):
+    """Specific force of a point on an arm, in axes (north, west, up), from its place in inertial space.
+
+    ``spindle(t)`` is the arm's angle from north over west; the Earth turns under the stand. The
+    centripetal acceleration of the Earth is in gravity, so that of a point at rest is taken off.
+    """
+    axis = np.array([math.cos(SITE.latitude), 0.0, math.sin(SITE.latitude)])
+
+    def place(time):
+        local = (
+            np.column_stack([np.cos(spindle(time)), np.sin(spindle(time)), np.zeros(time.size)])
+            * arm(time)[:, None]
+        )
+        turn = EARTH_RATE * time
+        cross = np.cross(axis, local)
+        return local + np.sin(turn)[:, None] * cross + (1 - np.cos(turn))[:, None] * np.cross(axis, cross)
+
+    # fourth-order second derivative, then back to local axes at each time
+    steps = [place(t + k * h) for k in (-2, -1, 0, 1, 2)]
+    second = (-steps[0] + 16 * steps[1] - 30 * steps[2] + 16 * steps[3] - steps[4]) / (12 * h * h)
+    turn = -EARTH_RATE * t
+    cross = np.cross(axis, second)
+    local = second + np.sin(turn)[:, None] * cross + (1 - np.cos(turn))[:, None] * np.cross(axis, cross)
+    return local + np.array([0.0, 0.0, 9.80166])
+
+
+@pytest.mark.parametrize("counter_rotating", [False, True])
+def test_centrifuge_force_is_the_second_derivative_of_its_place(counter_rotating):
+    stand = Centrifuge(SITE, 1.3, SPIN, counter_rotating=counter_rotating)
+    t = np.linspace(0.1, 7.9, 79)
+    t = t[np.abs(t - np.round(t)) > 0.05]
+    f, omega = stand.motion(t, NONE)
+    # the arm points away from X0: at angle 0 the instrument is south of the spindle
+    angle = SPIN.nominal(t).angle
+    truth = inertial(lambda s: SPIN.nominal(s).angle + math.pi, lambda s: np.full(s.size, 1.3), t)
+    c, s = np.cos(angle), np.sin(angle)
+    if not counter_rotating:
+        truth = np.column_stack(
+            [c * truth[:, 0] + s * truth[:, 1], c * truth[:, 1] - s * truth[:, 0], truth[:, 2]]
+        )
+    assert f == pytest.approx(truth, abs=3e-7)
+    spinning = 0.0 if counter_rotating else SPIN.nominal(t).rate
+    assert omega[:, 2] - spinning == pytest.approx(EARTH_RATE * math.sin(SITE.latitude), abs=1e-12)
+
+
+def test_centrifuge_levels_come_out():
+    levels = tuple(np.array([1.0, 5.0, 20.0]) * G0)
+    for stretch in (0.0, 1e-5):
+        spin = SpinPlan(rates_for_levels(levels, 0.8, stretch), 4.0, 2.0)
+        f, _ = Centrifuge(SITE, 0.8, spin, stretch).motion(np.array([2.0, 8.0, 14.0]), NONE)
+        assert f[:, 0] == pytest.approx(levels, rel=2e-4)
+        f, _ = Centrifuge(SITE, 0.8, spin, stretch, outward=True).motion(np.array([2.0]), NONE)
+        assert f[0, 0] == pytest.approx(-levels[0], rel=2e-4)
+    with pytest.raises(ArgumentError, match="negative"):
+        rates_for_levels((-1.0,), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("errors", "relative"),
+    [
+        (Imperfections(arm_radius=1e-5), 1e-5 / 1.3),
+        (Imperfections(arm_stretch=1e-7), 16e-7),
+        (Imperfections(rate_error=1e-6), 2e-6),
+    ],
+)
+def test_imperfections_of_the_centrifuge(errors, relative):
+    stand = Centrifuge(SITE, 1.3, SPIN)
+    t = np.linspace(3.0, 5.0, 20)
+    assert force_change(stand, t, errors)[:, 0] / (1.3 * 16) == pytest.approx(relative, rel=1e-3)
+
+
+def test_rate_ripple_and_tilt_go_round_once():
+    stand = Centrifuge(SITE, 1.3, SPIN)
+    t = np.linspace(3.0, 3.0 + 2 * math.pi / 4, 41)[:-1]
+    angle = SPIN.nominal(t).angle
+    change = force_change(stand, t, Imperfections(rate_ripple=1e-6))[:, 0]
+    assert change == pytest.approx(1.3 * 16 * 2e-6 * np.cos(angle), abs=1e-9)
+    tilted = force_change(stand, t, Imperfections(levelling=(0.0, 1e-6)))[:, 0]
+    assert np.abs(np.fft.fft(tilted)[1]) * 2 / t.size == pytest.approx(9.80166e-6, rel=1e-3)
+
+
+def test_spin_integrates_and_differentiates():
+    t = np.linspace(0.0, 8.0, 81)
+    t = t[np.abs(t - np.round(t)) > 0.02]
+    for errors in (NONE, Imperfections(rate_error=1e-2, rate_ripple=1e-2)):
+        spin = SPIN.true(t, errors)
+        assert spin.rate == pytest.approx(derivative(lambda s, e=errors: SPIN.true(s, e).angle, t), abs=1e-6)
+        assert spin.acceleration == pytest.approx(
+            derivative(lambda s, e=errors: SPIN.true(s, e).rate, t), abs=1e-5
+        )
+
+
+def test_rate_table_turns_gravity_or_not():
+    t = np.linspace(0.0, 2.0, 21)
+    up, rate = RateTable(SITE, SPIN, along="X0").motion(t, NONE)
+    assert up[:, 0] == pytest.approx(9.80166)
+    assert rate[:, 0] == pytest.approx(1.0 + EARTH_RATE * math.sin(SITE.latitude))
+    f, rate = RateTable(SITE, SPIN, along="Z0", horizontal=True).motion(t, NONE)
+    assert f[:, 0] == pytest.approx(9.80166 * np.cos(t), abs=1e-12)
+    assert f[:, 1] == pytest.approx(-9.80166 * np.sin(t), abs=1e-12)
+    assert rate[:, 2] == pytest.approx(1.0 + EARTH_RATE * math.cos(SITE.latitude))
+    away, _ = RateTable(SITE, SPIN, along="-X0").motion(t, NONE)
+    assert away[:, 0] == pytest.approx(-9.80166)
+    arm, _ = RateTable(SITE, SPIN, along="Z0", offset=0.2).motion(t, NONE)
+    assert arm[:, 0] == pytest.approx(-0.2)
+    with pytest.raises(ArgumentError, match="no base axis"):
+        RateTable(SITE, SPIN, along="X1")
+
+
+@pytest.mark.parametrize("along", ["X0", "Y0", "Z0", "-X0", "-Y0", "-Z0"])
+def test_mounting_keeps_handedness(along):
+    f, omega = RateTable(SITE, SPIN, along=along, offset=0.3).motion(np.array([2.5]), NONE)
+    plain, plain_omega = RateTable(SITE, SPIN, along="Z0", offset=0.3).motion(np.array([2.5]), NONE)
+    assert np.linalg.norm(np.cross(f[0], omega[0])) == pytest.approx(
+        np.linalg.norm(np.cross(plain[0], plain_omega[0]))
+    )
+    axis, sign = "XYZ".index(along[-2]), -1 if along[0] == "-" else 1
+    assert omega[0, axis] * sign == pytest.approx(plain_omega[0, 2])
+
+
+# -- vibration --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        Drive("sine", 4.0, 3.0, amplitude=2.0),
+        Drive("sweep", 4.0, 2.0, 8.0, amplitude=2.0),
+        Drive("random", 4.0, 2.0, 8.0, amplitude=2.0, seed=3),
+        Drive("rest", 4.0),
+    ],
+)
+def test_drives_start_and_end_smoothly_and_differentiate(drive):
+    t = np.linspace(0.01, 3.99, 200)
+    value, rate = drive.acceleration(t)
+    assert rate == pytest.approx(derivative(lambda s: drive.acceleration(s)[0], t, 1e-6), abs=1e-2)
+    assert drive.acceleration(np.array([0.0, 4.0]))[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(value).max() <= 4.5 * max(drive.amplitude, 1e-9)
+
+
+def test_drive_levels_and_frequencies():
+    t = np.arange(0, 40, 1e-3)
+    random, _ = Drive("random", 40.0, 2.0, 8.0, amplitude=2.0).acceleration(t)
+    assert random.std() == pytest.approx(2.0, rel=0.1)
+    power = np.abs(np.fft.rfft(random)) ** 2
+    frequency = np.fft.rfftfreq(t.size, 1e-3)
+    assert power[(frequency > 1.9) & (frequency < 8.1)].sum() > 0.99 * power.sum()
+    sweep, _ = Drive("sweep", 40.0, 2.0, 8.0, amplitude=1.0, taper=0.0).acceleration(t)
+    crossings = t[1:][np.diff(np.signbit(sweep)) != 0]
+    assert 0.5 / np.diff(crossings[:3]).mean() == pytest.approx(2.0, rel=0.05)
+    assert 0.5 / np.diff(crossings[-3:]).mean() == pytest.approx(8.0, rel=0.05)
+
+
+def test_vibration_table_adds_motion_to_gravity():
+    stand = VibrationTable(
+        SITE, (Drive("rest", 1.0), Drive("sine", 4.0, 5.0, amplitude=3.0)), axis="Y0", up="X0"
+    )
+    t = np.linspace(0.0, 5.0, 501)
+    f, omega = stand.motion(t, NONE)
+    assert f[:, 0] == pytest.approx(9.80166)
+    assert f[:, 1].max() == pytest.approx(3.0, rel=1e-3)
+    assert np.all(f[t < 1.0, 1] == 0.0)
+    assert np.linalg.norm(omega, axis=1) == pytest.approx(EARTH_RATE)
+    for up, axis in (("X0", 0), ("Y0", 1), ("Z0", 2)):
+        still, _ = VibrationTable(SITE, (Drive("rest", 1.0),), up=up).motion(t[:3], NONE)
+        assert still[:, axis] == pytest.approx(9.80166)
+    across = force_change(stand, t, Imperfections(transverse_motion=1e-3))
+    assert np.abs(across).max() == pytest.approx(3e-3, rel=1e-3)
+    assert np.all(across[:, 1] == 0.0)
+    rocking = force_change(stand, t, Imperfections(rocking=1e-5))
+    assert np.abs(rocking).max() == pytest.approx(9.80166e-5, rel=1e-3)
+
+
+def test_bad_drives_are_refused():
+    with pytest.raises(ArgumentError, match="does not fit twice"):
+        Drive("sine", 0.5, 1.0)
+    with pytest.raises(ArgumentError, match="above"):
+        Drive("random", 5.0, 2.0, 1.0)
+    with pytest.raises(ArgumentError, match="positive"):
+        Drive("sine", -5.0)
+    with pytest.raises(ArgumentError, match="none given"):
+        VibrationTable(SITE, ())
+
+
+# -- composite, logged, table ---------------------------------------------------------------------------
+
+
+def test_composite_is_its_parts_in_order():
+    stand = Composite((replace(HEAD, positions=(0.0, 1.0)), Centrifuge(SITE, 1.0, SPIN)), pause=10.0)
+    labels = [s.label for s in stand.segments()]
+    assert labels[:4] == ["0.0", "0.move to 1", "0.1", "pause before 1"]
+    f, _ = stand.motion(np.array([120.0, 165.0, 161.0]), NONE)
+    first, _ = HEAD.motion(np.array([30.0]), NONE)
+    second, _ = Centrifuge(SITE, 1.0, SPIN).motion(np.array([1.0]), NONE)
+    assert f[2] == pytest.approx(second[0])
+    assert np.linalg.norm(first) == pytest.approx(9.80166)
+    start, _ = stand.motion(np.array([150.0, 155.0, 160.0]), NONE)
+    assert start[1] == pytest.approx(0.5 * (start[0] + start[2]))
+    assert {"arm_radius", "angle_error"} <= set(stand.accepted)
+    only_arm = force_change(stand, np.array([30.0, 161.0]), Imperfections(arm_radius=1e-3))
+    assert np.all(only_arm[0] == 0.0)
+    assert only_arm[1, 0] == pytest.approx(1e-3, rel=1e-2)
+
+
+def test_logged_profile_is_linear_between_samples(tmp_path):
+    path = tmp_path / "profile.csv"
+    path.write_text("t,fx,fy,fz,wx,wy,wz\n0,1,0,0,0,0,0\n1000,2,0,1,0.1,0,0\n3000,0,0,0,0,0,0\n")
+    stand = read_profile(path, ("t", "ms"), (("fx", "fy", "fz"), "g"), (("wx", "wy", "wz"), "rad/s"))
+    f, omega = stand.motion(np.array([0.5, 2.0]), NONE)
+    assert f / G0 == pytest.approx(np.array([[1.5, 0, 0.5], [1, 0, 0.5]]))
+    assert omega[:, 0] == pytest.approx([0.05, 0.05])
+    with pytest.raises(DataError, match="no column 'fq'"):
+        read_profile(path, ("t", "s"), (("fq", "fy", "fz"), "g"))
+    with pytest.raises(DataError, match="cannot be read"):
+        read_profile(tmp_path / "none.csv", ("t", "s"), (("fx", "fy", "fz"), "g"))
+    path.write_text("t,fx,fy,fz\n0,1,0,0\n1,,0,1\n")
+    with pytest.raises(DataError, match="row 2"):
+        read_profile(path, ("t", "s"), (("fx", "fy", "fz"), "g"))
+    with pytest.raises(ArgumentError, match="increasing"):
+        LoggedProfile(np.array([0.0, 0.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+
+
+def test_table_says_what_the_lab_assumes_and_what_is_felt():
+    errors = Imperfections(reference_scale=1e-3, gravity=1e-3)
+    profile = sample_stand(HEAD, 1.0, errors=errors)
+    assert profile.reference[0] == pytest.approx([9.80166, 0, 0])
+    assert profile.force[0, 0] == pytest.approx((9.80166 + 1e-3) * 1.001)
+    fine = sample_stand(HEAD, 1.0, oversample=4, extra=3)
+    assert fine.t[4] == 1.0
+    assert fine.t.size == 4 * (profile.t.size - 1) + 1 + 3
+    with pytest.raises(ArgumentError, match="not a multiple"):
+        sample_stand(HEAD, 0.7)
+    with pytest.raises(ArgumentError, match="'arm_radius' does not exist on a dividing-head"):
+        sample_stand(HEAD, 1.0, errors=Imperfections(arm_radius=1e-3))
+
+
+def test_imperfections_from_text():
+    errors = imperfections(
+        {
+            "reference_scale": "10 ppm",
+            "levelling": ["1 arcsec", "0 arcsec"],
+            "angle_harmonics": [[1, "1 arcsec", "90 deg"]],
+            "gravity": "1 ug",
+        }
+    )
+    assert errors.reference_scale == pytest.approx(1e-5)
+    assert errors.levelling == pytest.approx((ARCSEC, 0.0))
+    assert errors.angle_harmonics == ((1, pytest.approx(ARCSEC), pytest.approx(math.pi / 2)),)
+    assert errors.gravity == pytest.approx(1e-6 * G0)
+
+
+def test_every_type_b_source_of_a_run_file_is_an_imperfection_with_that_unit():
+    units = imperfection_units()
+    assert {name: units[name] for name in UNCERTAINTY_UNITS} == UNCERTAINTY_UNITS
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"referenc_scale": 1.0}, "unknown key 'referenc_scale'"),
+        ({"reference_scale": "1 m"}, "reference_scale"),
+        ({"levelling": "1 arcsec"}, "a list is needed"),
+        ({"levelling": ["1 arcsec"]}, "2 needed"),
+        ({"angle_harmonics": [["1 arcsec", 1]]}, "order"),
+    ],
+)
+def test_bad_imperfections_are_named(values, words):
+    with pytest.raises(Exception, match=words):
+        imperfections(values)
+
+
+def test_drawn_imperfections_have_the_stated_spread():
+    rng = np.random.default_rng(5)
+    drawn = [imperfections({"reference_scale": 2e-6, "levelling": 3e-6}, rng=rng) for _ in range(2000)]
+    assert np.std([d.reference_scale for d in drawn]) == pytest.approx(2e-6, rel=0.07)
+    assert np.std([d.levelling for d in drawn]) == pytest.approx(3e-6, rel=0.07)
