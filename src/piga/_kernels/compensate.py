@@ -39,9 +39,10 @@ def padded(n: int) -> int:
 
 @exact
 def load_block(
-    t: Array, psi: Array, y: Array, z: Array, omega: Array, warmth: Array, p: Array, state: Array, w: Array
-) -> None:
-    """Bring a block of samples and the last sample before it into the work array."""
+    t: Array, psi: Array, y: Array, z: Array, omega: Array, warmth: Array, p: Array, light: bool, state: Array,
+    w: Array,
+) -> None:  # fmt: skip
+    """Bring a block of samples and the last sample before it into the work array; ``light``: less of it."""
     K, tangent = p[at.P_K], p[at.P_TAN_BETA]
     coupling, offset_y, offset_z = K * tangent, p[at.P_OFFSET_Y], p[at.P_OFFSET_Z]
     w[at.TIME], w[at.PSI] = state[at.S_TIME], state[at.S_PSI]
@@ -53,10 +54,12 @@ def load_block(
     for j in range(t.size):
         w[at.TIME + 1 + j] = t[j]
         w[at.PSI + 1 + j] = psi[j]
-        w[at.FORCE_Y + 1 + j] = y[j]
-        w[at.FORCE_Z + 1 + j] = z[j]
         w[at.RATE_Y + 1 + j] = coupling * y[j] + offset_y
         w[at.RATE_Z + 1 + j] = coupling * z[j] + offset_z
+    if not light:
+        for j in range(t.size):
+            w[at.FORCE_Y + 1 + j] = y[j]
+            w[at.FORCE_Z + 1 + j] = z[j]
     for j in range(1 + t.size, 1 + padded(t.size)):
         w[at.TIME + j], w[at.PSI + j] = w[at.TIME + t.size], w[at.PSI + t.size]
         w[at.RATE_Y + j], w[at.RATE_Z + j] = w[at.RATE_Y + t.size], w[at.RATE_Z + t.size]
@@ -69,11 +72,11 @@ def load_block(
 
 
 @exact
-def save_last(n: int, omega: Array, state: Array, w: Array) -> None:
+def save_last(n: int, y: Array, z: Array, omega: Array, state: Array, w: Array) -> None:
     """Keep what the next block needs to know of this one."""
     state[at.S_VALID] = 1.0
     state[at.S_TIME], state[at.S_PSI] = w[at.TIME + n], w[at.PSI + n]
-    state[at.S_FORCE_Y], state[at.S_FORCE_Z] = w[at.FORCE_Y + n], w[at.FORCE_Z + n]
+    state[at.S_FORCE_Y], state[at.S_FORCE_Z] = y[n - 1], z[n - 1]
     state[at.S_WARMTH] = w[at.WARMTH + n]
     state[at.S_STEP], state[at.S_FIRST], state[at.S_FORCE] = w[at.STEP + n], w[at.FIRST + n], w[at.FORCE + n]
     if omega.shape[0]:

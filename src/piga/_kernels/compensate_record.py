@@ -77,6 +77,7 @@ def compensate_angles(
     Empty ``begins``, ``omega``, ``temperature``, ``u`` and ``flags`` mean: none, not wanted.
     """
     K = p[at.P_K]
+    light = not (has_terms or orders.size or u.size or flags.size)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n
@@ -85,7 +86,7 @@ def compensate_angles(
             state[at.S_START] = psi[start]
         angle.load_block(
             t[start:stop], psi[start:stop], y[start:stop], z[start:stop], omega[start:stop],
-            temperature[start:stop], p, state, w,
+            temperature[start:stop], p, light, state, w,
         )  # fmt: skip
         rows = angle.padded(n)
         angle.find_steps(n, begins[start:stop], valid, w)
@@ -97,14 +98,16 @@ def compensate_angles(
             angle.invert_motion(rows, K, w)
         if omega.shape[0]:
             angle.add_base_rate(n, K, w)
-        if has_terms or u.size or flags.size:
+        if light:
+            terms.take_input(n, w)
+        else:
             angle.describe_intervals(n, K, w)
-        finish_block(
-            n, p, has_terms, orders, sines, cosines, codes, factor, limits, base_flag, temperature.size > 0, w,
-            u[start:stop], flags[start:stop],
-        )  # fmt: skip
+            finish_block(
+                n, p, has_terms, orders, sines, cosines, codes, factor, limits, base_flag, temperature.size > 0,
+                w, u[start:stop], flags[start:stop],
+            )  # fmt: skip
         write_intervals(n, w, ax[start:stop], dv[start:stop], u[start:stop], flags[start:stop])
-        angle.save_last(n, omega[start:stop], state, w)
+        angle.save_last(n, y[start:stop], z[start:stop], omega[start:stop], state, w)
 
 
 @exact
@@ -193,13 +196,30 @@ def find_samples(rows: int, phi: float, w: Array) -> None:
 
 
 @exact
+def indicate_samples(n: int, K: float, w: Array) -> None:
+    """Indicated specific force at the samples [m/s^2]."""
+    for j in range(1, n + 1):
+        w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) / K
+
+
+@exact
+def write_samples(n: int, w: Array, ax: Array, dv: Array, flags: NDArray[np.int32]) -> None:
+    """Results of a block of samples."""
+    for j in range(1, n + 1):
+        ax[j - 1] = w[at.FORCE + j]
+        dv[j - 1] = 0.5 * w[at.STEP + j] * (w[at.FORCE + j - 1] + w[at.FORCE + j])
+    for j in range(1, flags.size + 1):
+        if w[at.STEP + j] == 0.0:
+            flags[j - 1] |= at.NO_INCREMENT
+
+
+@exact
 def describe_samples(n: int, rate: Array, K: float, typical: float, w: Array) -> None:
     """The inputs at the samples, in the rows that hold means for intervals."""
     for j in range(1, n + 1):
         w[at.MEAN_Y + j], w[at.MEAN_Z + j] = w[at.FORCE_Y + j], w[at.FORCE_Z + j]
         w[at.CHANGE_Y + j] = w[at.CHANGE_Z + j] = w[at.CHANGE_T + j] = w[at.SLOPE + j] = 0.0
         w[at.MEAN_T + j], w[at.MEAN_TIME + j] = w[at.WARMTH + j], w[at.TIME + j]
-        w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) / K
         w[at.TURN + j] = rate[j - 1] / K
         w[at.LENGTH + j] = w[at.STEP + j] if w[at.STEP + j] != 0.0 else typical
 
@@ -245,13 +265,14 @@ def compensate_rates(
     ``psi`` holds the recorded angle; empty: the angle follows from the rate.
     """
     none = np.zeros(0)
+    light = not (has_terms or orders.size or u.size or flags.size)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n
         valid = state[at.S_VALID] != 0.0
         angle.load_block(
             t[start:stop], rate[start:stop], y[start:stop], z[start:stop], omega[start:stop],
-            temperature[start:stop], p, state, w,
+            temperature[start:stop], p, light, state, w,
         )  # fmt: skip
         angle.find_steps(n, begins[start:stop], valid, w)
         if psi.size:
@@ -259,16 +280,15 @@ def compensate_rates(
             find_samples(angle.padded(n), p[at.P_PHI], w)
         else:
             follow_rate(n, rate[start:stop], p, valid, state, w)
-        describe_samples(n, rate[start:stop], p[at.P_K], typical, w)
-        sample_harmonics(n, orders, sines, cosines, w)
-        finish_block(
-            n, p, has_terms, none, none, none, codes, factor, limits, base_flag, temperature.size > 0, w,
-            u[start:stop], flags[start:stop],
-        )  # fmt: skip
-        for j in range(1, n + 1):
-            ax[start + j - 1] = w[at.FORCE + j]
-            dv[start + j - 1] = 0.5 * w[at.STEP + j] * (w[at.FORCE + j - 1] + w[at.FORCE + j])
-        for j in range(1, flags[start:stop].size + 1):
-            if w[at.STEP + j] == 0.0:
-                flags[start + j - 1] |= at.NO_INCREMENT
-        angle.save_last(n, omega[start:stop], state, w)
+        indicate_samples(n, p[at.P_K], w)
+        if light:
+            terms.take_input(n, w)
+        else:
+            describe_samples(n, rate[start:stop], p[at.P_K], typical, w)
+            sample_harmonics(n, orders, sines, cosines, w)
+            finish_block(
+                n, p, has_terms, none, none, none, codes, factor, limits, base_flag, temperature.size > 0, w,
+                u[start:stop], flags[start:stop],
+            )  # fmt: skip
+        write_samples(n, w, ax[start:stop], dv[start:stop], flags[start:stop])
+        angle.save_last(n, y[start:stop], z[start:stop], omega[start:stop], state, w)

@@ -29,7 +29,7 @@ def load_instrument(
 ) -> None:  # fmt: skip
     """Samples of one instrument, its angles, effective axes and harmonics."""
     n, rows = t.size, angle.padded(t.size)
-    angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, state, w)
+    angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, False, state, w)
     angle.find_steps(n, begins, state[at.S_VALID] != 0.0, w)
     if rate.size:
         single.take_angles(n, psi, rate, w)
@@ -55,9 +55,22 @@ def load_instrument(
 
 
 @exact
+def load_samples(
+    t: Array, psi: Array, rate: Array, begins: NDArray[np.bool_], omega: Array, temperature: Array,
+    p: Array, state: Array, zeros: Array, w: Array,
+) -> None:  # fmt: skip
+    """Samples of one instrument without error terms, and its angles."""
+    n = t.size
+    angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, True, state, w)
+    angle.find_steps(n, begins, state[at.S_VALID] != 0.0, w)
+    single.take_angles(n, psi, rate, w)
+    single.find_samples(angle.padded(n), p[at.P_PHI], w)
+
+
+@exact
 def solve_rounds(
-    n: int, count: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array, weights: Array,
-    w: Array, c: Array,
+    n: int, count: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array,
+    weights: Array, w: Array, c: Array,
 ) -> None:  # fmt: skip
     """Force of the block by rounds of least squares on the exact equations."""
     rows = angle.padded(n)
@@ -100,6 +113,22 @@ def weigh(
 
 
 @exact
+def weigh_all(
+    n: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array, codes: NDArray[np.int64],
+    factors: Array, weights: Array, scratch: Array, w: Array, c: Array,
+) -> None:  # fmt: skip
+    """Weights of all instruments; a redundant set is solved again with them."""
+    count = parameters.shape[0]
+    for i in range(count):
+        weigh(n, i, axes, parameters, codes[i], factors[i], weights, scratch, w, c)
+    if count > 3:
+        set_of.start_force(angle.padded(n), c)
+        solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
+    else:
+        invert_weighted(n, count, weights, w, c)
+
+
+@exact
 def compensate_set(
     t: Array,
     psi: Array,
@@ -132,70 +161,71 @@ def compensate_set(
 ) -> None:
     """Specific force (n, 3) [m/s^2] in the common frame and velocity increments (n, 3) [m/s].
 
-    ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only; ``omega`` (N, n or 0, 3); ``temperature`` (N, n or 0);
-    ``u`` (n, 3) or (0, 3): not wanted. ``residual`` is the root of the sum of squared misfits [m/s^2], a fault is
-    flagged where the weighted sum exceeds ``threshold``.
+    ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only; ``omega`` (N, n or 0, 3); ``temperature`` (N, n or
+    0); ``u`` (n, 3) or (0, 3): not wanted, empty ``flags`` alike. ``residual`` is the
+    root of the sum of squared misfits [m/s^2], a fault is flagged where the weighted sum exceeds ``threshold``.
     """
     count = psi.shape[0]
     sampled = rate.shape[1] > 0
     zeros = np.zeros(at.BLOCK)
     block_flags = np.zeros(at.BLOCK, dtype=np.int32)
     weighed = u.shape[0] > 0 or count > 3
+    light = sampled and not weighed and not has_terms.any() and sines.size == 0
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n
         for i in range(count):
+            if light:
+                load_samples(
+                    t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop],
+                    omega[i, start:stop], temperature[i, start:stop], parameters[i], states[i], zeros, w[i],
+                )  # fmt: skip
+                continue
             load_instrument(
-                t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop], omega[i, start:stop],
-                temperature[i, start:stop], parameters[i], axes[i], orders[i], sines[i], cosines[i], states[i],
-                zeros, w[i],
+                t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop],
+                omega[i, start:stop], temperature[i, start:stop], parameters[i], axes[i], orders[i],
+                sines[i], cosines[i], states[i], zeros, w[i],
             )  # fmt: skip
         for axis in range(3):
             c[set_of.EARLY_X + axis * at.STRIDE] = set_state[axis]
             c[set_of.FORCE_X + axis * at.STRIDE] = set_state[3 + axis]
-        set_of.start_force(angle.padded(n), c)
-        weights[:, :] = 1.0
-        solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
+        if light:
+            set_of.solve_three(angle.padded(n), parameters, axes, w[0], w[1], w[2], c)
+        else:
+            set_of.start_force(angle.padded(n), c)
+            weights[:, :] = 1.0
+            solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
         if weighed:
-            for i in range(count):
-                weigh(n, i, axes, parameters, codes[i], factors[i], weights, scratch, w, c)
-            if count > 3:
-                set_of.start_force(angle.padded(n), c)
-                solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
-            else:
-                invert_weighted(n, count, weights, w, c)
-        for i in range(count):
-            set_of.turn_force(angle.padded(n), axes[i], w[i], c)
-        write_set(n, sampled, w[0], c, force[start:stop], dv[start:stop], u[start:stop], residual[start:stop])
+            weigh_all(n, sampled, has_terms, parameters, axes, codes, factors, weights, scratch, w, c)
+        write_set(
+            n, sampled, w[0], c, force[start:stop], dv[start:stop], u[start:stop], residual[start:stop]
+        )  # fmt: skip
         flags[start:stop] = 0
         for i in range(count):
+            angle.save_last(n, zeros[:n], zeros[:n], omega[i, start:stop], states[i], w[i])
+            if flags.size == 0:
+                continue
+            set_of.turn_force(angle.padded(n), axes[i], w[i], c)
             terms.find_flags(
-                n,
-                parameters[i, at.P_TAN_BETA],
-                limits[i],
-                w[i],
-                base_flag,
-                temperature.shape[1] > 0,
+                n, parameters[i, at.P_TAN_BETA], limits[i], w[i], base_flag, temperature.shape[1] > 0,
                 block_flags,
-            )
+            )  # fmt: skip
             for j in range(n):
                 flags[start + j] |= block_flags[j]
-            angle.save_last(n, omega[i, start:stop], states[i], w[i])
-        for j in range(n):
-            if count > 3 and c[set_of.CHI + j + 1] > threshold:
-                flags[start + j] |= at.FAULT
-            if w[0, at.STEP + j + 1] == 0.0:
-                flags[start + j] = at.NO_INCREMENT | (flags[start + j] if sampled else 0)
-        set_state[0], set_state[1], set_state[2] = (
-            c[set_of.EARLY_X + n],
-            c[set_of.EARLY_Y + n],
-            c[set_of.EARLY_Z + n],
-        )
-        set_state[3], set_state[4], set_state[5] = (
-            c[set_of.FORCE_X + n],
-            c[set_of.FORCE_Y + n],
-            c[set_of.FORCE_Z + n],
-        )
+        flag_set(sampled, threshold if count > 3 else math.inf, w[0], c, flags[start:stop])
+        for axis in range(3):
+            set_state[axis] = c[set_of.EARLY_X + axis * at.STRIDE + n]
+            set_state[3 + axis] = c[set_of.FORCE_X + axis * at.STRIDE + n]
+
+
+@exact
+def flag_set(sampled: bool, threshold: float, w: Array, c: Array, flags: NDArray[np.int32]) -> None:
+    """Faults, and rows without an increment."""
+    for j in range(flags.size):
+        if c[set_of.CHI + j + 1] > threshold:
+            flags[j] |= at.FAULT
+        if w[at.STEP + j + 1] == 0.0:
+            flags[j] = at.NO_INCREMENT | (flags[j] if sampled else 0)
 
 
 @exact

@@ -83,6 +83,7 @@ def take_input(n: int, w: Array) -> None:
     """Without error terms the indicated force is the compensated one."""
     for j in range(1, n + 1):
         w[at.FORCE + j] = w[at.INPUT + j]
+    for j in range(1, n + 1):
         w[at.DERIVATIVE + j] = 1.0
 
 

@@ -1,24 +1,44 @@
-"""``piga compensate``: specific force and velocity increments from a run and a calibration."""
+"""``piga compensate``: specific force and velocity increments from runs and calibrations."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import note, print_json, say, write_by_rename
+from piga.cli.common import note, print_json, progress, say, write_by_rename
+from piga.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from piga.compensation import Phase
+    from piga.records import Calibration
+
+STREAM_BYTES = 64 << 20
+"""Data files above this size are streamed; smaller ones are read whole, with all repairs of ``piga check``."""
 
 
 def compensate(
-    run: Annotated[Path, typer.Argument(help="Run file (TOML).", show_default=False)],
-    calibration: Annotated[
-        Path, typer.Option(help="Calibration record (calibration.json).", show_default=False)
+    run: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Run file; a triad file; three run files (x, y, z); or - for a live stream.",
+            show_default=False,
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="Result: .parquet or .csv.", show_default=False)],
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(help="Calibration record (calibration.json); one per run.", show_default=False),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Result: .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
         typer.Option(help="Default: what the calibration's phase asks for."),
+    ] = None,
+    phase: Annotated[str | None, typer.Option(help="Phase of the output zero, e.g. '0.48 rad'.")] = None,
+    identify_phase: Annotated[
+        str | None, typer.Option(help="Find the phase from this first time at rest, e.g. '60 s'.")
     ] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
@@ -27,40 +47,146 @@ def compensate(
     force: Annotated[
         bool, typer.Option("--force", help="Use the calibration of another serial number.")
     ] = False,
+    kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: what 'output' is.")] = "angle",
+    arrow: Annotated[
+        bool, typer.Option("--arrow", help="Live stream: Arrow record batches instead of lines.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
 ) -> None:
-    """Compensate a recorded run: columns t, ax, dv, u_ax, flags."""
-    from piga.compensation import compensate as compensate_record
-    from piga.compensation.writers import format_of, write_table
-    from piga.records import Calibration, read_run
+    """Compensate a recorded run: columns t, ax, dv, u_ax, flags; or several instruments together."""
+    from piga.compensation.model import Phase
+    from piga.records import Calibration
+    from piga.units import to_si
 
-    kind = format_of(out)
-    record, coefficients = read_run(run), Calibration.from_json(calibration)
-    result = compensate_record(
-        record, coefficients, method=method, uncertainty=uncertainty, max_age_days=max_age, force=force
-    )
-    write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
-    if json:
-        print_json(_summary(result, out))
+    calibrations = [Calibration.from_json(path) for path in calibration or []]
+    given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
+    rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
+    if str(run[0]) == "-":
+        _live(_one(calibrations), kind, given, arrow, uncertainty, max_age)
+        return
+    if str(out) == "-":
+        raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
+    if len(run) > 1 or _is_triad(run[0]):
+        summary = _together(run, calibrations, out, uncertainty, max_age, force)
     else:
-        say(f"wrote {out}: {result.size} rows")
-        for name, count in _flag_counts(result).items():
+        options = (method, given, rest, uncertainty, max_age, force)
+        summary = _single(run[0], _one(calibrations), out, *options)
+    if json:
+        print_json({"file": str(out)} | summary)
+        return
+    say(f"wrote {out}: {summary['rows']} rows")
+    for title in ("flags", "repairs"):
+        for name, count in summary.get(title, {}).items():
             note(f"{name}: {count} rows")
 
 
-def _flag_counts(result: Any) -> dict[str, int]:
-    from piga.compensation import FLAGS
+def _is_triad(path: Path) -> bool:
+    from piga.compensation.triad_file import is_triad_file
 
+    return is_triad_file(path)
+
+
+def _one(calibrations: list[Calibration]) -> Calibration:
+    if len(calibrations) != 1:
+        raise ArgumentError(
+            f"--calibration is given {len(calibrations)} times", remedy="one is needed for one run"
+        )
+    return calibrations[0]
+
+
+def _single(
+    run: Path, calibration: Calibration, out: Path, method: str | None, phase: Phase | None, rest: float | None,
+    uncertainty: bool, max_age: float | None, force: bool,
+) -> dict[str, Any]:  # fmt: skip
+    from piga.compensation import compensate as compensate_record
+    from piga.compensation import identify_phase
+    from piga.compensation.file_to_file import FileSummary, compensate_file
+    from piga.compensation.writers import format_of, write_table
+    from piga.records import read_run, read_run_file
+
+    kind = format_of(out)
+    data = run.parent / read_run_file(run).data.file
+    large = rest is None and data.exists() and data.stat().st_size > STREAM_BYTES
+    found = FileSummary()
+    if large:
+
+        def write(path: Path) -> None:
+            nonlocal found
+            with progress("compensating") as advance:
+                found = compensate_file(
+                    run, calibration, path, kind, method=method, phase=phase, uncertainty=uncertainty,
+                    max_age_days=max_age, force=force, advance=advance,
+                )  # fmt: skip
+
+        write_by_rename(out, write)
+        return {
+            "rows": found.rows,
+            "velocity_m_s": found.velocity,
+            "flags": found.flags,
+            "repairs": found.repairs,
+        }
+    record = read_run(run)
+    if rest is not None:
+        phase = identify_phase(record, calibration, rest)
+        note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
+    result = compensate_record(
+        record,
+        calibration,
+        method=method,
+        phase=phase,
+        uncertainty=uncertainty,
+        max_age_days=max_age,
+        force=force,
+    )
+    write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
+    found.add(result)
+    repairs = {event.kind: event.count for event in record.quality.events}
+    return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
+
+
+def _together(
+    runs: list[Path],
+    calibrations: list[Calibration],
+    out: Path,
+    uncertainty: bool,
+    max_age: float | None,
+    force: bool,
+) -> dict[str, Any]:
+    from piga.compensation import FLAGS, compensate_triad
+    from piga.compensation.triad_file import orthogonal_triad, read_triad
+    from piga.compensation.writers import format_of, write_table
+    from piga.records import read_run
+
+    kind = format_of(out)
+    if len(runs) == 1:
+        records, mounted = read_triad(runs[0])
+    elif len(runs) == len(calibrations) == 3:
+        records, mounted = [read_run(path) for path in runs], orthogonal_triad(calibrations)
+    else:
+        raise ArgumentError(
+            f"{len(runs)} runs with {len(calibrations)} calibrations: the mounting is not known",
+            remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
+        )
+    result = compensate_triad(records, mounted, uncertainty=uncertainty, max_age_days=max_age, force=force)
+    write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
     counts = {name: int(result.flagged(name).sum()) for name in FLAGS}
-    return {name: count for name, count in counts.items() if count}
+    velocity = [float(v) for v in result.dv.sum(axis=0)]
+    return {"rows": result.size, "velocity_m_s": velocity, "flags": {k: v for k, v in counts.items() if v}}
 
 
-def _summary(result: Any, out: Path) -> dict[str, Any]:
-    return {
-        "file": str(out),
-        "serial": result.serial,
-        "method": result.method,
-        "rows": result.size,
-        "velocity_m_s": float(result.dv.sum()),
-        "flags": _flag_counts(result),
-    }
+def _live(
+    calibration: Calibration,
+    kind: str,
+    phase: Phase | None,
+    arrow: bool,
+    uncertainty: bool,
+    max_age: float | None,
+) -> None:
+    from piga.compensation import Compensator
+    from piga.compensation.live import compensate_arrow, compensate_lines
+
+    stream = Compensator(calibration, kind=kind, phase=phase, uncertainty=uncertainty, max_age_days=max_age)
+    if arrow:
+        compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
+    else:
+        compensate_lines(sys.stdin, sys.stdout, stream)

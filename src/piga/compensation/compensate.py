@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.model import Model, Phase, check_method, make_model
+from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase, phases
 from piga.compensation.result import Compensated
 from piga.compensation.step import NO_RATES, NONE, Chunk, Step, init_state, run_kernel, work_array
 from piga.compensation.validity import Limits, age_flag
@@ -63,6 +63,7 @@ def compensate(
     """
     chosen = check_method(method, calibration)
     check_serial(record, calibration, force)
+    check_phase_kept(record, calibration, phase)
     plan = _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
     n = record.size
     result = Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), np.empty(n, dtype=np.int32))
@@ -92,6 +93,25 @@ def check_serial_names(record: str, calibration: str, force: bool) -> None:
             f"the record is of instrument '{record}', the calibration of '{calibration}'",
             remedy="take the calibration of this instrument, or use --force (force=True) if they are the same",
         )
+
+
+def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None) -> None:
+    """Refuse a shared phase for a record that lost the zero of its output angle on the way.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the segment from which on the phase does not hold.
+    """
+    shared = phase is not None or None in phases(calibration)
+    if not shared or not needs_phase(calibration) or len(set(record.phase_group)) < 2:
+        return
+    at = next(i for i, group in enumerate(record.phase_group) if group != record.phase_group[0])
+    raise CalibrationError(
+        f"{record.source}: the zero of the output angle was lost before segment '{record.labels[at]}' (the "
+        "counter may have rolled over unseen in a gap): one phase cannot hold for the whole record",
+        remedy="calibrate with phase = 'per-segment', or compensate the parts one by one, each with its phase",
+    )
 
 
 def typical_step(t: Array, begins: NDArray[np.bool_]) -> float:

@@ -116,8 +116,8 @@ class _Stepper:
         """Compensate a piece."""
         if piece.lost and self._coupled:
             raise CalibrationError(
-                f"{self._source.path}: about row {self._source.rows}: the counter may have rolled over unseen in a gap: "
-                "the phase of the calibration does not hold behind it",
+                f"{self._source.path}: about row {self._source.rows}: the counter may have rolled over unseen "
+                "in a gap: the phase of the calibration does not hold behind it",
                 remedy="compensate the parts one by one, each with its phase (--phase or --identify-phase)",
             )
         model = self._models.get(piece.label)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,8 @@ from piga.units import conversion_factor, offset_to_si, to_si
 
 Array = NDArray[np.float64]
 
-CHUNK_ROWS = 1 << 18
-"""Rows of a chunk: about 20 MB while it is worked on."""
+CHUNK_ROWS = 1 << 17
+"""Rows of a chunk: about 10 MB while it is worked on."""
 BLOCK_BYTES = 8 << 20
 
 
@@ -61,18 +62,12 @@ class LargeFile:
                 self._span = 2.0**instrument.counter_bits
                 self._keeps_phase = self._span % revolution == 0.0
         else:
-            self._factor = conversion_factor(
-                data.output.unit or "", "rad" if self._kind == "angle" else "rad/s"
-            )
+            like = "rad" if self._kind == "angle" else "rad/s"
+            self._factor = conversion_factor(data.output.unit or "", like)
             if data.output.wraps_at is not None:
                 self._span = to_si(data.output.wraps_at, "rad") / self._factor
-                self._keeps_phase = (
-                    abs(
-                        np.rint(self._span * self._factor / (2 * np.pi))
-                        - self._span * self._factor / (2 * np.pi)
-                    )
-                    < 1e-12
-                )
+                turns = self._span * self._factor / (2.0 * np.pi)
+                self._keeps_phase = abs(turns - np.rint(turns)) < 1e-12
         self._last_t, self._last_reading, self._value = -np.inf, 0.0, 0.0
         self._label: str | None = None
         self._visits: Counter[str] = Counter()
@@ -109,7 +104,7 @@ class LargeFile:
         from pyarrow import parquet
 
         try:
-            with parquet.ParquetFile(self._data_path, memory_map=True, pre_buffer=False) as source:
+            with parquet.ParquetFile(self._data_path, memory_map=False, pre_buffer=False) as source:
                 self._check_columns(source.schema_arrow.names)
                 yield from source.iter_batches(CHUNK_ROWS, columns=self.columns(), use_threads=True)
         except FileNotFoundError:
@@ -141,7 +136,8 @@ class LargeFile:
                 yield from csv.open_csv(
                     source,
                     csv.ReadOptions(
-                        column_names=list(form.names), skip_rows=form.skip, block_size=BLOCK_BYTES, encoding=encoding
+                        column_names=list(form.names), skip_rows=form.skip, block_size=BLOCK_BYTES,
+                        encoding=encoding,
                     ),
                     csv.ParseOptions(delimiter=form.separator),
                     csv.ConvertOptions(
@@ -212,7 +208,7 @@ class LargeFile:
             else np.zeros(0, np.int64)
         )
         lost = lost[lost > 0] if first else lost
-        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        for start, stop in pairwise(edges):
             rows = slice(int(start), int(stop))
             chunk = Chunk(
                 t[rows], output[rows], y[rows], z[rows], begins[rows], omega[rows], warm[rows], NONE

@@ -54,9 +54,9 @@ class Mounted:
 class CompensatedSet:
     """Specific force and velocity increments in the common frame; arrays share their length n.
 
-    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)), ``residual`` [m/s^2]: the
-    root of the summed squared misfits of the instruments (0 for three); ``flags`` as for one instrument,
-    set when they hold for any instrument.
+    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)), ``residual``
+    [m/s^2]: the root of the summed squared misfits of the instruments (0 for three); ``flags`` as for one
+    instrument, set when they hold for any instrument.
     """
 
     t: Array
@@ -97,7 +97,9 @@ class SetCompensator:
     sampled:
         True when angle and rate are recorded: the force is that at the samples. False: angles only, the force
         is the mean over each interval.
-    uncertainty, max_age_days, limits:
+    uncertainty, flags:
+        Whether these columns are computed.
+    max_age_days, limits:
         As for one instrument.
 
     Raises
@@ -113,12 +115,13 @@ class SetCompensator:
         sampled: bool = False,
         time_reference: float = 0.0,
         uncertainty: bool = True,
+        flags: bool = True,
         limits: Limits | None = None,
         max_age_days: float | None = None,
     ) -> None:
         self._axes = np.array([_rotation(item.axes, i) for i, item in enumerate(instruments)])
         _check_spread(self._axes)
-        self._sampled, self._uncertainty = sampled, uncertainty
+        self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
         models = [
             make_model(
                 item.calibration,
@@ -182,12 +185,19 @@ class SetCompensator:
             raise ArgumentError("temperature: a calibration has temperature terms", remedy="give it")
         marks = np.zeros(n, dtype=np.bool_) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
-        found = CompensatedSet(time, np.empty((n, 3)), np.empty((n, 3)), u, np.empty(n), np.zeros(n, np.int32))
+        found = CompensatedSet(
+            time,
+            np.empty((n, 3)),
+            np.empty((n, 3)),
+            u,
+            np.empty(n),
+            np.zeros(n if self._flags else 0, np.int32),
+        )
         parameters, has_terms, orders, sines, cosines, codes, factors, limits = self._arrays
         set_kernel(
-            time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines, codes,
-            factors, limits, self._flag, self._threshold, self._states, self._set_state, self._weights, self._scratch,
-            self._work, self._common, found.f, found.dv, found.u_f, found.residual, found.flags,
+            time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines,
+            codes, factors, limits, self._flag, self._threshold, self._states, self._set_state, self._weights,
+            self._scratch, self._work, self._common, found.f, found.dv, found.u_f, found.residual, found.flags,
         )  # fmt: skip
         return found
 
@@ -275,7 +285,7 @@ def _check_records(records: Sequence[Run]) -> None:
         if apart.any():
             row = record.row[int(np.argmax(apart))] if same else record.row[-1]
             raise DataError(
-                f"{record.source or index}: row {row}: the times differ from those of {first.source or 'record 0'}",
+                f"{record.source or index}: row {row}: the times are not those of {first.source or 'record 0'}",
                 remedy="sample all instruments together, or bring them to common times first",
             )
 
@@ -343,6 +353,6 @@ def _stacked(models: list[Model]) -> tuple[NDArray, ...]:
         codes[i, : model.codes.size] = model.codes
         factors[i, : model.codes.size, : model.factor.shape[1]] = model.factor
     return (
-        np.array([model.parameters for model in models]), np.array([model.has_terms for model in models]), orders,
-        sines, cosines, codes, factors, np.array([model.limits for model in models]),
+        np.array([model.parameters for model in models]), np.array([model.has_terms for model in models]),
+        orders, sines, cosines, codes, factors, np.array([model.limits for model in models]),
     )  # fmt: skip

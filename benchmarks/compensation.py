@@ -1,0 +1,199 @@
+"""Speed of compensation against a plain copy of as many bytes: ``python benchmarks/compensation.py``.
+
+Every figure is the best of several passes and stands beside the copy measured in the same run; only ratios
+compare between machines.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+import piga
+from piga.compensation import Mounted, SetCompensator
+from piga.compensation.file_to_file import compensate_file
+from piga.compensation.model import make_model
+from piga.compensation.step import (
+    NO_FLAGS,
+    NO_MARKS,
+    NO_RATES,
+    NONE,
+    Chunk,
+    Step,
+    init_state,
+    run_kernel,
+    work_array,
+)
+from piga.records import Calibration, Coefficient, Provenance, Quality
+from piga.records.terms import unit_of
+
+ROWS = 10_000_000
+FILE_ROWS = 25_000_000
+PASSES = 7
+
+
+def calibration(values: dict[str, float], std: dict[str, float]) -> Calibration:
+    found = tuple(Coefficient(name, v, std.get(name, 0.0), unit_of(name)) for name, v in values.items())
+    return Calibration(
+        "bench", 0.8884 / 9.80665, tuple(n for n in values if n != "phi"), "shared", "output", "information",
+        found, np.diag([c.std**2 for c in found]), 1.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, Quality(1, 1, 0), 1.0,
+        (), (), {}, (),
+        Provenance({}, "bench", "2026-01-01T00:00:00Z"),
+    )  # fmt: skip
+
+
+def best(work: Callable[[], object]) -> float:
+    work()
+    found = []
+    for _ in range(PASSES):
+        start = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - start)
+    return min(found)
+
+
+def on_threads(works: list[Callable[[], object]]) -> Callable[[], object]:
+    pool = ThreadPoolExecutor(len(works))
+    return lambda: [future.result() for future in [pool.submit(work) for work in works]]
+
+
+def samples(rows: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    t = 0.01 * np.arange(rows)
+    rate = np.full(rows, 0.888) + 1e-3 * rng.standard_normal(rows)
+    return {
+        "t": t, "psi": np.cumsum(0.01 * rate), "rate": rate, "y": 9.8 + rng.standard_normal(rows),
+        "z": rng.standard_normal(rows),
+    }  # fmt: skip
+
+
+def single(threads: int) -> None:
+    data = samples(ROWS)
+    plain = make_model(calibration({"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}, {}))
+    names = ("t", "psi", "y", "z")
+    share = ROWS // threads
+    ax, dv, u, flags = np.empty(ROWS), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS, dtype=np.int32)
+    target = [np.empty(ROWS) for _ in range(5)]
+    source = [*(data[name] for name in names), ax]
+
+    def copy(k: int) -> Callable[[], object]:
+        rows = slice(k * share, (k + 1) * share)
+        return lambda: [np.copyto(b[rows], a[rows]) for a, b in zip(source, target, strict=True)]
+
+    def run(k: int, kind: str, full: bool) -> Callable[[], object]:
+        rows = slice(k * share, (k + 1) * share)
+        output, angle = (data["rate"], data["psi"][rows]) if kind == "rate" else (data["psi"], NONE)
+        chunk = Chunk(
+            data["t"][rows], output[rows], data["y"][rows], data["z"][rows], NO_MARKS, NO_RATES, NONE, angle
+        )
+        result = Step(ax[rows], dv[rows], u[rows] if full else NONE, flags[rows] if full else NO_FLAGS)
+        work = work_array()
+        return lambda: run_kernel(plain, init_state(), chunk, kind, 0.01, work, result)
+
+    base = best(on_threads([copy(k) for k in range(threads)])) / ROWS * 1e9
+    print(f"{threads} core(s): copy of 40 bytes {base:.2f} ns per sample")
+    for title, kind, full in (
+        ("angle -> ax, dv", "angle", False), ("angle and rate -> ax, dv", "rate", False),
+        ("angle -> ax, dv, u_ax, flags", "angle", True),
+    ):  # fmt: skip
+        spent = best(on_threads([run(k, kind, full) for k in range(threads)])) / ROWS * 1e9
+        print(f"  {title:32s} {spent:6.2f} ns per sample, {spent / base:5.2f} x copy")
+
+
+def triad() -> None:
+    rows = 2_000_000
+    data = samples(rows)
+    cal = calibration({"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}, {})
+    mounted = [Mounted(cal, np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
+    psi, rate = np.tile(data["psi"], (3, 1)), np.tile(data["rate"], (3, 1))
+    for title, sampled, flags in (
+        ("samples of angle and rate", True, False), ("the same with flags", True, True),
+        ("angles", False, False),
+    ):  # fmt: skip
+        stream = SetCompensator(mounted, sampled=sampled, uncertainty=False, flags=flags)
+        spent = best(
+            lambda stream=stream, sampled=sampled: stream.push(data["t"], psi, rate=rate if sampled else None)
+        )
+        print(f"triad of {title}: {rows / spent / 1e6:.1f} million rows per second on one core")
+
+
+def latency() -> None:
+    cal = calibration(
+        {"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3, "k0": 1e-3}, {"phi": 1e-4, "k0": 1e-6}
+    )
+    stream = piga.Compensator(cal)
+    spent = []
+    for i in range(20_000):
+        sample = {"t": 0.01 * i, "output": 0.00888 * i, "f": (9.8, 1.0, 2.0)}
+        start = time.perf_counter()
+        stream.push(sample)
+        spent.append(time.perf_counter() - start)
+    late = np.array(spent[1000:]) * 1e6
+    print(
+        f"latency of one sample: median {np.median(late):.1f}, 99 % {np.quantile(late, 0.99):.1f} microseconds"
+    )
+
+
+RUN_FILE = """
+[instrument]
+serial = "bench"
+scale_factor = "0.8884 rad/s/g"
+[data]
+file = "data.parquet"
+time = { column = "t", unit = "s" }
+output = { column = "psi", kind = "angle", unit = "rad" }
+reference = { columns = ["x", "y", "z"], unit = "m/s^2" }
+"""
+
+
+def file_to_file() -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    cal = calibration({"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}, {})
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder)
+        with parquet.ParquetWriter(
+            path / "data.parquet",
+            pa.schema([(n, pa.float64()) for n in ["t", "psi", "x", "y", "z"]]),
+            compression="none",
+            use_dictionary=False,
+        ) as writer:
+            for start in range(0, FILE_ROWS, 1 << 20):
+                rows = min(1 << 20, FILE_ROWS - start)
+                t = 0.01 * np.arange(start, start + rows)
+                ones = np.full(rows, 9.8)
+                writer.write_table(pa.table({"t": t, "psi": 0.888 * t, "x": ones, "y": ones, "z": ones}))
+        (path / "run.toml").write_text(RUN_FILE)
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        for title, uncertainty in (("t, ax, dv, flags", False), ("t, ax, dv, u_ax, flags", True)):
+            found = []
+            for _ in range(3):
+                start_time = time.perf_counter()
+                compensate_file(
+                    path / "run.toml", cal, path / "out.parquet", "parquet", uncertainty=uncertainty
+                )
+                found.append(time.perf_counter() - start_time)
+            print(f"Parquet to Parquet ({title}): {FILE_ROWS / min(found) / 1e6:.1f} million rows per second")
+        after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        print(f"largest memory of the process: {after / 1024:.0f} MB ({before / 1024:.0f} MB before the files)")
+
+
+if __name__ == "__main__":
+    wanted = sys.argv[1:] or ["single", "triad", "latency", "file"]
+    if "file" in wanted:
+        file_to_file()
+    if "single" in wanted:
+        single(1)
+        single(2)
+    if "triad" in wanted:
+        triad()
+    if "latency" in wanted:
+        latency()

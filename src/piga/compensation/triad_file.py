@@ -1,0 +1,84 @@
+"""The triad file (TOML): which instruments are solved together, and how they are mounted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from piga.compensation.model import Phase
+from piga.compensation.triad import Mounted
+from piga.errors import RunFileError
+from piga.records import Calibration, Run, read_run, read_toml
+from piga.records.run_file import Quantity
+from piga.units import to_si
+
+Row = tuple[float, float, float]
+
+
+class TriadInstrument(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``[[triad.instrument]]``: run, calibration and axes (rows X0, Y0, Z0 in the common frame)."""
+
+    run: str
+    calibration: str
+    axes: tuple[Row, Row, Row]
+    phase: Quantity | None = None
+
+
+class TriadTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``[triad]``."""
+
+    instrument: tuple[TriadInstrument, ...]
+
+
+class TriadFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A whole triad file."""
+
+    triad: TriadTable
+
+
+def is_triad_file(path: Path) -> bool:
+    """True when a TOML file has a table ``[triad]`` (a file that cannot be read is told by its reader)."""
+    import tomllib
+
+    try:
+        return "triad" in tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+
+
+def read_triad(path: Path) -> tuple[list[Run], list[Mounted]]:
+    """Records and mounted instruments of a triad file; file names are relative to it.
+
+    Raises
+    ------
+    RunFileError
+        If the file is not valid.
+    DataError, CalibrationError
+        If a run or calibration it names cannot be read.
+    """
+    file = read_toml(path, TriadFile)
+    items = file.triad.instrument
+    if len(items) < 3:
+        raise RunFileError(
+            f"{path}: [[triad.instrument]] stands {len(items)} times", remedy="three or more are needed"
+        )
+    records = [read_run(path.parent / item.run) for item in items]
+    mounted = [
+        Mounted(
+            Calibration.from_json(path.parent / item.calibration),
+            np.array(item.axes),
+            None if item.phase is None else Phase(to_si(item.phase, "rad", what=f"{path}: phase")),
+        )
+        for item in items
+    ]
+    return records, mounted
+
+
+def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
+    """Three instruments whose input axes are x, y and z of the common frame, in this order.
+
+    The transverse axes follow in cyclic order: the second has ``X0 = y, Y0 = z, Z0 = x``.
+    """
+    return [Mounted(c, np.roll(np.eye(3), -i, axis=0)) for i, c in enumerate(calibrations)]
