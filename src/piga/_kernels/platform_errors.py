@@ -5,12 +5,30 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga._kernels.jit import inline, kernel
 
+Array = NDArray[np.float64]
+
 
 @inline
-def error_rates(t, state, r0, f0, axes, attitude, drift, bias, height, gains, gm, j2a2, earth_rate, rate):
+def error_rates(
+    t: float,
+    state: Array,
+    r0: Array,
+    f0: Array,
+    axes: Array,
+    attitude: Array,
+    drift: Array,
+    bias: Array,
+    height: float,
+    gains: Array,
+    gm: float,
+    j2a2: float,
+    earth_rate: float,
+    rate: Array,
+) -> None:
     """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.stable_platform.error_model`."""
     c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
     x, y, z = c * r0[0] - s * r0[1], s * r0[0] + c * r0[1], r0[2]
@@ -35,7 +53,22 @@ def error_rates(t, state, r0, f0, axes, attitude, drift, bias, height, gains, gm
 
 
 @kernel
-def propagate_errors(start, r0, f0, axes, attitude, drift, bias, height, gains, gm, j2a2, earth_rate, h, out):
+def propagate_errors(
+    start: Array,
+    r0: Array,
+    f0: Array,
+    axes: Array,
+    attitude: Array,
+    drift: Array,
+    bias: Array,
+    height: float,
+    gains: Array,
+    gm: float,
+    j2a2: float,
+    earth_rate: float,
+    h: float,
+    out: Array,
+) -> None:
     """Errors (m, 6) in local axes (position n, e, d; velocity n, e, d relative to the Earth) every ``h`` seconds.
 
     ``start`` (6,) in inertial axes; ``r0, f0`` position and specific force of a base at rest and ``axes``
@@ -47,7 +80,11 @@ def propagate_errors(start, r0, f0, axes, attitude, drift, bias, height, gains, 
         t = i * h
         c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
         x, y, z = c * state[0] + s * state[1], c * state[1] - s * state[0], state[2]
-        u, v, w = c * state[3] + s * state[4] + earth_rate * y, c * state[4] - s * state[3] - earth_rate * x, state[5]
+        u, v, w = (
+            c * state[3] + s * state[4] + earth_rate * y,
+            c * state[4] - s * state[3] - earth_rate * x,
+            state[5],
+        )
         for j in range(3):
             out[i, j] = axes[0, j] * x + axes[1, j] * y + axes[2, j] * z
             out[i, 3 + j] = axes[0, j] * u + axes[1, j] * v + axes[2, j] * w
@@ -56,7 +93,20 @@ def propagate_errors(start, r0, f0, axes, attitude, drift, bias, height, gains, 
             for j in range(6):
                 moved[j] = state[j] + (fraction * h * k[stage - 1, j] if stage > 0 else 0.0)
             error_rates(
-                t + fraction * h, moved, r0, f0, axes, attitude, drift, bias, height, gains, gm, j2a2, earth_rate, k[stage]
+                t + fraction * h,
+                moved,
+                r0,
+                f0,
+                axes,
+                attitude,
+                drift,
+                bias,
+                height,
+                gains,
+                gm,
+                j2a2,
+                earth_rate,
+                k[stage],
             )
         for j in range(6):
             state[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])

@@ -44,7 +44,11 @@ def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
         "redundancy_deg": [_degrees(run.truth.eta[0]), _degrees(run.truth.eta[-1])],
         "files": ["readouts.parquet", "truth.parquet", "report.html"],
     }
-    _finish(document, json, f"{len(run.readouts.times)} rows; wrote {folder}/readouts.parquet, truth.parquet, report.html")
+    _finish(
+        document,
+        json,
+        f"{len(run.readouts.times)} rows; wrote {folder}/readouts.parquet, truth.parquet, report.html",
+    )
 
 
 @app.command()
@@ -117,7 +121,10 @@ def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
         },
         "notes": list(comparison.preparation.notes),
     }
-    lines = [f"{m:<6}largest horizontal position error {v['position_error_m']:.4g} m" for m, v in document["models"].items()]  # type: ignore[attr-defined]
+    lines = [
+        f"{m:<6}largest horizontal position error {v['position_error_m']:.4g} m"
+        for m, v in document["models"].items()
+    ]  # type: ignore[attr-defined]
     _finish(document, json, "\n".join([*lines, f"wrote {folder}/navigation-*.parquet, report.html"]))
 
 

@@ -33,7 +33,9 @@ from piga.stable_platform.scenario import Gyro, Scenario
 from piga.stable_platform.simulate import Run
 from piga.units import ARCSEC
 
-_FOOTER = "Simulated with the exact geometry of both nulled pick-offs; compensated with the small-angle matrices."
+_FOOTER = (
+    "Simulated with the exact geometry of both nulled pick-offs; compensated with the small-angle matrices."
+)
 
 
 def simulation_page(run: Run) -> Page:
@@ -42,7 +44,12 @@ def simulation_page(run: Run) -> Page:
     drift = abs(float(run.truth.eta[-1] - run.truth.eta[0]))
     tiles = (
         Tile("duration", short(s.duration / 86400.0), "d", f"{s.steps} steps of {short(s.step)} s"),
-        Tile("redundancy angle", short(np.degrees(run.truth.eta[-1])), "deg", f"grew by {short(np.degrees(drift))} deg"),
+        Tile(
+            "redundancy angle",
+            short(np.degrees(run.truth.eta[-1])),
+            "deg",
+            f"grew by {short(np.degrees(drift))} deg",
+        ),
         Tile("base", s.motion.kind, "", "motion of the vehicle"),
     )
     sections = (
@@ -59,7 +66,12 @@ def identification_page(run: Run, found: Identification, recursive: Identificati
     m1, m2 = found["polar.misalignment"], found["equatorial.misalignment"]
     tiles = (
         Tile("polar misalignment", f"{m1.value / ARCMIN:.5f}", "arcmin", f"± {short(m1.std / ARCSEC)} arcsec"),
-        Tile("equatorial misalignment", f"{m2.value / ARCMIN:.5f}", "arcmin", f"± {short(m2.std / ARCSEC)} arcsec"),
+        Tile(
+            "equatorial misalignment",
+            f"{m2.value / ARCMIN:.5f}",
+            "arcmin",
+            f"± {short(m2.std / ARCSEC)} arcsec",
+        ),
         Tile("condition", short(found.condition), "", " + ".join(found.sources)),
     )
     blocks: list[Block] = [_parameter_table(found, s)]
@@ -76,8 +88,18 @@ def alignment_page(run: Run, aligned: Alignment) -> Page:
     std = aligned.std / ARCSEC
     tiles = (
         Tile("triad attitude", short(float(std[:3].max())), "arcsec", "largest standard uncertainty of three"),
-        Tile("triad drift", short(float(np.degrees(aligned.std[3:6].max()) * 3600.0)), "deg/h", "largest standard uncertainty"),
-        Tile("base heading", f"{np.degrees(aligned.base_angles[2]):.4f}", "deg", f"± {short(float(std[6:9].max()))} arcsec"),
+        Tile(
+            "triad drift",
+            short(float(np.degrees(aligned.std[3:6].max()) * 3600.0)),
+            "deg/h",
+            "largest standard uncertainty",
+        ),
+        Tile(
+            "base heading",
+            f"{np.degrees(aligned.base_angles[2]):.4f}",
+            "deg",
+            f"± {short(float(std[6:9].max()))} arcsec",
+        ),
     )
     sections = (
         Section("Attitude and drift", "attitude", (_alignment_table(run, aligned),)),
@@ -93,20 +115,29 @@ def navigation_page(comparison: Comparison) -> Page:
         for m, r in comparison.models.items()
     )
     sections = (
-        Section("Models over the run", "models", tuple(FigureBlock(model_figure(r)) for r in comparison.models.values())),
+        Section(
+            "Models over the run",
+            "models",
+            tuple(FigureBlock(model_figure(r)) for r in comparison.models.values()),
+        ),
         Section("Position", "position", (FigureBlock(position_figure(comparison)),)),
         _preparation_section(comparison.run.scenario, comparison.preparation),
     )
     return _page("Platform navigation", comparison.run.scenario, tiles, sections)
 
 
-def comparison_page(comparison: Comparison, budget: Sequence[BudgetRow] = (), scatter: Scatter | None = None) -> Page:
+def comparison_page(
+    comparison: Comparison, budget: Sequence[BudgetRow] = (), scatter: Scatter | None = None
+) -> Page:
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario
     sections = [
         Section("Lines at the case-rotation period", "lines", (
-            Text(_lines_sentence(comparison), lead=True), FigureBlock(lines_figure(comparison)), _line_table(comparison))),
-        Section("Ten minutes and ten days", "histories", (
+            Text(_lines_sentence(comparison), lead=True), FigureBlock(lines_figure(comparison)),
+            _line_table(comparison, "east_velocity", "East velocity line", "mm/s", 1e3),
+            _line_table(comparison, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
+            _line_table(comparison, "roll", "Roll line", "arcmin", 1.0 / ARCMIN))),
+        Section("Forty minutes and the whole run", "histories", (
             FigureBlock(published_figure(comparison)), FigureBlock(histories_figure(comparison)))),
         Section("Spectrum and position", "spectrum", (
             FigureBlock(spectrum_figure(comparison)), FigureBlock(position_figure(comparison)))),
@@ -130,8 +161,8 @@ def capstone_page(found: Capstone) -> Page:
     )
     story = (
         f"The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the horizontal twice "
-        f"a sidereal day, and each instrument locks for {short(float(raw.locked_per_day.max()))} s a day. Read as alpha'/K, the "
-        f"three instruments put the navigator {short(raw.position)} m off: the locked zone, and the pulling either side of it.\n\n"
+        f"a sidereal day and is inside its locked zone for {short(float(raw.locked_per_day.max()))} s a day. {_passage_words(found)} "
+        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
         f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, with "
         f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three instruments give the force "
         f"back in any mounting: {short(solved.position)} m, against {short(found.outcomes['ideal'].position)} m with ideal ones."
@@ -141,7 +172,11 @@ def capstone_page(found: Capstone) -> Page:
     if passage is not None:
         day = (*day, FigureBlock(passage))
     sections = (
-        Section("What happens", "story", (Text(story, lead=True), FigureBlock(capstone_figure(found)), _capstone_table(found))),
+        Section(
+            "What happens",
+            "story",
+            (Text(story, lead=True), FigureBlock(capstone_figure(found)), _capstone_table(found)),
+        ),
         Section("Why", "why", day),
     )
     return _page("Gyro accelerometers on the space-stable platform", found.scenario, tiles, sections)
@@ -162,7 +197,11 @@ def _truth_table(s: Scenario) -> Table:
         rows.append((f"{name} misalignment", f"{gyro.misalignment / ARCMIN:.4f}", "arcmin"))
         rows.append((f"{name} phase", f"{np.degrees(gyro.phase):.3f}", "deg"))
         rows += [
-            (f"{name} harmonic {h.order}", f"{h.amplitude / ARCMIN:.4f} at {np.degrees(h.phase):.1f} deg", "arcmin")
+            (
+                f"{name} harmonic {h.order}",
+                f"{h.amplitude / ARCMIN:.4f} at {np.degrees(h.phase):.1f} deg",
+                "arcmin",
+            )
             for h in gyro.harmonics
         ]
         rows.append((f"{name} drift {axes}", _pair(gyro.drift), "deg/h"))
@@ -179,7 +218,10 @@ def _case_rotation_text(s: Scenario) -> Text:
 
     at_rest = type(s.polar_rotation)(0.0)
     parts = []
-    for name, gyro, rotation in (("polar", s.polar, s.polar_rotation), ("equatorial", s.equatorial, s.equatorial_rotation)):
+    for name, gyro, rotation in (
+        ("polar", s.polar, s.polar_rotation),
+        ("equatorial", s.equatorial, s.equatorial_rotation),
+    ):
         if any(gyro.case_drift):
             resting = averaged_drift(at_rest, gyro.case_drift, s.duration) / ARCMIN
             turning = averaged_drift(rotation, gyro.case_drift, s.duration) / ARCMIN
@@ -201,7 +243,13 @@ def _parameter_table(found: Identification, s: Scenario) -> Table:
         difference = None if true is None else p.value - true
         if difference is not None and p.name.endswith("phase"):
             difference = float(np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi)
-        off = "–" if difference is None else f"{difference / p.std:+.2f}" if p.std > 1e-11 else f"{difference / scale:+.1e}"
+        off = (
+            "–"
+            if difference is None
+            else f"{difference / p.std:+.2f}"
+            if p.std > 1e-11
+            else f"{difference / scale:+.1e}"
+        )
         rows.append((p.name.replace(".", " "), f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off))
     columns = (
         Column("quantity", align="text"), Column("value"), Column("standard uncertainty"), Column("unit", align="text"),
@@ -226,13 +274,24 @@ def _truth_by_name(polar: Gyro, equatorial: Gyro) -> dict[str, float]:
 
 
 def _observability_table(sources: Sequence[Observability]) -> Table:
-    columns = (Column("source", align="text"), Column("condition"), *(Column(n, "arcsec") for n in UNKNOWNS), Column("verdict", align="text"))
+    columns = (
+        Column("source", align="text"),
+        Column("condition"),
+        *(Column(n, "arcsec") for n in UNKNOWNS),
+        Column("verdict", align="text"),
+    )
     rows = tuple(
         (o.source, short(o.condition), *(short(float(v / ARCSEC)) if v < 1.0 else "–" for v in o.std),
          Cell(o.sentence, "good" if o.separable else "doubtful"))
         for o in sources
     )  # fmt: skip
-    return Table(columns, rows, notes=("Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",))
+    return Table(
+        columns,
+        rows,
+        notes=(
+            "Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",
+        ),
+    )
 
 
 def _alignment_table(run: Run, aligned: Alignment) -> Table:
@@ -242,14 +301,40 @@ def _alignment_table(run: Run, aligned: Alignment) -> Table:
     rows: list[tuple[str | Cell, ...]] = []
     for k, axis in enumerate("xyz"):
         off = (aligned.triad_vector[k] - true[k]) / ARCSEC
-        rows.append((f"triad attitude {axis}", f"{aligned.triad_vector[k] / ARCSEC:.3f}", f"{aligned.std[k] / ARCSEC:.2g}", "arcsec", f"{off:+.3f}"))
+        rows.append(
+            (
+                f"triad attitude {axis}",
+                f"{aligned.triad_vector[k] / ARCSEC:.3f}",
+                f"{aligned.std[k] / ARCSEC:.2g}",
+                "arcsec",
+                f"{off:+.3f}",
+            )
+        )
     for k, axis in enumerate("xyz"):
         scale = np.radians(1.0) / 3600.0
-        rows.append((f"triad drift {axis}", f"{aligned.drift[k] / scale:.2e}", f"{aligned.std[3 + k] / scale:.1e}", "deg/h", "–"))
+        rows.append(
+            (
+                f"triad drift {axis}",
+                f"{aligned.drift[k] / scale:.2e}",
+                f"{aligned.std[3 + k] / scale:.1e}",
+                "deg/h",
+                "–",
+            )
+        )
     for k, name in enumerate(("roll", "pitch", "heading")):
         rows.append((f"base {name}", f"{np.degrees(aligned.base_angles[k]):.5f}", "–", "deg", "–"))
-    columns = (Column("quantity", align="text"), Column("value"), Column("standard uncertainty"), Column("unit", align="text"), Column("off truth"))
-    return Table(columns, tuple(rows), notes=("Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec.",))
+    columns = (
+        Column("quantity", align="text"),
+        Column("value"),
+        Column("standard uncertainty"),
+        Column("unit", align="text"),
+        Column("off truth"),
+    )
+    return Table(
+        columns,
+        tuple(rows),
+        notes=("Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec.",),
+    )
 
 
 def _preparation_section(s: Scenario, p: Preparation) -> Section:
@@ -263,7 +348,12 @@ def _preparation_section(s: Scenario, p: Preparation) -> Section:
 
 def _comparison_tiles(c: Comparison) -> tuple[Tile, ...]:
     return tuple(
-        Tile(_model_name(m), short(1e3 * float(r.lines.amplitude["east_velocity"][-1])), "mm/s", f"east velocity line, day {int(r.lines.day[-1])}")
+        Tile(
+            _model_name(m),
+            short(1e3 * float(r.lines.amplitude["east_velocity"][-1])),
+            "mm/s",
+            f"east velocity line, day {int(r.lines.day[-1])}",
+        )
         for m, r in c.models.items()
     )
 
@@ -281,51 +371,112 @@ def _lines_sentence(c: Comparison) -> str:
     theory = c.models["A"].theory
     if theory is not None:
         ratio = left / float(theory.amplitude["east_velocity"][-1])
-        parts.append(f"The closed form gives model A {100.0 * (ratio - 1.0):+.2f} % of what was navigated.".replace("gives model A", "misses model A by"))
+        parts.append(
+            f"The closed form gives model A {100.0 * (ratio - 1.0):+.2f} % of what was navigated.".replace(
+                "gives model A", "misses model A by"
+            )
+        )
     return " ".join(parts)
 
 
-def _line_table(c: Comparison) -> Table:
-    columns = [Column("day", align="text")]
+def _line_table(c: Comparison, channel: str, heading: str, unit: str, scale: float) -> Table:
+    """One channel day by day: every model, and the theory of model A beside it."""
+    columns, values = [Column("day", align="text")], []
     for m, r in c.models.items():
-        columns += [Column(f"{_model_name(m)}: east", "mm/s"), Column("heading", "arcmin"), Column("roll", "arcmin")]
+        columns.append(Column(_model_name(m), unit))
+        values.append(r.lines.amplitude[channel] * scale)
         if r.theory is not None and m == "A":
-            columns.append(Column("theory, east", "mm/s"))
-    rows = []
-    for k, day in enumerate(next(iter(c.models.values())).lines.day):
-        row = [str(int(day))]
-        for m, r in c.models.items():
-            a = r.lines.amplitude
-            row += [short(1e3 * float(a["east_velocity"][k])), short(float(a["heading"][k] / ARCMIN)), short(float(a["roll"][k] / ARCMIN))]
-            if r.theory is not None and m == "A":
-                row.append(short(1e3 * float(r.theory.amplitude["east_velocity"][k])))
-        rows.append(tuple(row))
-    return Table(tuple(columns), tuple(rows))
+            columns.append(Column("theory of A", unit))
+            values.append(r.theory.amplitude[channel] * scale)
+    days = next(iter(c.models.values())).lines.day
+    rows = tuple((str(int(day)), *(short(float(v[k])) for v in values)) for k, day in enumerate(days))
+    return Table(tuple(columns), rows, caption=heading)
 
 
 def _budget_table(budget: Sequence[BudgetRow]) -> Table:
     columns = (Column("source", align="text"), Column("position, linear", "m"), Column("position, full run", "m"), Column("velocity, linear", "mm/s"),
                Column("velocity, full run", "mm/s"), Column("largest difference", "m"))  # fmt: skip
     rows = tuple(
-        (b.source, short(b.position_linear), short(b.position_full), short(1e3 * b.velocity_linear), short(1e3 * b.velocity_full), short(b.difference))
+        (
+            b.source,
+            short(b.position_linear),
+            short(b.position_full),
+            short(1e3 * b.velocity_linear),
+            short(1e3 * b.velocity_full),
+            short(b.difference),
+        )
         for b in budget
     )
-    return Table(columns, rows, notes=("Largest horizontal error over the run: the linear error model against a navigation run with the error put in.",))
+    return Table(
+        columns,
+        rows,
+        notes=(
+            "Largest horizontal error over the run: the linear error model against a navigation run with the error put in.",
+        ),
+    )
 
 
 def _scatter_table(scatter: Scatter) -> Table:
-    columns = (Column("model", align="text"), Column("position, median", "m"), Column("position, largest", "m"), Column("east line, mean", "mm/s"), Column("east line, scatter", "mm/s"))
+    columns = (
+        Column("model", align="text"),
+        Column("position, median", "m"),
+        Column("position, largest", "m"),
+        Column("east line, mean", "mm/s"),
+        Column("east line, scatter", "mm/s"),
+    )
     rows = tuple(
-        (_model_name(m), short(float(np.median(p))), short(float(p.max())), short(1e3 * float(scatter.east_line[m].mean())), short(1e3 * float(scatter.east_line[m].std())))
+        (
+            _model_name(m),
+            short(float(np.median(p))),
+            short(float(p.max())),
+            short(1e3 * float(scatter.east_line[m].mean())),
+            short(1e3 * float(scatter.east_line[m].std())),
+        )
         for m, p in scatter.position.items()
     )
-    return Table(columns, rows, notes=(f"{len(scatter.seeds)} runs of the whole chain, seeds {scatter.seeds[0]} to {scatter.seeds[-1]}.",))
+    return Table(
+        columns,
+        rows,
+        notes=(
+            f"{len(scatter.seeds)} runs of the whole chain, seeds {scatter.seeds[0]} to {scatter.seeds[-1]}.",
+        ),
+    )
+
+
+def _passage_words(found: Capstone) -> str:
+    p = found.passage
+    if p is None:
+        return "No instrument passes its locked zone here."
+    return (
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so slowly that "
+        f"its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
+    )
 
 
 def _capstone_table(found: Capstone) -> Table:
-    columns = (Column("reading", align="text"), Column("position error", "m"), Column("velocity error", "mm/s"), Column("locked", "s/day"), Column("noise gain"), Column("what it is", align="text"))
+    columns = (
+        Column("reading", align="text"),
+        Column("position error", "m"),
+        Column("velocity error", "mm/s"),
+        Column("locked", "s/day"),
+        Column("noise gain"),
+        Column("what it is", align="text"),
+    )
     rows = tuple(
-        (name, short(o.position), short(1e3 * o.velocity), short(float(o.locked_per_day.max())), short(o.noise_gain), o.reading.sentence)
+        (
+            name,
+            short(o.position),
+            short(1e3 * o.velocity),
+            short(float(o.locked_per_day.max())),
+            short(o.noise_gain),
+            o.reading.sentence,
+        )
         for name, o in found.outcomes.items()
     )
-    return Table(columns, rows, notes=("Locked: seconds a day of the instrument that locks longest. Noise gain: against three axes at right angles.",))
+    return Table(
+        columns,
+        rows,
+        notes=(
+            "Locked: seconds a day of the instrument that locks longest. Noise gain: against three axes at right angles.",
+        ),
+    )

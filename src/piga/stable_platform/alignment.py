@@ -63,7 +63,13 @@ class Alignment:
     def base_angles(self) -> Array:
         """Roll, pitch, heading (3,) [rad] of the base."""
         c = self.base
-        return np.array([np.arctan2(c[2, 1], c[2, 2]), np.arcsin(np.clip(-c[2, 0], -1.0, 1.0)), np.arctan2(c[1, 0], c[0, 0])])
+        return np.array(
+            [
+                np.arctan2(c[2, 1], c[2, 2]),
+                np.arcsin(np.clip(-c[2, 0], -1.0, 1.0)),
+                np.arctan2(c[1, 0], c[0, 0]),
+            ]
+        )
 
     def start(self, *, with_drift: bool) -> Start:
         """Start of the navigation at the known place, with the drift found taken out or not."""
@@ -71,7 +77,9 @@ class Alignment:
         return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
 
 
-def align(readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 4) -> Alignment:
+def align(
+    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 4
+) -> Alignment:
     """Align on a record of a base at rest at a known place, misalignments being known.
 
     Gauss-Newton on the exact geometry; the noise levels come from the residuals.

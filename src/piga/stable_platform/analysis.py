@@ -93,7 +93,9 @@ def daily_lines(errors: Errors, rate: float, latitude: float) -> Lines:
     for length in alike:
         group = [part for part in parts if part.stop - part.start == length]
         values = np.concatenate([table[part] for part in group], axis=1)
-        fitted = line_amplitudes(errors.times[group[0]], values, rate, latitude).reshape(len(group), len(CHANNELS))
+        fitted = line_amplitudes(errors.times[group[0]], values, rate, latitude).reshape(
+            len(group), len(CHANNELS)
+        )
         rows += list(zip((parts.index(part) for part in group), fitted, strict=True))
     amplitude = np.array([fitted for _, fitted in sorted(rows, key=lambda row: row[0])])
     horizontal = errors.horizontal
@@ -103,7 +105,9 @@ def daily_lines(errors: Errors, rate: float, latitude: float) -> Lines:
     )
 
 
-def theory_lines(scenario: Scenario, compensator: Compensator, known: Knowledge, days: list[slice], times: Array) -> Lines:
+def theory_lines(
+    scenario: Scenario, compensator: Compensator, known: Knowledge, days: list[slice], times: Array
+) -> Lines:
     """Closed-form line amplitudes of a static base, day by day (redundancy angle at mid-day) [He2014].
 
     The turn about the polar axis that the model leaves, ``d_r(c)``, has amplitude D at one cycle per
@@ -114,7 +118,12 @@ def theory_lines(scenario: Scenario, compensator: Compensator, known: Knowledge,
     pole, adds it (docs/platform.md section 8). Position is not predicted (NaN).
     """
     latitude, rate = scenario.place.latitude, scenario.polar_rotation.rate
-    left = np.array([_left_about_pole(scenario, compensator, known, 0.5 * float(times[d.start] + times[d.stop - 1])) for d in days])
+    left = np.array(
+        [
+            _left_about_pole(scenario, compensator, known, 0.5 * float(times[d.start] + times[d.stop - 1]))
+            for d in days
+        ]
+    )
     force = gravity(latitude, scenario.place.height)
     left = left * rate**2 / (rate**2 - _SCHULER**2)
     east = force * left * np.cos(latitude) / rate
@@ -133,7 +142,7 @@ def _left_about_pole(scenario: Scenario, compensator: Compensator, known: Knowle
     """Amplitude [rad] at one cycle per case turn of the z angle that the model leaves at ``time``."""
     drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
     eta = scenario.redundancy + drift * time
-    angle = np.arange(256) * (2.0 * np.pi / 256)
+    angle = (2.0 * np.pi / 256) * np.arange(256, dtype=np.float64)
     equal = scenario.polar_rotation == scenario.equatorial_rotation
     second = scenario.equatorial if equal else Gyro()
     left = _about_pole(scenario.polar, second, angle, eta)
@@ -148,7 +157,9 @@ def _left_about_pole(scenario: Scenario, compensator: Compensator, known: Knowle
 
 def _about_pole(polar: Gyro, equatorial: Gyro, encoder: Array, eta: float) -> Array:
     c1, c2 = encoder + polar.phase, encoder + equatorial.phase
-    return misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta) - misalignment(polar, c1) * np.cos(c1) * np.tan(eta)
+    return misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta) - misalignment(polar, c1) * np.cos(
+        c1
+    ) * np.tan(eta)
 
 
 def spectrum(times: Array, values: Array) -> tuple[Array, Array]:

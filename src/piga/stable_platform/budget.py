@@ -103,7 +103,11 @@ def _row(run: Run, quiet: Errors, source: str, perturbation: Perturbation) -> Bu
     full = perturbed_errors(run, perturbation)
     step = float(full.times[1] - full.times[0])
     linear = linear_errors(
-        run.scenario.place, perturbation, float(full.times[-1]), step=step, damping_time=run.scenario.damping_time
+        run.scenario.place,
+        perturbation,
+        float(full.times[-1]),
+        step=step,
+        damping_time=run.scenario.damping_time,
     )[1:]
     north, east = full.north - quiet.north, full.east - quiet.east
     velocity = full.velocity - quiet.velocity
@@ -136,7 +140,10 @@ def monte_carlo(scenario: Scenario, seeds: int, *, workers: int | None = None) -
 
     def once(seed: int) -> dict[Model, tuple[float, float]]:
         found = compare(replace(scenario, seed=seed)).models
-        return {m: (float(r.lines.position.max()), float(r.lines.amplitude["east_velocity"][-1])) for m, r in found.items()}
+        return {
+            m: (float(r.lines.position.max()), float(r.lines.amplitude["east_velocity"][-1]))
+            for m, r in found.items()
+        }
 
     with ThreadPoolExecutor(workers or _cores()) as pool:
         results = list(pool.map(once, numbers))

@@ -88,7 +88,9 @@ def prepare(run: Run) -> Preparation:
         if c.attitude == "aligned":
             start = aligned.start(with_drift=False)
     drift = _drift(s, aligned)
-    return Preparation(known, Start(start.position, start.velocity, start.triad, drift), found, aligned, tuple(notes))
+    return Preparation(
+        known, Start(start.position, start.velocity, start.triad, drift), found, aligned, tuple(notes)
+    )
 
 
 def _drift(s: Scenario, aligned: Alignment | None) -> Array:

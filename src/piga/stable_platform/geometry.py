@@ -25,10 +25,14 @@ def harmonic_arrays(gyro: Gyro) -> tuple[Array, Array]:
 def misalignment(gyro: Gyro, angle: ArrayLike) -> Array:
     """``m(c) = m + sum_k a_k cos(k c + p_k)`` [rad] at case angles ``c`` [rad], phase included."""
     c = np.asarray(angle, dtype=float)
-    return gyro.misalignment + sum((h.amplitude * np.cos(h.order * c + h.phase) for h in gyro.harmonics), np.zeros_like(c))
+    return gyro.misalignment + sum(
+        (h.amplitude * np.cos(h.order * c + h.phase) for h in gyro.harmonics), np.zeros_like(c)
+    )
 
 
-def nulled_attitude(polar: Gyro, equatorial: Gyro, c1: ArrayLike, c2: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
+def nulled_attitude(
+    polar: Gyro, equatorial: Gyro, c1: ArrayLike, c2: ArrayLike, eta: ArrayLike
+) -> tuple[Array, Array]:
     """Exact ``C_G^P`` (n, 3, 3) and ring angle Y (n,) [rad] with both pick-offs nulled.
 
     ``c1, c2`` case angles with their phase and ``eta`` redundancy angle [rad], each (n,) or a scalar.
@@ -43,7 +47,9 @@ def nulled_attitude(polar: Gyro, equatorial: Gyro, c1: ArrayLike, c2: ArrayLike,
     return attitude, ring
 
 
-def small_angles(polar: Gyro, equatorial: Gyro, c1: ArrayLike, c2: ArrayLike, eta: ArrayLike) -> tuple[Array, Array]:
+def small_angles(
+    polar: Gyro, equatorial: Gyro, c1: ArrayLike, c2: ArrayLike, eta: ArrayLike
+) -> tuple[Array, Array]:
     """Small angles ``e`` (n, 3) of P against G and pick-off ``Y`` (n,) [rad], second order dropped [He2014].
 
     ``e_x = m1 cos c1, e_y = m1 sin c1, e_z = m2 sin c2 sec(eta) - m1 cos c1 tan(eta)``,

@@ -204,7 +204,9 @@ def _whole(step: Array, sources: tuple[str, ...], orders: int) -> Array:
     return step
 
 
-def _groups(readouts: Readouts, x: Unknowns, sources: tuple[str, ...], levels: list[float] | None) -> list[Group]:
+def _groups(
+    readouts: Readouts, x: Unknowns, sources: tuple[str, ...], levels: list[float] | None
+) -> list[Group]:
     """Rows of every source, cut to the unknowns that the sources together can see."""
     size = _size(sources, len(x.polar.cosines))
     groups = []
@@ -335,7 +337,9 @@ def _labels(orders: int) -> list[str]:
     labels = []
     for gyro in ("polar", "equatorial"):
         labels += [f"{gyro}.misalignment", f"{gyro}.phase"]
-        labels += [f"{gyro}.harmonic{k}.{what}" for k in range(1, orders + 1) for what in ("amplitude", "phase")]
+        labels += [
+            f"{gyro}.harmonic{k}.{what}" for k in range(1, orders + 1) for what in ("amplitude", "phase")
+        ]
     return labels
 
 
@@ -353,7 +357,9 @@ def _notes(vector: Array, covariance: Array, orders: int) -> tuple[str, ...]:
     half, std = 2 + 2 * orders, np.sqrt(np.diag(covariance))
     for start, gyro in ((0, "polar"), (half, "equatorial")):
         if np.hypot(vector[start], vector[start + 1]) < 3.0 * std[start : start + 2].max():
-            notes.append(f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing")
+            notes.append(
+                f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
+            )
         for k in range(1, orders + 1):
             at = start + 2 * k
             if np.hypot(vector[at], vector[at + 1]) < 3.0 * std[at : at + 2].max():

@@ -76,7 +76,9 @@ def modelled_angles(made: Compensator, readouts: Readouts) -> Array:
     return np.stack([ex, ey, ez], axis=1)
 
 
-def compensator(model: Model, known: Knowledge, readouts: Readouts, *, redundancy: str = "pick-off") -> Compensator:
+def compensator(
+    model: Model, known: Knowledge, readouts: Readouts, *, redundancy: str = "pick-off"
+) -> Compensator:
     """Prepare a model.
 
     Parameters
@@ -105,7 +107,9 @@ def compensator(model: Model, known: Knowledge, readouts: Readouts, *, redundanc
     return Compensator(model, tips, harmonics, eta)
 
 
-def follow_redundancy(readouts: Readouts, tips: Array, harmonics: tuple[Array, Array, Array, Array], known: Knowledge) -> Array:
+def follow_redundancy(
+    readouts: Readouts, tips: Array, harmonics: tuple[Array, Array, Array, Array], known: Knowledge
+) -> Array:
     """Redundancy angle (n + 1,) [rad] from the pick-off less ``m2 cos c2 - m1 sin c1``, smoothed without lag.
 
     A critically damped second-order tracker with a time constant of four case turns (eight minutes
@@ -115,7 +119,9 @@ def follow_redundancy(readouts: Readouts, tips: Array, harmonics: tuple[Array, A
     m1 = tips[4] + _series(harmonics[0], harmonics[1], c1, s1)
     m2 = tips[5] + _series(harmonics[2], harmonics[3], c2, s2)
     expected = m2 * (c2 * tips[2] - s2 * tips[3]) - m1 * (s1 * tips[0] + c1 * tips[1])
-    turned = abs(readouts.encoder1[min(len(c1) - 1, 64)] - readouts.encoder1[0]) / (min(len(c1) - 1, 64) * readouts.step)
+    turned = abs(readouts.encoder1[min(len(c1) - 1, 64)] - readouts.encoder1[0]) / (
+        min(len(c1) - 1, 64) * readouts.step
+    )
     constant = 4.0 * 2.0 * np.pi / turned if turned > 0.0 else 480.0
     decay = np.exp(-readouts.step / constant)
     eta = np.empty(len(c1))

@@ -68,10 +68,12 @@ def base_motion(scenario: Scenario) -> BaseMotion:
     DataError
         If the track file cannot be read, lacks a column or is shorter than the run.
     """
-    plan, times = scenario.motion, np.arange(scenario.steps + 1) * scenario.step
+    plan, times = scenario.motion, scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
     if plan.kind == "track":
         return _track(plan, scenario)
-    place, force, velocity = _around(scenario.place, plan.sway[3:], scenario) if plan.kind == "sway" else _rest(scenario)
+    place, force, velocity = (
+        _around(scenario.place, plan.sway[3:], scenario) if plan.kind == "sway" else _rest(scenario)
+    )
     return BaseMotion(force, _attitude(plan, times), place, velocity)
 
 
@@ -85,10 +87,14 @@ def _rest(scenario: Scenario) -> tuple[Array, Array, Array]:
 def _attitude(plan: MotionPlan, times: Array) -> Array:
     start = np.array([[plan.roll, plan.pitch, plan.heading]])
     if plan.kind == "turn":
-        heading = np.arctan2(np.sin(plan.heading + plan.turn_rate * times), np.cos(plan.heading + plan.turn_rate * times))
+        heading = np.arctan2(
+            np.sin(plan.heading + plan.turn_rate * times), np.cos(plan.heading + plan.turn_rate * times)
+        )
         return np.stack([np.full_like(times, plan.roll), np.full_like(times, plan.pitch), heading], axis=1)
     if plan.kind == "sway":
-        return start + np.stack([o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in plan.sway[:3]], axis=1)
+        return start + np.stack(
+            [o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in plan.sway[:3]], axis=1
+        )
     return start
 
 
@@ -128,7 +134,9 @@ def _track(plan: MotionPlan, scenario: Scenario) -> BaseMotion:
     path = CubicSpline(table["time"], earth_fixed)
     place, force, velocity = _felt(path(half), path(half, 1), path(half, 2))
     angles = np.stack([np.unwrap(table[k]) for k in ("roll", "pitch", "heading")], axis=1)
-    return BaseMotion(force, np.ascontiguousarray(CubicSpline(table["time"], angles)(half[::2])), place, velocity)
+    return BaseMotion(
+        force, np.ascontiguousarray(CubicSpline(table["time"], angles)(half[::2])), place, velocity
+    )
 
 
 def _read_track(path: Path) -> dict[str, Array]:
@@ -144,7 +152,9 @@ def _read_track(path: Path) -> dict[str, Array]:
     for key, names in _TRACK_COLUMNS.items():
         column = next((header.index(name) for name in names if name in header), None)
         if column is None:
-            raise DataError(f"[motion] file {path}: column '{names[0]}' is missing", remedy=f"columns: {_columns()}")
+            raise DataError(
+                f"[motion] file {path}: column '{names[0]}' is missing", remedy=f"columns: {_columns()}"
+            )
         table[key] = np.array([_number(path, line, row, column) for line, row in enumerate(rows[1:], start=2)])
         if key not in {"time", "height"}:
             table[key] = np.radians(table[key])

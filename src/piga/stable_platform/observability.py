@@ -45,7 +45,13 @@ def observability(readouts: Readouts, known: Identification) -> tuple[Observabil
     t = readouts.times[::every]
     encoders = (readouts.encoder1[::every], readouts.encoder2[::every])
     x = Unknowns(
-        Tip.of(known.polar, 0), Tip.of(known.equatorial, 0), known.eta0, known.eta_rate, np.eye(3), np.zeros(3), np.eye(3)
+        Tip.of(known.polar, 0),
+        Tip.of(known.equatorial, 0),
+        known.eta0,
+        known.eta_rate,
+        np.eye(3),
+        np.zeros(3),
+        np.eye(3),
     )
     e, pick = misalignment_regressors(x, t, *encoders)
     rows = {"x": e[:, 0, :4], "y": e[:, 1, :4], "z": e[:, 2, :4], "Y": pick[:, :4]}
@@ -84,5 +90,7 @@ def _sentence(separable: bool, hidden: Array, clean: Array, equal: bool) -> str:
         return f"does not see {', '.join(unseen)} at all; add the z axis or the pick-off"
     mixed = "; ".join(in_words(direction, UNKNOWNS) for direction in hidden)
     why = ": both cases turn at one speed, so that the two lines coincide" if equal else ""
-    cure = "add the other gimbal axes or the pick-off" + (", or turn the cases at unequal speeds" if equal else "")
+    cure = "add the other gimbal axes or the pick-off" + (
+        ", or turn the cases at unequal speeds" if equal else ""
+    )
     return f"cannot tell apart {mixed}{why}; {cure}"

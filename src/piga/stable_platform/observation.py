@@ -221,7 +221,8 @@ def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unkn
     triad = _triad(seen) @ _triad(known).T
     zero = Tip(0.0, 0.0, np.zeros(orders), np.zeros(orders))
     base = triad.T @ gimbal_attitude(readouts.gimbals[0])
-    return Unknowns(zero, zero, float(readouts.pickoff.mean()), 0.0, triad, np.zeros(3), base)
+    rate, eta0 = np.polyfit(readouts.times, readouts.pickoff, 1)
+    return Unknowns(zero, zero, float(eta0), float(rate), triad, np.zeros(3), base)
 
 
 def _triad(pair: list[Array]) -> Array:

@@ -35,7 +35,9 @@ def readouts_table(r: Readouts) -> pa.Table:
     height = r.altitude if len(r.altitude) > 1 else np.full(len(r.times), r.altitude[0])
     columns = {"t": (r.times, "s")}
     columns |= {f"dv{axis}": (since[:, k], "m/s") for k, axis in enumerate("xyz")}
-    columns |= {f"gimbal_{name}": (r.gimbals[:, k], "rad") for k, name in enumerate(("outer", "middle", "inner"))}
+    columns |= {
+        f"gimbal_{name}": (r.gimbals[:, k], "rad") for k, name in enumerate(("outer", "middle", "inner"))
+    }
     columns |= {
         "pickoff": (r.pickoff, "rad"),
         "case_polar": (r.encoder1, "rad"),
@@ -55,7 +57,11 @@ def truth_table(run: Run) -> pa.Table:
     place, velocity, attitude = full(motion.place), full(motion.velocity), full(motion.attitude)
     columns = {"t": (run.readouts.times, "s"), "eta": (run.truth.eta, "rad")}
     columns |= {f"f{axis}": (run.truth.force[:, k], "m/s^2") for k, axis in enumerate("xyz")}
-    columns |= {"latitude": (place[:, 0], "rad"), "longitude": (place[:, 1], "rad"), "height": (place[:, 2], "m")}
+    columns |= {
+        "latitude": (place[:, 0], "rad"),
+        "longitude": (place[:, 1], "rad"),
+        "height": (place[:, 2], "m"),
+    }
     columns |= {f"v_{name}": (velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))}
     columns |= {name: (attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))}
     return _table(columns)
@@ -69,8 +75,12 @@ def navigation_table(run: ModelRun) -> pa.Table:
     columns = {"t": (run.navigation.times, "s")}
     columns |= {name: (t[:, k], unit) for k, (name, unit) in enumerate(zip(names, units, strict=True))}
     columns |= {"error_north": (e.north, "m"), "error_east": (e.east, "m"), "error_up": (e.up, "m")}
-    columns |= {f"error_v_{name}": (e.velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))}
-    columns |= {f"error_{name}": (e.attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))}
+    columns |= {
+        f"error_v_{name}": (e.velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))
+    }
+    columns |= {
+        f"error_{name}": (e.attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))
+    }
     return _table(columns)
 
 
@@ -78,8 +88,14 @@ def identification_document(found: Identification, sources: Sequence[Observabili
     """JSON document of ``piga platform identify``."""
     return {
         "sources": list(found.sources),
-        "parameters": [{"name": p.name, "value": p.value, "std": p.std, "unit": p.unit} for p in found.parameters],
-        "covariance": {"names": list(found.names), "values": found.values.tolist(), "matrix": found.covariance.tolist()},
+        "parameters": [
+            {"name": p.name, "value": p.value, "std": p.std, "unit": p.unit} for p in found.parameters
+        ],
+        "covariance": {
+            "names": list(found.names),
+            "values": found.values.tolist(),
+            "matrix": found.covariance.tolist(),
+        },
         "noise": found.noise,
         "degrees_of_freedom": found.degrees_of_freedom,
         "condition": found.condition,
@@ -88,7 +104,9 @@ def identification_document(found: Identification, sources: Sequence[Observabili
             {
                 "source": o.source,
                 "condition": o.condition if np.isfinite(o.condition) else None,
-                "std_rad": {n: (float(v) if v < 1.0 else None) for n, v in zip(MISALIGNMENTS, o.std, strict=True)},
+                "std_rad": {
+                    n: (float(v) if v < 1.0 else None) for n, v in zip(MISALIGNMENTS, o.std, strict=True)
+                },
                 "separable": o.separable,
                 "verdict": o.sentence,
             }

@@ -180,7 +180,9 @@ def load_scenario(path: Path) -> Scenario:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RunFileError(f"{path}: not a valid TOML file: {error}") from None
     except msgspec.ValidationError as error:
-        raise RunFileError(f"{path}: {error}", remedy="see examples/platform-published.toml for every key") from None
+        raise RunFileError(
+            f"{path}: {error}", remedy="see examples/platform-published.toml for every key"
+        ) from None
     return _Reader(path).scenario(parsed)
 
 
@@ -263,7 +265,9 @@ class _Reader:
         rates = []
         for period, key in ((c.period, "period"), (c.equatorial_period or c.period, "equatorial_period")):
             at_rest = period == "none"
-            rates.append(0.0 if at_rest else 2.0 * math.pi / self.positive(period, "s", f"[case_rotation] {key}"))
+            rates.append(
+                0.0 if at_rest else 2.0 * math.pi / self.positive(period, "s", f"[case_rotation] {key}")
+            )
         return Rotation(rates[0], turns), Rotation(rates[1], turns)
 
     def gyro(self, g: GyroFile, name: str) -> Gyro:
@@ -336,7 +340,9 @@ class _Reader:
     def compensation(self, f: ScenarioFile) -> Compensation:
         c = f.compensation
         if not c.models:
-            raise RunFileError(f"{self.path}: [compensation] models is empty", remedy="name one of none, A, B, C")
+            raise RunFileError(
+                f"{self.path}: [compensation] models is empty", remedy="name one of none, A, B, C"
+            )
         static = f.motion.kind == "static"
         attitude = c.attitude or ("aligned" if static else "true")
         if not static and (attitude == "aligned" or c.drift == "aligned"):
