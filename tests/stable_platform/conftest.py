@@ -33,11 +33,12 @@ def published(**changes) -> Scenario:
 
 def wobbling(**changes) -> Scenario:
     """The published case with wobble and readout noise."""
-    harmonics = (Harmonic(2, 0.25 * ARCMIN, 60.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 130.0 * DEG))
+    polar = (Harmonic(2, 0.3 * ARCMIN, 60.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 130.0 * DEG))
+    equatorial = (Harmonic(2, 0.3 * ARCMIN, 100.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 10.0 * DEG))
     noise = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-5)
     values = {
-        "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG, harmonics),
-        "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, harmonics, drift=(0.01 * DEG / 3600.0, 0.0)),
+        "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG, polar),
+        "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, equatorial, drift=(0.01 * DEG / 3600.0, 0.0)),
         "sensors": noise,
     }
     return published(**(values | changes))

@@ -59,7 +59,9 @@ def test_the_covariance_is_that_of_repeated_alignments():
 
 
 def test_the_aligned_triad_starts_the_navigation():
-    s = _scenario(duration=7200.0, sensors=Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-6))
+    s = _scenario(
+        duration=7200.0, sensors=Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-6)
+    )
     run = simulate(s)
     known = identify(run.readouts, s.place).knowledge
     found = align(run.readouts, s.place, known)

@@ -70,7 +70,14 @@ def test_comparison_json_is_as_promised(capsys, monkeypatch, scenario):
     code, streams = _run(capsys, monkeypatch, "compare", scenario, "--json")
     document = json.loads(streams.out)
     assert code == 0
-    keys = {"day", "east_velocity_line_m_s", "north_velocity_line_m_s", "heading_line_arcmin", "roll_line_arcmin", "position_error_m"}
+    keys = {
+        "day",
+        "east_velocity_line_m_s",
+        "north_velocity_line_m_s",
+        "heading_line_arcmin",
+        "roll_line_arcmin",
+        "position_error_m",
+    }
     for part in ("models", "theory"):
         assert set(document[part]) == {"none", "A", "B", "C"}
         for model in document[part].values():
@@ -79,7 +86,9 @@ def test_comparison_json_is_as_promised(capsys, monkeypatch, scenario):
 
 
 def test_budget_and_seeds_are_added_on_request(capsys, monkeypatch, scenario, tmp_path):
-    code, streams = _run(capsys, monkeypatch, "compare", scenario, "--out", tmp_path, "--json", "--budget", "--seeds", 2)
+    code, streams = _run(
+        capsys, monkeypatch, "compare", scenario, "--out", tmp_path, "--json", "--budget", "--seeds", 2
+    )
     document = json.loads(streams.out)
     assert code == 0
     assert document["budget"][-1]["source"] == "all together"

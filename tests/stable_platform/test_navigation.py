@@ -13,7 +13,13 @@ from piga._kernels.platform_navigation import gravitation as kernel_gravitation
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
 from piga.stable_platform import Navigator, Start, compensator, errors, navigate, simulate, true_knowledge
-from piga.stable_platform.geodesy import KERNEL_EARTH, earth_to_geodetic, geodetic_to_earth, gravitation, local_axes
+from piga.stable_platform.geodesy import (
+    KERNEL_EARTH,
+    earth_to_geodetic,
+    geodetic_to_earth,
+    gravitation,
+    local_axes,
+)
 from piga.stable_platform.geometry import gimbal_attitude, small_angle_attitude
 from piga.stable_platform.models import modelled_angles
 from piga.stable_platform.navigation import true_start
@@ -56,7 +62,9 @@ def _orbit(step, steps, tilt=0.7):
 def _energy(r, v):
     d = np.linalg.norm(r, axis=1)
     legendre = 1.5 * (r[:, 2] / d) ** 2 - 0.5
-    return 0.5 * np.sum(v * v, axis=1) - earth.GM / d * (1.0 - earth.J2 * (earth.SEMI_MAJOR_AXIS / d) ** 2 * legendre)
+    return 0.5 * np.sum(v * v, axis=1) - earth.GM / d * (
+        1.0 - earth.J2 * (earth.SEMI_MAJOR_AXIS / d) ** 2 * legendre
+    )
 
 
 def test_a_free_orbit_keeps_energy_and_polar_angular_momentum():
@@ -81,10 +89,16 @@ def test_chunks_do_not_change_the_result():
     made = compensator("B", true_knowledge(s), run.readouts)
     z1, z2 = run.readouts.case_middles
     tangent, secant = (v[1:] for v in made.tangent_secant())
-    whole = Navigator(made, true_start(run.truth), 2.0).push(run.readouts.increments, z1, z2, tangent, secant, np.zeros(1))
+    whole = Navigator(made, true_start(run.truth), 2.0).push(
+        run.readouts.increments, z1, z2, tangent, secant, np.zeros(1)
+    )
     navigator, rows = Navigator(made, true_start(run.truth), 2.0), []
     for part in (slice(0, 2), slice(2, 131), slice(131, 300)):
-        rows.append(navigator.push(run.readouts.increments[part], z1[part], z2[part], tangent[part], secant[part], np.zeros(1))[0])
+        rows.append(
+            navigator.push(
+                run.readouts.increments[part], z1[part], z2[part], tangent[part], secant[part], np.zeros(1)
+            )[0]
+        )
     np.testing.assert_array_equal(np.concatenate(rows), whole[0])
 
 
@@ -97,7 +111,9 @@ def test_rows_can_be_thinned_but_must_divide():
     run = simulate(s)
     navigator = Navigator(compensator("none", true_knowledge(s), run.readouts), true_start(run.truth), 2.0)
     with pytest.raises(ArgumentError, match="not a multiple"):
-        navigator.push(run.readouts.increments, *run.readouts.case_middles, np.zeros(1), np.ones(1), np.zeros(1), 7)
+        navigator.push(
+            run.readouts.increments, *run.readouts.case_middles, np.zeros(1), np.ones(1), np.zeros(1), 7
+        )
 
 
 def test_the_vertical_channel_is_unstable_alone_and_damped_by_altitude():
@@ -128,7 +144,9 @@ def test_height_and_normal_are_those_of_the_ellipsoid():
 
 
 def test_what_is_shown_follows_from_the_matrices():
-    s = published(duration=600.0, step=2.0, triad=(0.01, 0.02, -0.03), motion=MotionPlan(roll=0.1, pitch=0.2, heading=2.5))
+    s = published(
+        duration=600.0, step=2.0, triad=(0.01, 0.02, -0.03), motion=MotionPlan(roll=0.1, pitch=0.2, heading=2.5)
+    )
     run, shown = _navigated(s, "B")
     made = compensator("B", true_knowledge(s), run.readouts)
     k = 250
@@ -142,7 +160,9 @@ def test_what_is_shown_follows_from_the_matrices():
     np.testing.assert_allclose(shown.table[k, 3:6], axes.T @ v, atol=1e-11)
     e = modelled_angles(made, run.readouts)[k + 1]
     triad = run.truth.triad_start
-    base = axes.T @ to_earth @ triad.T @ small_angle_attitude(e).T @ gimbal_attitude(run.readouts.gimbals[k + 1])
+    base = (
+        axes.T @ to_earth @ triad.T @ small_angle_attitude(e).T @ gimbal_attitude(run.readouts.gimbals[k + 1])
+    )
     roll, pitch, heading = shown.table[k, 6:]
     level = axis_turn(0, roll) @ axis_turn(1, pitch) @ axis_turn(2, heading)
     np.testing.assert_allclose(level.T, base, atol=3e-6)
@@ -150,7 +170,10 @@ def test_what_is_shown_follows_from_the_matrices():
 
 
 def test_a_swaying_base_is_followed():
-    sway = tuple(Oscillation(a, p) for a, p in ((0.05, 9.0), (0.03, 7.0), (0.02, 13.0), (0.5, 20.0), (0.4, 16.0), (0.3, 12.0)))
+    sway = tuple(
+        Oscillation(a, p)
+        for a, p in ((0.05, 9.0), (0.03, 7.0), (0.02, 13.0), (0.5, 20.0), (0.4, 16.0), (0.3, 12.0))
+    )
     s = published(duration=600.0, step=0.5, motion=MotionPlan("sway", sway=sway)).without_errors()
     run = simulate(s)
     readouts = replace(run.readouts, altitude=np.zeros(1))
@@ -176,4 +199,6 @@ def test_a_known_drift_is_taken_out():
 
 def test_the_kernel_gravitation_is_that_of_the_field():
     r = np.array([4.1e6, -1.0e6, 4.8e6])
-    np.testing.assert_allclose(kernel_gravitation(*r, KERNEL_EARTH[0], KERNEL_EARTH[1])[:3], gravitation(r), rtol=1e-15)
+    np.testing.assert_allclose(
+        kernel_gravitation(*r, KERNEL_EARTH[0], KERNEL_EARTH[1])[:3], gravitation(r), rtol=1e-15
+    )

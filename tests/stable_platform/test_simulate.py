@@ -53,7 +53,11 @@ def test_gravity_differs_from_the_closed_normal_formula_by_the_j4_term_only(lati
 
 
 def test_geodetic_conversion_closes():
-    lat, lon, h = np.radians([10.0, -52.0, 84.0]), np.radians([170.0, -3.0, 20.0]), np.array([-100.0, 0.0, 9000.0])
+    lat, lon, h = (
+        np.radians([10.0, -52.0, 84.0]),
+        np.radians([170.0, -3.0, 20.0]),
+        np.array([-100.0, 0.0, 9000.0]),
+    )
     back = earth_to_geodetic(geodetic_to_earth(lat, lon, h))
     np.testing.assert_allclose(back[0], lat, atol=1e-15)
     np.testing.assert_allclose(back[1], lon, atol=1e-15)
@@ -65,7 +69,10 @@ def test_readouts_follow_from_geometry_and_attitude_alone():
     s = published(**SHORT, triad=(0.02, -0.01, 0.03), motion=MotionPlan(roll=0.1, pitch=-0.2, heading=0.5))
     run = simulate(s)
     t, k = run.readouts.times, 377
-    c1, c2 = encoder_angle(s.polar_rotation, t) + s.polar.phase, encoder_angle(s.equatorial_rotation, t) + s.equatorial.phase
+    c1, c2 = (
+        encoder_angle(s.polar_rotation, t) + s.polar.phase,
+        encoder_angle(s.equatorial_rotation, t) + s.equatorial.phase,
+    )
     eta = s.equatorial.drift[0] * t
     attitude, ring = nulled_attitude(s.polar, s.equatorial, c1, c2, eta)
     np.testing.assert_allclose(run.readouts.pickoff, ring, atol=1e-15)
@@ -73,7 +80,9 @@ def test_readouts_follow_from_geometry_and_attitude_alone():
     to_inertial = axis_turn(2, -earth.EARTH_RATE * t[k])
     level = axis_turn(0, 0.1) @ axis_turn(1, -0.2) @ axis_turn(2, 0.5)
     base = local_axes(s.place.latitude, s.place.longitude) @ level.T
-    np.testing.assert_allclose(gimbal_attitude(run.readouts.gimbals[k]), attitude[k] @ triad @ to_inertial @ base, atol=1e-14)
+    np.testing.assert_allclose(
+        gimbal_attitude(run.readouts.gimbals[k]), attitude[k] @ triad @ to_inertial @ base, atol=1e-14
+    )
     force = specific_force_at_rest(geodetic_to_earth(s.place.latitude, s.place.longitude, 0.0))
     np.testing.assert_allclose(run.truth.force[k], attitude[k] @ triad @ to_inertial @ force, atol=1e-13)
 
@@ -87,7 +96,10 @@ def test_increments_are_the_integral_of_the_force():
 
 
 def test_drift_follows_its_differential_equation():
-    polar, equatorial = Gyro(drift=(2e-6, -1e-6), case_drift=(3e-6, 0.0)), Gyro(drift=(4e-6, 1e-6), case_drift=(0.0, 2e-6))
+    polar, equatorial = (
+        Gyro(drift=(2e-6, -1e-6), case_drift=(3e-6, 0.0)),
+        Gyro(drift=(4e-6, 1e-6), case_drift=(0.0, 2e-6)),
+    )
     s = published(duration=3000.0, step=2.0, polar=polar, equatorial=equatorial, redundancy=0.2)
     run = simulate(s)
     rate = s.polar_rotation.rate
@@ -127,7 +139,15 @@ def test_reversal_turns_back_after_so_many_turns():
 
 
 def test_sway_gives_the_force_of_its_acceleration():
-    plan = MotionPlan("sway", sway=(*[Oscillation(0.0, 10.0)] * 3, Oscillation(0.5, 20.0), Oscillation(0.0, 9.0), Oscillation(0.3, 8.0)))
+    plan = MotionPlan(
+        "sway",
+        sway=(
+            *[Oscillation(0.0, 10.0)] * 3,
+            Oscillation(0.5, 20.0),
+            Oscillation(0.0, 9.0),
+            Oscillation(0.3, 8.0),
+        ),
+    )
     s = published(duration=60.0, step=0.5, motion=plan)
     motion = base_motion(s)
     h = 0.5 * s.step
@@ -145,7 +165,11 @@ def test_track_is_read_and_felt(tmp_path):
     (tmp_path / "track.csv").write_text("\n".join(rows))
     s = published(duration=600.0, step=2.0, motion=MotionPlan("track", file=tmp_path / "track.csv"))
     motion = base_motion(s)
-    radius = 6378137.0 * (1 - earth.ECCENTRICITY_SQUARED) / (1 - earth.ECCENTRICITY_SQUARED * np.sin(40.03 * DEG) ** 2) ** 1.5
+    radius = (
+        6378137.0
+        * (1 - earth.ECCENTRICITY_SQUARED)
+        / (1 - earth.ECCENTRICITY_SQUARED * np.sin(40.03 * DEG) ** 2) ** 1.5
+    )
     assert motion.velocity[150, 0] == pytest.approx(1e-4 * DEG * (radius + 3.0), rel=1e-6)
     assert motion.velocity[150, 2] == pytest.approx(-0.01, abs=1e-6)
     assert motion.place[150, 0] == pytest.approx(40.03 * DEG, abs=1e-10)
@@ -167,8 +191,12 @@ def test_a_bad_track_is_refused_by_line_and_column(tmp_path, text, message):
 
 
 def test_noise_depends_on_the_seed_alone_and_has_the_size_asked_for():
-    s = published(**SHORT, sensors=Sensors(gimbal_noise=2 * ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4))
-    quiet, first, again, other = (simulate(x).readouts for x in (replace(s, sensors=Sensors()), s, s, replace(s, seed=2)))
+    s = published(
+        **SHORT, sensors=Sensors(gimbal_noise=2 * ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4)
+    )
+    quiet, first, again, other = (
+        simulate(x).readouts for x in (replace(s, sensors=Sensors()), s, s, replace(s, seed=2))
+    )
     np.testing.assert_array_equal(first.gimbals, again.gimbals)
     assert np.abs(first.gimbals - other.gimbals).max() > 0.0
     assert (first.gimbals - quiet.gimbals).std() == pytest.approx(2 * ARCSEC, rel=0.1)
