@@ -38,7 +38,7 @@ def synthetic() -> piga.Run:
     return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", resolution=count)
 
 
-def median_time(call, repeats: int = 7) -> float:  # noqa: ANN001 - any callable
+def median_time(call, repeats: int = 7) -> float:
     """Median seconds of ``repeats`` calls after one for warm-up."""
     call()
     times = []

@@ -1,4 +1,5 @@
 import pytest
+
 from tests.reports.example import calibration
 
 

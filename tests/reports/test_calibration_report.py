@@ -4,8 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from tests.reports.example import calibration
-from tests.reports.test_page import Checker
 
 from piga.reports.calibration import (
     calibration_figures,
@@ -15,6 +13,8 @@ from piga.reports.calibration import (
 )
 from piga.reports.calibration_figures import elapsed_time, residual_figure, scale_factor
 from piga.reports.page import Notice, Table, page_html
+from tests.reports.example import calibration
+from tests.reports.test_page import Checker
 
 
 def tables(page):

@@ -3,11 +3,11 @@ import math
 
 import numpy as np
 import pytest
-from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
 
 from piga.records.calibration import Residuals
 from piga.reports.orders import order_spectrum, ripple
 from piga.units import ARCSEC, G0
+from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
 
 MICRO_G = 1e-6 * G0
 

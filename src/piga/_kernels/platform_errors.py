@@ -5,12 +5,30 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga._kernels.jit import inline, kernel
 
+Array = NDArray[np.float64]
+
 
 @inline
-def error_rates(t, state, r0, f0, axes, attitude, drift, bias, height, gains, gm, j2a2, earth_rate, rate):
+def error_rates(
+    t: float,
+    state: Array,
+    r0: Array,
+    f0: Array,
+    axes: Array,
+    attitude: Array,
+    drift: Array,
+    bias: Array,
+    height: float,
+    gains: Array,
+    gm: float,
+    j2a2: float,
+    earth_rate: float,
+    rate: Array,
+) -> None:
     """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.stable_platform.error_model`."""
     c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
     x, y, z = c * r0[0] - s * r0[1], s * r0[0] + c * r0[1], r0[2]
@@ -35,7 +53,22 @@ def error_rates(t, state, r0, f0, axes, attitude, drift, bias, height, gains, gm
 
 
 @kernel
-def propagate_errors(start, r0, f0, axes, attitude, drift, bias, height, gains, gm, j2a2, earth_rate, h, out):
+def propagate_errors(
+    start: Array,
+    r0: Array,
+    f0: Array,
+    axes: Array,
+    attitude: Array,
+    drift: Array,
+    bias: Array,
+    height: float,
+    gains: Array,
+    gm: float,
+    j2a2: float,
+    earth_rate: float,
+    h: float,
+    out: Array,
+) -> None:
     """Errors (m, 6) in local axes (position n, e, d; velocity n, e, d relative to the Earth) every ``h`` seconds.
 
     ``start`` (6,) in inertial axes; ``r0, f0`` position and specific force of a base at rest and ``axes``

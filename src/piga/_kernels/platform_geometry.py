@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from piga._kernels.jit import inline, kernel
+
+Array = NDArray[np.float64]
 
 
 @inline
-def misalignment_at(constant, cosines, sines, c, s):
+def misalignment_at(constant: float, cosines: Array, sines: Array, c: float, s: float) -> float:
     """Misalignment ``m(c) = m + sum_k A_k cos(k c) + B_k sin(k c)`` [rad] from ``c, s = cos, sin`` of the angle."""
     total = constant
     ck, sk = 1.0, 0.0
@@ -23,7 +28,18 @@ def misalignment_at(constant, cosines, sines, c, s):
 
 
 @inline
-def nulled_platform(sin_m1, cos_m1, s1, c1, sin_m2, cos_m2, s2, c2, eta, out):
+def nulled_platform(
+    sin_m1: float,
+    cos_m1: float,
+    s1: float,
+    c1: float,
+    sin_m2: float,
+    cos_m2: float,
+    s2: float,
+    c2: float,
+    eta: float,
+    out: Array,
+) -> float:
     """Exact attitude ``C_G^P`` (into ``out`` (3, 3)) and redundancy-ring angle Y [rad], both pick-offs nulled.
 
     Polar tip in P: ``n1 = (-sin m1 sin c1, sin m1 cos c1, cos m1)``; equatorial tip in the ring:
@@ -47,7 +63,7 @@ def nulled_platform(sin_m1, cos_m1, s1, c1, sin_m2, cos_m2, s2, c2, eta, out):
 
 
 @inline
-def multiply(a, b, out):
+def multiply(a: Array, b: Array, out: Array) -> None:
     """``out = a @ b`` for 3 by 3 matrices, without allocation."""
     for i in range(3):
         for j in range(3):
@@ -55,7 +71,7 @@ def multiply(a, b, out):
 
 
 @inline
-def turn_about_pole(c, s, m, out):
+def turn_about_pole(c: float, s: float, m: Array, out: Array) -> None:
     """``out = C_e^i @ m``: Earth axes turned by the angle with cosine ``c`` and sine ``s`` about z."""
     for j in range(3):
         out[0, j] = c * m[0, j] - s * m[1, j]
@@ -64,7 +80,9 @@ def turn_about_pole(c, s, m, out):
 
 
 @inline
-def body_to_earth(roll, pitch, heading, latitude, longitude, work, out):
+def body_to_earth(
+    roll: float, pitch: float, heading: float, latitude: float, longitude: float, work: Array, out: Array
+) -> None:
     """``C_b^e`` from attitude and place [rad]; ``work`` (3, 3) is overwritten with ``C_b^n``."""
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     ch, sh = math.cos(heading), math.sin(heading)
@@ -80,7 +98,7 @@ def body_to_earth(roll, pitch, heading, latitude, longitude, work, out):
 
 
 @inline
-def gimbal_angles(c_bp, out):
+def gimbal_angles(c_bp: Array, out: Array) -> None:
     """Gimbal angles (outer psi, middle theta, inner sigma) [rad] of ``C_b^P = R3(sigma) R2(theta) R3(psi)``."""
     out[0] = math.atan2(c_bp[2, 1], c_bp[2, 0])
     out[1] = math.atan2(math.hypot(c_bp[2, 0], c_bp[2, 1]), c_bp[2, 2])
@@ -88,7 +106,7 @@ def gimbal_angles(c_bp, out):
 
 
 @inline
-def case_angle(t, rate, turns):
+def case_angle(t: float, rate: float, turns: float) -> float:
     """Case angle from its start [rad]: ``rate t``, or back and forth when ``turns`` > 0 (reversal)."""
     angle = rate * t
     if turns <= 0:
@@ -99,7 +117,19 @@ def case_angle(t, rate, turns):
 
 
 @kernel
-def exact_geometry_series(m1, a1, b1, c1, m2, a2, b2, c2, eta, attitude, ring):
+def exact_geometry_series(
+    m1: float,
+    a1: Array,
+    b1: Array,
+    c1: Array,
+    m2: float,
+    a2: Array,
+    b2: Array,
+    c2: Array,
+    eta: Array,
+    attitude: Array,
+    ring: Array,
+) -> None:
     """Exact ``C_G^P`` (n, 3, 3) and ring angle (n,) for case angles ``c1, c2`` (n,) and ``eta`` (n,)."""
     for i in range(c1.shape[0]):
         s1, k1, s2, k2 = math.sin(c1[i]), math.cos(c1[i]), math.sin(c2[i]), math.cos(c2[i])

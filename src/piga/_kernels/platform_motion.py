@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from piga._kernels.jit import inline, kernel
 from piga._kernels.platform_geometry import (
     body_to_earth,
@@ -15,9 +18,13 @@ from piga._kernels.platform_geometry import (
     turn_about_pole,
 )
 
+Array = NDArray[np.float64]
+
 
 @inline
-def drift_triad(c_ig, rates, eta, s1, c1, s2, c2, h):
+def drift_triad(
+    c_ig: Array, rates: Array, eta: float, s1: float, c1: float, s2: float, c2: float, h: float
+) -> float:
     """Turn ``C_i^G`` (3, 3) in place by the gyros' drift over ``h``; returns the new eta [He2014].
 
     ``rates`` (8,): w1x, w1y, w2y, w2z that stay in G axes, then the same four in case axes.
@@ -27,7 +34,8 @@ def drift_triad(c_ig, rates, eta, s1, c1, s2, c2, h):
     wy = rates[1] + s1 * rates[4] + c1 * rates[5]
     w2y = rates[2] + c2 * rates[6] - s2 * rates[7]
     w2z = rates[3] + s2 * rates[6] + c2 * rates[7]
-    wz = (w2z - wx * math.sin(eta)) / math.cos(eta)
+    middle = eta + 0.5 * (w2y - wy) * h
+    wz = (w2z - wx * math.sin(middle)) / math.cos(middle)
     x, y, z = wx * h, wy * h, wz * h
     for j in range(3):
         a, b, c = c_ig[0, j], c_ig[1, j], c_ig[2, j]
@@ -40,17 +48,40 @@ def drift_triad(c_ig, rates, eta, s1, c1, s2, c2, h):
 
 
 @inline
-def platform_at(angle1, angle2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip):
-    """Exact ``C_i^P`` at one instant; returns the ring angle and the four case sines and cosines."""
-    s1, k1, s2, k2 = math.sin(angle1), math.cos(angle1), math.sin(angle2), math.cos(angle2)
+def platform_at(
+    s1: float,
+    k1: float,
+    s2: float,
+    k2: float,
+    gyro: Array,
+    a1: Array,
+    b1: Array,
+    a2: Array,
+    b2: Array,
+    eta: float,
+    c_ig: Array,
+    c_gp: Array,
+    c_ip: Array,
+) -> float:
+    """Exact ``C_i^P`` at one instant, from sine and cosine of both case angles; returns the ring angle."""
     m1, m2 = misalignment_at(gyro[0], a1, b1, k1, s1), misalignment_at(gyro[2], a2, b2, k2, s2)
     ring = nulled_platform(math.sin(m1), math.cos(m1), s1, k1, math.sin(m2), math.cos(m2), s2, k2, eta, c_gp)
     multiply(c_gp, c_ig, c_ip)
-    return ring, s1, k1, s2, k2
+    return ring
 
 
 @inline
-def force_in_platform(t, earth_rate, c_ip, f_e, row):
+def case_phasors(t: float, case: Array, gyro: Array) -> tuple[float, float, float, float]:
+    """Sine and cosine of the polar, then of the equatorial case angle, phases included."""
+    first = case_angle(t, case[0], case[1]) + gyro[1]
+    second = case_angle(t, case[2], case[3]) + gyro[3]
+    return math.sin(first), math.cos(first), math.sin(second), math.cos(second)
+
+
+@inline
+def force_in_platform(
+    t: float, earth_rate: float, c_ip: Array, f_e: Array, row: int
+) -> tuple[float, float, float]:
     """Specific force in P axes from its Earth-axes components."""
     c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
     fx, fy, fz = c * f_e[row, 0] - s * f_e[row, 1], s * f_e[row, 0] + c * f_e[row, 1], f_e[row, 2]
@@ -62,8 +93,30 @@ def force_in_platform(t, earth_rate, c_ip, f_e, row):
 
 
 @kernel
-def simulate_platform(gyro, a1, b1, a2, b2, rates, case, f_e, attitude, place, earth_rate, start, h, c_ig, eta,
-                      work, dv, force, gimbals, ring, eta_out, spin):  # fmt: skip
+def simulate_platform(
+    gyro: Array,
+    a1: Array,
+    b1: Array,
+    a2: Array,
+    b2: Array,
+    rates: Array,
+    case: Array,
+    f_e: Array,
+    attitude: Array,
+    place: Array,
+    earth_rate: float,
+    start: float,
+    h: float,
+    c_ig: Array,
+    eta: float,
+    work: Array,
+    dv: Array,
+    force: Array,
+    gimbals: Array,
+    ring: Array,
+    eta_out: Array,
+    spin: Array,
+) -> float:
     """True readouts over ``n = dv.shape[0]`` steps of ``h``; node ``k`` is at ``start + k h``. Returns the last eta.
 
     ``gyro`` (4,) m1, phase 1, m2, phase 2; ``a1 .. b2`` harmonics [rad]; ``rates`` (8,) see
@@ -81,11 +134,10 @@ def simulate_platform(gyro, a1, b1, a2, b2, rates, case, f_e, attitude, place, e
     c_gp, c_ip, c_be, c_bi, c_bp, before = work[0], work[1], work[2], work[3], work[4], work[5]
     body_to_earth(attitude[0, 0], attitude[0, 1], attitude[0, 2], place[0, 0], place[0, 1], c_bi, c_be)
     gx = gy = gz = mx = my = mz = 0.0
+    s1, k1, s2, k2 = case_phasors(start, case, gyro)
     for i in range(n + 1):
         t = start + i * h
-        angle1 = case_angle(t, case[0], case[1]) + gyro[1]
-        angle2 = case_angle(t, case[2], case[3]) + gyro[3]
-        ring_angle, s1, k1, s2, k2 = platform_at(angle1, angle2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
+        ring_angle = platform_at(s1, k1, s2, k2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
         fx, fy, fz = force_in_platform(t, earth_rate, c_ip, f_e, 2 * i * force_stride)
         if i > 0:
             dv[i - 1, 0] = h / 6.0 * (gx + 4.0 * mx + fx)
@@ -112,10 +164,14 @@ def simulate_platform(gyro, a1, b1, a2, b2, rates, case, f_e, attitude, place, e
             before[:, :] = c_ip
         gx, gy, gz = fx, fy, fz
         middle = t + 0.5 * h
-        angle1 = case_angle(middle, case[0], case[1]) + gyro[1]
-        angle2 = case_angle(middle, case[2], case[3]) + gyro[3]
-        eta = drift_triad(c_ig, rates, eta, s1, k1, s2, k2, 0.5 * h)
-        _, s1, k1, s2, k2 = platform_at(angle1, angle2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
+        p1, q1, p2, q2 = case_phasors(middle, case, gyro)
+        eta = drift_triad(
+            c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
+        )
+        platform_at(p1, q1, p2, q2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
         mx, my, mz = force_in_platform(middle, earth_rate, c_ip, f_e, (2 * i + 1) * force_stride)
-        eta = drift_triad(c_ig, rates, eta, s1, k1, s2, k2, 0.5 * h)
+        s1, k1, s2, k2 = case_phasors(t + h, case, gyro)
+        eta = drift_triad(
+            c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
+        )
     return eta

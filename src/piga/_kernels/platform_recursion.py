@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from piga._kernels.jit import kernel
+
+Array = NDArray[np.float64]
 
 
 @kernel
-def sequential_factor(rows, prior, kept, factors):
+def sequential_factor(rows: Array, prior: float, kept: NDArray[np.int64], factors: Array) -> None:
     """Take in ``rows`` (n, r, p + 1) = [regressors | residual] by Givens turns.
 
     The triangular factor (p + 1, p + 1) starts at ``prior`` times the unit matrix and is copied to

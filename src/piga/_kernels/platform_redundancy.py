@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from piga._kernels.jit import kernel
+
+Array = NDArray[np.float64]
 
 
 @kernel
-def follow(pickoff, expected, start, rate, step, gain, rate_gain, out):
+def follow(
+    pickoff: Array,
+    expected: Array,
+    start: float,
+    rate: float,
+    step: float,
+    gain: float,
+    rate_gain: float,
+    out: Array,
+) -> None:
     """Second-order tracker of ``pickoff - expected`` [rad]; ``out`` (n,) is the redundancy angle, no lag on a ramp."""
     value = start
     for i in range(pickoff.shape[0]):

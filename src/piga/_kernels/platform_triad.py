@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from piga._kernels.jit import inline, kernel
 from piga._kernels.motion import step_functions
 
+Array = NDArray[np.float64]
+
 
 @inline
-def gimbal_step(p, q, a, y, z):
+def gimbal_step(p: float, q: float, a: float, y: float, z: float) -> float:
     """Increment of the gimbal angle [rad], below half a turn, for increments ``a, y, z`` of the input [rad]."""
     c, s = step_functions(0.25 * (y * y + z * z - a * a))
     s *= 0.5
@@ -19,7 +24,9 @@ def gimbal_step(p, q, a, y, z):
 
 
 @inline
-def mean_sine_cosine(sine0, cosine0, sine1, cosine1, turned):
+def mean_sine_cosine(
+    sine0: float, cosine0: float, sine1: float, cosine1: float, turned: float
+) -> tuple[float, float]:
     """Means of sine and cosine over an angle that runs evenly from one end to the other (Filon's rule)."""
     if abs(turned) < 1e-3:
         return 0.5 * (sine0 + sine1), 0.5 * (cosine0 + cosine1)
@@ -27,7 +34,16 @@ def mean_sine_cosine(sine0, cosine0, sine1, cosine1, turned):
 
 
 @kernel
-def solve_triad(alpha, axes, scale, tan_beta, step, sweeps, work, increments):
+def solve_triad(
+    alpha: Array,
+    axes: Array,
+    scale: Array,
+    tan_beta: Array,
+    step: float,
+    sweeps: int,
+    work: Array,
+    increments: Array,
+) -> None:
     """Velocity increments (n, 3) [m/s] that turn three gimbals as measured.
 
     ``alpha`` (3, n + 1) measured angles [rad], ``axes`` (3, 3, 3): rows X0, Y0, Z0 of each instrument in
@@ -37,7 +53,7 @@ def solve_triad(alpha, axes, scale, tan_beta, step, sweeps, work, increments):
     """
     fx = fy = fz = 0.0
     for k in range(increments.shape[0]):
-        for sweep in range(sweeps):
+        for _ in range(sweeps):
             for i in range(3):
                 start, end = alpha[i, k], alpha[i, k + 1]
                 s0, c0, s1, c1 = math.sin(start), math.cos(start), math.sin(end), math.cos(end)

@@ -133,8 +133,11 @@ def comparison_page(
     s = comparison.run.scenario
     sections = [
         Section("Lines at the case-rotation period", "lines", (
-            Text(_lines_sentence(comparison), lead=True), FigureBlock(lines_figure(comparison)), _line_table(comparison))),
-        Section("Ten minutes and ten days", "histories", (
+            Text(_lines_sentence(comparison), lead=True), FigureBlock(lines_figure(comparison)),
+            _line_table(comparison, "east_velocity", "East velocity line", "mm/s", 1e3),
+            _line_table(comparison, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
+            _line_table(comparison, "roll", "Roll line", "arcmin", 1.0 / ARCMIN))),
+        Section("Forty minutes and the whole run", "histories", (
             FigureBlock(published_figure(comparison)), FigureBlock(histories_figure(comparison)))),
         Section("Spectrum and position", "spectrum", (
             FigureBlock(spectrum_figure(comparison)), FigureBlock(position_figure(comparison)))),
@@ -158,8 +161,8 @@ def capstone_page(found: Capstone) -> Page:
     )
     story = (
         f"The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the horizontal twice "
-        f"a sidereal day, and each instrument locks for {short(float(raw.locked_per_day.max()))} s a day. Read as alpha'/K, the "
-        f"three instruments put the navigator {short(raw.position)} m off: the locked zone, and the pulling either side of it.\n\n"
+        f"a sidereal day and is inside its locked zone for {short(float(raw.locked_per_day.max()))} s a day. {_passage_words(found)} "
+        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
         f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, with "
         f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three instruments give the force "
         f"back in any mounting: {short(solved.position)} m, against {short(found.outcomes['ideal'].position)} m with ideal ones."
@@ -376,30 +379,18 @@ def _lines_sentence(c: Comparison) -> str:
     return " ".join(parts)
 
 
-def _line_table(c: Comparison) -> Table:
-    columns = [Column("day", align="text")]
+def _line_table(c: Comparison, channel: str, heading: str, unit: str, scale: float) -> Table:
+    """One channel day by day: every model, and the theory of model A beside it."""
+    columns, values = [Column("day", align="text")], []
     for m, r in c.models.items():
-        columns += [
-            Column(f"{_model_name(m)}: east", "mm/s"),
-            Column("heading", "arcmin"),
-            Column("roll", "arcmin"),
-        ]
+        columns.append(Column(_model_name(m), unit))
+        values.append(r.lines.amplitude[channel] * scale)
         if r.theory is not None and m == "A":
-            columns.append(Column("theory, east", "mm/s"))
-    rows = []
-    for k, day in enumerate(next(iter(c.models.values())).lines.day):
-        row = [str(int(day))]
-        for m, r in c.models.items():
-            a = r.lines.amplitude
-            row += [
-                short(1e3 * float(a["east_velocity"][k])),
-                short(float(a["heading"][k] / ARCMIN)),
-                short(float(a["roll"][k] / ARCMIN)),
-            ]
-            if r.theory is not None and m == "A":
-                row.append(short(1e3 * float(r.theory.amplitude["east_velocity"][k])))
-        rows.append(tuple(row))
-    return Table(tuple(columns), tuple(rows))
+            columns.append(Column("theory of A", unit))
+            values.append(r.theory.amplitude[channel] * scale)
+    days = next(iter(c.models.values())).lines.day
+    rows = tuple((str(int(day)), *(short(float(v[k])) for v in values)) for k, day in enumerate(days))
+    return Table(tuple(columns), rows, caption=heading)
 
 
 def _budget_table(budget: Sequence[BudgetRow]) -> Table:
@@ -449,6 +440,16 @@ def _scatter_table(scatter: Scatter) -> Table:
         notes=(
             f"{len(scatter.seeds)} runs of the whole chain, seeds {scatter.seeds[0]} to {scatter.seeds[-1]}.",
         ),
+    )
+
+
+def _passage_words(found: Capstone) -> str:
+    p = found.passage
+    if p is None:
+        return "No instrument passes its locked zone here."
+    return (
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so slowly that "
+        f"its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
     )
 
 

@@ -73,8 +73,8 @@ def histories_figure(comparison: Comparison) -> Figure:
     times = next(iter(comparison.models.values())).errors.times
     axis, unit = time_axis(float(times[-1]))
     return _channels(comparison, slice(None), axis, unit, "fig-histories", "Navigation errors over the run",
-                     "The whole run. Without a model the case rotation dominates; the models leave the Schuler motion of "
-                     "the start and, for model A, a line that grows.", 0.0)  # fmt: skip
+                     "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
+                     "errors are some hundred times larger and would hide these.", 0.0, ("A", "B", "C"))  # fmt: skip
 
 
 def published_figure(comparison: Comparison) -> Figure:
@@ -112,7 +112,7 @@ def position_figure(comparison: Comparison) -> Figure:
     series = tuple(
         Series(
             run.errors.times / unit,
-            np.maximum(run.errors.horizontal, 1e-9),
+            np.maximum(_schuler_peak(run.errors.times, run.errors.horizontal), 1e-9),
             "no model" if m == "none" else f"model {m}",
             "line",
             MODEL_ROLES[m],
@@ -120,7 +120,7 @@ def position_figure(comparison: Comparison) -> Figure:
         for m, run in comparison.models.items()
     )
     return Figure("fig-position", "Horizontal position error", (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-                  "Distance between where the navigator says it is and where it is.")  # fmt: skip
+                  "Distance between where the navigator says it is and where it is; largest of 84 minutes.")  # fmt: skip
 
 
 def spectrum_figure(comparison: Comparison) -> Figure:
@@ -284,7 +284,7 @@ def passage_figure(found: Capstone) -> Figure | None:
                   (Series(minutes, (p.raw - p.true) * centre, "raw output", "line", "before"),
                    Series(minutes, (p.triad - p.true) * centre, "triad solved", "line", "after"))),
         ),
-        "Inside the zone the gimbal stands still although there is force to measure. Solving the three instruments with their effective axes gives the force back.",
+        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else averaged over each turn, keeps one sign for minutes. Solving the three instruments with their effective axes gives the force back.",
         height=2.6,
     )  # fmt: skip
 
@@ -299,7 +299,7 @@ def capstone_figure(found: Capstone) -> Figure:
     series = tuple(
         Series(
             o.errors.times / unit,
-            np.maximum(_hourly(o.errors.horizontal), 1e-4),
+            np.maximum(_schuler_peak(o.errors.times, o.errors.horizontal), 1e-4),
             name,
             "line",
             looks[name][0],
@@ -308,10 +308,11 @@ def capstone_figure(found: Capstone) -> Figure:
         for name, o in found.outcomes.items()
     )
     return Figure("fig-capstone", "Ten days with three gyro accelerometers", (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-                  "Largest error of the last 84 minutes.", height=3.6)  # fmt: skip
+                  "Largest error within each 84 minutes.", height=3.6)  # fmt: skip
 
 
-def _hourly(values: Array) -> Array:
+def _schuler_peak(times: Array, values: Array) -> Array:
+    """Largest value within 42 minutes either side."""
     from scipy.ndimage import maximum_filter1d
 
-    return maximum_filter1d(values, size=504)
+    return maximum_filter1d(values, size=max(1, round(84.4 * MINUTE / float(times[1] - times[0]))))

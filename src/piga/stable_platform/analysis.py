@@ -142,7 +142,7 @@ def _left_about_pole(scenario: Scenario, compensator: Compensator, known: Knowle
     """Amplitude [rad] at one cycle per case turn of the z angle that the model leaves at ``time``."""
     drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
     eta = scenario.redundancy + drift * time
-    angle = np.arange(256) * (2.0 * np.pi / 256)
+    angle = (2.0 * np.pi / 256) * np.arange(256, dtype=np.float64)
     equal = scenario.polar_rotation == scenario.equatorial_rotation
     second = scenario.equatorial if equal else Gyro()
     left = _about_pole(scenario.polar, second, angle, eta)

@@ -1,8 +1,13 @@
 """Three gyro accelerometers on the space-stable platform: what the locked zone does, and what recovers it.
 
 On a platform fixed in inertial space gravity runs round a cone once a sidereal day, so that it crosses
-the plane across an input axis twice a day; near it the instrument locks, ``|a_x| < a_t tan(beta)``. The
-same ten days are read in several ways and navigated each time.
+the plane across an input axis twice a day and passes the locked zone ``|a_x| < a_t tan(beta)``. The same
+ten days are read in several ways and navigated each time.
+
+With the usual tan(beta) the zone is passed faster than the gimbal could lock (in ``1/(K a_t tan(beta))``).
+What hurts is that the gimbal turns so slowly about the zone that the cross-coupling keeps its phase: by
+stationary phase one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))``
+(own derivation, docs/platform.md section 10).
 """
 
 from __future__ import annotations
@@ -48,7 +53,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Passage:
-    """One instrument through its locked zone: time [s], true a_x, raw reading, triad reading [m/s^2], zone half-width."""
+    """One instrument through its locked zone: time [s], true a_x, raw and triad reading [m/s^2], zone half-width
+    [m/s^2], time constant of locking [s], and the velocity error [m/s] that stationary phase predicts at most."""
 
     instrument: int
     times: Array
@@ -57,6 +63,8 @@ class Passage:
     triad: Array
     half_width: float
     locked: NDArray[np.bool_]
+    lock_time: float
+    velocity_error: float
 
 
 @dataclass(frozen=True)
@@ -73,9 +81,9 @@ def readings(sensors: PigaSensors) -> tuple[Reading, ...]:
     """The readings compared: from the ideal instrument to the locked one, and back."""
     tripod = replace(sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0)
     skewed = replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
-    worse = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
+    tan_beta_error, phase_error = 2e-3 * sensors.tan_beta, 2e-3
     if sensors.tan_beta_error or sensors.phase_error:
-        worse = {"tan_beta_error": sensors.tan_beta_error, "phase_error": sensors.phase_error}
+        tan_beta_error, phase_error = sensors.tan_beta_error, sensors.phase_error
     cone = np.degrees(sensors.cone)
     return (
         Reading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
@@ -83,7 +91,7 @@ def readings(sensors: PigaSensors) -> tuple[Reading, ...]:
         Reading("raw skewed", replace(skewed, output="raw"), f"axes within {cone:.0f} deg of the pole: never locked, still pulled"),
         Reading("triad", replace(tripod, output="triad"), "right angles, effective axes solved per sample"),
         Reading("triad skewed", replace(skewed, output="triad"), "skewed and solved per sample"),
-        Reading("triad, calibrated", replace(tripod, output="triad", **worse), "solved with tan(beta) and phase off by a calibration's error"),
+        Reading("triad, calibrated", replace(tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error), "solved with tan(beta) and phase off by a calibration's error"),
     )  # fmt: skip
 
 
@@ -144,27 +152,29 @@ def _outcome(run: Run, reading: Reading, preparation: Preparation) -> Outcome:
 
 
 def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
-    """The first passage of any instrument through its locked zone, ten zone widths either side."""
+    """The first passage of any instrument through its locked zone, with half an hour either side."""
     inside = locked(sensors, run.truth.force)
     if not inside.any():
         return None
     first = int(np.argmax(inside.any(axis=1)))
     instrument = int(np.argmax(inside[first]))
-    count = int(np.argmax(~inside[first:, instrument])) or 1
-    part = slice(max(0, first - 8 * count), min(len(inside) - 1, first + 9 * count) + 1)
-    times, force = run.readouts.times[part], run.truth.force[part]
-    alpha = gimbal_angles(
-        sensors, run.readouts.times[: part.stop], run.truth.force[: part.stop], np.zeros((part.stop - 1, 3))
-    )
-    axis = mounting_axes(sensors)[instrument, 0]
     step = run.readouts.step
-    read = {}
-    for output in ("raw", "triad"):
-        found = read_increments(replace(sensors, output=output), times, alpha[:, part])
-        read[output] = found @ axis / step
+    margin = round(1800.0 / step)
+    part = slice(max(0, first - margin), min(len(inside) - 1, first + margin) + 1)
+    times, force = run.readouts.times[part], run.truth.force[part]
+    whole = slice(0, part.stop)
+    still = np.zeros((part.stop - 1, 3))
+    alpha = gimbal_angles(sensors, run.readouts.times[whole], run.truth.force[whole], still)[:, part]
+    axis = mounting_axes(sensors)[instrument, 0]
+    read = {
+        output: read_increments(replace(sensors, output=output), times, alpha) @ axis / step
+        for output in ("raw", "triad")
+    }
     along = force @ axis
-    across = np.sqrt(np.sum(force**2, axis=1) - along**2)
+    width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
+    slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
     return Passage(
-        instrument, times[1:], 0.5 * (along[1:] + along[:-1]), read["raw"], read["triad"],
-        float(across.mean() * abs(sensors.tan_beta)), inside[part][1:, instrument],
+        instrument, times[1:], 0.5 * (along[1:] + along[:-1]), read["raw"], read["triad"], width,
+        inside[part][1:, instrument], 1.0 / (sensors.scale_factor * width),
+        width * float(np.sqrt(2.0 * np.pi / (sensors.scale_factor * slope))),
     )  # fmt: skip

@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Perturbation:
     """One error put in: attitude (3,) and drift (3,) of the triad [rad], [rad/s], bias (3,) [m/s^2], height [m],
-    position (3,) [m] and velocity (3,) [m/s] north, east, down at the start."""
+    position (3,) [m] and velocity (3,) [m/s] north, east, down at the start.
+    """
 
     attitude: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drift: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -19,7 +19,8 @@ _SMALLEST_SIGMA = 1e-12
 @dataclass(frozen=True)
 class Group:
     """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p), ``sigma``; ``rows`` counts
-    independent rows (fewer than n when the rows are filtered)."""
+    independent rows (fewer than n when the rows are filtered).
+    """
 
     name: str
     residual: Array

@@ -68,7 +68,7 @@ def base_motion(scenario: Scenario) -> BaseMotion:
     DataError
         If the track file cannot be read, lacks a column or is shorter than the run.
     """
-    plan, times = scenario.motion, np.arange(scenario.steps + 1) * scenario.step
+    plan, times = scenario.motion, scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
     if plan.kind == "track":
         return _track(plan, scenario)
     place, force, velocity = (

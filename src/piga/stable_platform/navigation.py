@@ -149,8 +149,7 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
     node, middle = slice(every, n + 1, every), slice(0, n)
     navigator = Navigator(compensator, start, readouts.step, damping_time)
     tangent, secant = compensator.tangent_secant()
-    between = (0.5 * (v[1:] + v[:-1]) if len(v) > 1 else v for v in (tangent, secant))
-    mid = [_cut(v, middle) for v in between]
+    mid_tangent, mid_secant = _cut(_between(tangent), middle), _cut(_between(secant), middle)
     altitude = readouts.altitude[1:][middle] if len(readouts.altitude) > 1 else readouts.altitude
     z1, z2 = readouts.case_middles
     case1, case2 = readouts.case_nodes
@@ -159,7 +158,9 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
         increments = (
             increments + np.diff(modelled_angles(compensator, readouts), axis=0) * readouts.turn_sensitivity
         )
-    position, velocity = navigator.push(increments[middle], z1[middle], z2[middle], *mid, altitude, every)
+    position, velocity = navigator.push(
+        increments[middle], z1[middle], z2[middle], mid_tangent, mid_secant, altitude, every
+    )
     times = readouts.times[node]
     table = np.empty((len(times), 9))
     local_level(
@@ -168,6 +169,10 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
         times, earth.EARTH_RATE, earth.SEMI_MAJOR_AXIS, earth.ECCENTRICITY_SQUARED, table,
     )  # fmt: skip
     return Navigation(compensator.model, times, table, position, velocity)
+
+
+def _between(values: Array) -> Array:
+    return 0.5 * (values[1:] + values[:-1]) if len(values) > 1 else values
 
 
 def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:

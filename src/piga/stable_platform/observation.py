@@ -194,17 +194,28 @@ def gimbals_of(body_to_platform: Array) -> Array:
 
 
 def force_rows(x: Unknowns, readouts: Readouts, force_earth: Array) -> tuple[Array, Array]:
-    """Residuals and regressors of the specific force (n, 3) [m/s^2] at mid-steps, on a base at rest.
+    """Residuals and regressors of the mean specific force over each step (n, 3) [m/s^2], on a base at rest.
 
     ``force_earth`` (3,): known specific force in Earth axes.
     """
-    t = 0.5 * (readouts.times[1:] + readouts.times[:-1])
-    encoders = [0.5 * (angle[1:] + angle[:-1]) for angle in (readouts.encoder1, readouts.encoder2)]
-    attitude, _ = exact_platform(x, t, *encoders)
-    force = (attitude @ triad_at(x, t) @ earth_to_inertial(t)) @ force_earth
-    e, _ = misalignment_regressors(x, t, *encoders)
-    turn = np.concatenate([e, attitude, attitude * t[:, None, None], np.zeros((len(t), 3, 2))], axis=2)
-    return readouts.increments / readouts.step - force, np.cross(force[:, :, None], turn, axis=1)
+    middle = 0.5 * (readouts.times[1:] + readouts.times[:-1])
+    half = [0.5 * (angle[1:] + angle[:-1]) for angle in (readouts.encoder1, readouts.encoder2)]
+    attitude, force = _felt(x, middle, *half, force_earth)
+    _, ends = _felt(x, readouts.times, readouts.encoder1, readouts.encoder2, force_earth)
+    mean = (ends[:-1] + 4.0 * force + ends[1:]) / 6.0
+    e, _ = misalignment_regressors(x, middle, *half)
+    turn = np.concatenate(
+        [e, attitude, attitude * middle[:, None, None], np.zeros((len(middle), 3, 2))], axis=2
+    )
+    return readouts.increments / readouts.step - mean, np.cross(force[:, :, None], turn, axis=1)
+
+
+def _felt(
+    x: Unknowns, times: Array, encoder1: Array, encoder2: Array, force_earth: Array
+) -> tuple[Array, Array]:
+    """``C_G^P`` and the specific force in platform axes at ``times``."""
+    attitude, _ = exact_platform(x, times, encoder1, encoder2)
+    return attitude, (attitude @ triad_at(x, times) @ earth_to_inertial(times)) @ force_earth
 
 
 def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unknowns:
@@ -221,7 +232,8 @@ def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unkn
     triad = _triad(seen) @ _triad(known).T
     zero = Tip(0.0, 0.0, np.zeros(orders), np.zeros(orders))
     base = triad.T @ gimbal_attitude(readouts.gimbals[0])
-    return Unknowns(zero, zero, float(readouts.pickoff.mean()), 0.0, triad, np.zeros(3), base)
+    rate, eta0 = np.polyfit(readouts.times, readouts.pickoff, 1)
+    return Unknowns(zero, zero, float(eta0), float(rate), triad, np.zeros(3), base)
 
 
 def _triad(pair: list[Array]) -> Array:

@@ -131,7 +131,7 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
         earth.EARTH_RATE, 0.0, h, triad, scenario.redundancy, np.zeros((6, 3, 3)),
         increments, force, gimbals, ring, eta, spin,
     )  # fmt: skip
-    times = np.arange(n + 1) * h
+    times = h * np.arange(n + 1, dtype=np.float64)
     if scenario.sensors.piga is not None:
         from piga.stable_platform.triad import through_pigas
 

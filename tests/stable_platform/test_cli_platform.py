@@ -1,0 +1,129 @@
+"""``piga platform``: files, JSON, exit codes."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pyarrow.parquet as pq
+import pytest
+
+from piga.cli.main import main
+
+from .conftest import INTERPRETED
+
+STEP = "8 s" if INTERPRETED else "2 s"
+SHORT = f"""
+[site]
+latitude = "40 deg"
+[run]
+duration = "1 h"
+step = "{STEP}"
+[polar]
+misalignment = "4 arcmin"
+phase = "20 deg"
+[equatorial]
+misalignment = "4 arcmin"
+phase = "75 deg"
+drift = ["0.01 deg/h", "0 deg/h"]
+[sensors]
+gimbal_noise = "1 arcsec"
+pickoff_noise = "1 arcsec"
+velocity_random_walk = "1e-5 m/s/sqrt(s)"
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "scenario.toml"
+    path.write_text(SHORT)
+    return path
+
+
+def _run(capsys, monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["piga", "platform", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("command", "files"),
+    [
+        ("simulate", {"readouts.parquet", "truth.parquet"}),
+        ("align", {"alignment.json"}),
+        ("identify", {"identification.json"}),
+        ("navigate", {f"navigation-{m}.parquet" for m in ("none", "A", "B", "C")}),
+        ("compare", {"comparison.json"}),
+    ],
+)
+def test_a_command_leaves_its_files_and_a_page(capsys, monkeypatch, scenario, tmp_path, command, files):
+    code, streams = _run(capsys, monkeypatch, command, scenario, "--out", tmp_path / "out", "--json")
+    assert code == 0
+    assert isinstance(json.loads(streams.out), dict)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {*files, "report.html"}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<svg" in page
+
+
+def test_comparison_json_is_as_promised(capsys, monkeypatch, scenario):
+    code, streams = _run(capsys, monkeypatch, "compare", scenario, "--json")
+    document = json.loads(streams.out)
+    assert code == 0
+    keys = {
+        "day",
+        "east_velocity_line_m_s",
+        "north_velocity_line_m_s",
+        "heading_line_arcmin",
+        "roll_line_arcmin",
+        "position_error_m",
+    }
+    for part in ("models", "theory"):
+        assert set(document[part]) == {"none", "A", "B", "C"}
+        for model in document[part].values():
+            assert keys <= set(model)
+            assert len({len(values) for values in model.values()}) == 1
+
+
+def test_budget_and_seeds_are_added_on_request(capsys, monkeypatch, scenario, tmp_path):
+    code, streams = _run(
+        capsys, monkeypatch, "compare", scenario, "--out", tmp_path, "--json", "--budget", "--seeds", 2
+    )
+    document = json.loads(streams.out)
+    assert code == 0
+    assert document["budget"][-1]["source"] == "all together"
+    assert len(document["scatter"]["models"]["B"]["position_error_m"]) == 2
+
+
+def test_gyro_accelerometers_get_their_own_page(capsys, monkeypatch, scenario, tmp_path):
+    step = "1 s"
+    scenario.write_text(SHORT.replace(STEP, step).replace("[sensors]", '[sensors]\naccelerometers = "piga"').replace("1 h", "20 min")
+                        + '[compensation]\nmodels = ["B"]\nmisalignment = "true"\nattitude = "true"\n')  # fmt: skip
+    code, _ = _run(capsys, monkeypatch, "compare", scenario, "--out", tmp_path / "out")
+    assert code == 0
+    assert "Gyro accelerometers" in (tmp_path / "out" / "capstone.html").read_text(encoding="utf-8")
+
+
+def test_tables_carry_their_units(capsys, monkeypatch, scenario, tmp_path):
+    _run(capsys, monkeypatch, "simulate", scenario, "--out", tmp_path)
+    schema = pq.read_schema(tmp_path / "readouts.parquet")
+    assert schema.field("dvx").metadata == {b"unit": b"m/s"}
+    assert schema.field("gimbal_outer").metadata == {b"unit": b"rad"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("compare", "absent.toml"), "absent.toml: cannot be read"),
+        (("align", "sway.toml", "--out", "x"), "needs a base at rest"),
+        (("identify", "short.toml", "--out", "x"), "two turns of the cases"),
+    ],
+)
+def test_wrong_use_ends_with_two_and_one_message(capsys, monkeypatch, tmp_path, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sway.toml").write_text(SHORT + '[motion]\nkind = "sway"\n')
+    (tmp_path / "short.toml").write_text(SHORT.replace("1 h", "800 s"))
+    code, streams = _run(capsys, monkeypatch, *arguments)
+    assert code == 2
+    assert message in streams.err
+    assert "Traceback" not in streams.err
