@@ -102,8 +102,9 @@ def machine(n: int) -> None:
     x = np.random.default_rng(1).uniform(0.0, 10.0, n)
     out = np.empty(n)
     show("numpy.sin, float64", timed(lambda: np.sin(x, out=out), n), "ns/element")
-    copy = timed(lambda: np.copyto(out, x), n)
-    show("memory copy", (16.0 / copy[0], 16.0 / copy[1]), "GB/s", "bytes read plus bytes written")
+    x, out = np.zeros(10 * n), np.zeros(10 * n)
+    copy = timed(lambda: np.copyto(out, x), 10 * n)
+    show("memory copy", (16.0 / copy[0], 16.0 / copy[1]), "GB/s", "bytes read plus written, 80 MB arrays")
 
 
 def serial(n: int) -> None:
@@ -125,6 +126,26 @@ def serial(n: int) -> None:
     show("steps above 1 rad, one core", timed(lambda: propagate(INST, large, f[:slow]), slow), "ns/sample")
 
 
+def rounds(works: dict[str, Callable[[], Any]], repeats: int = 9) -> dict[str, np.ndarray]:
+    """Times [s] of several works run in turn, so that ratios of one round share the machine's state."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(repeats + 1):
+        for name, work in works.items():
+            start = time.perf_counter()
+            work()
+            times[name].append(time.perf_counter() - start)
+    return {name: np.array(values[1:]) for name, values in times.items()}
+
+
+def ratio(top: np.ndarray, bottom: np.ndarray) -> tuple[float, float]:
+    """Median of the ratios within rounds, and ratio of the smallest times."""
+    return float(np.median(top / bottom)), float(top.min() / bottom.min())
+
+
+def per(times: np.ndarray, samples: int) -> tuple[float, float]:
+    return float(np.median(times)) / samples * 1e9, float(times.min()) / samples * 1e9
+
+
 def threads(n: int, instruments: int, samples: int) -> None:
     """Speed-up on two threads beside what the machine gives two independent jobs at the same time."""
     t = np.arange(n) * 1e-3
@@ -135,22 +156,26 @@ def threads(n: int, instruments: int, samples: int) -> None:
             list(pool.map(lambda _: propagate_rate(INST, t, f), range(2)))
 
     for name, work in (("rate", propagate_rate), ("angle", propagate)):
-        one = timed(lambda work=work: work(INST, t, f), n)
-        two = timed(lambda work=work: work(INST, t, f, workers=2), n)
-        show(f"one long record, {name}, two threads", two, "ns/sample")
-        show(f"... speed-up over one thread ({name})", (one[0] / two[0], one[1] / two[1]), "1", "ideal 1.4")
-    one, pair = timed(lambda: propagate_rate(INST, t, f), n), timed(two_jobs, n)
-    capacity = (2.0 * one[0] / pair[0], 2.0 * one[1] / pair[1])
-    show("capacity: two independent jobs at once", capacity, "1", "2 on two free cores")
+        times = rounds({
+            "one": lambda work=work: work(INST, t, f),
+            "two": lambda work=work: work(INST, t, f, workers=2),
+            "jobs": two_jobs,
+        })  # fmt: skip
+        show(f"one long record, {name}, two threads", per(times["two"], n), "ns/sample")
+        show(f"... speed-up over one thread ({name})", ratio(times["one"], times["two"]), "1", "bar 1.6")
+        if name == "rate":
+            capacity = ratio(2.0 * times["one"], times["jobs"])
+            show("... capacity: two independent jobs at once", capacity, "1", "2 if both cores are free")
     short = t[:samples]
     fleet = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(instruments)]
-    for workers in (1, 2):
-        ns = timed(
-            lambda workers=workers: propagate_fleet(fleet, short, f[:samples], workers=workers),
-            instruments * samples, 5,
-        )  # fmt: skip
-        what = f"fleet of {instruments}, angle, {workers} thread{'s' * (workers > 1)}"
-        show(what, ns, "ns/instrument-sample", "bar 6 on two cores" if workers == 2 else "")
+    times = rounds({
+        workers: lambda workers=workers: propagate_fleet(fleet, short, f[:samples], workers=int(workers))
+        for workers in ("1", "2")
+    }, 5)  # fmt: skip
+    count = instruments * samples
+    show(f"fleet of {instruments}, angle, one thread", per(times["1"], count), "ns/instrument-sample")
+    show(f"fleet of {instruments}, angle, two threads", per(times["2"], count), "ns/instrument-sample", "bar 6")
+    show("... speed-up over one thread", ratio(times["1"], times["2"]), "1", "bar 1.8")
 
 
 def interpolated(at: np.ndarray, t: np.ndarray, f: np.ndarray) -> np.ndarray:
