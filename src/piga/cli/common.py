@@ -60,7 +60,9 @@ def write_by_rename(path: Path, write: Callable[[Path], None]) -> Path:
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
     except OSError as error:
-        raise PigaError(f"{path}: cannot be written ({error.strerror})", remedy="choose another --out") from None
+        raise PigaError(
+            f"{path}: cannot be written ({error.strerror})", remedy="choose another --out"
+        ) from None
     os.close(handle)
     temporary = Path(name)
     try:
@@ -70,7 +72,9 @@ def write_by_rename(path: Path, write: Callable[[Path], None]) -> Path:
         temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:
-        raise PigaError(f"{path}: cannot be written ({error.strerror or error})", remedy="choose another --out") from None
+        raise PigaError(
+            f"{path}: cannot be written ({error.strerror or error})", remedy="choose another --out"
+        ) from None
     finally:
         temporary.unlink(missing_ok=True)
     return path
