@@ -49,12 +49,24 @@ def main() -> None:
     cases = []
     for k in range(24):
         size = 10.0 ** draw.uniform(-5, -1.2)
-        values = [size, draw.uniform(0, 6.28), size * draw.uniform(0.2, 2.0), draw.uniform(0, 6.28), draw.uniform(-0.6, 0.6)]
+        values = [
+            size,
+            draw.uniform(0, 6.28),
+            size * draw.uniform(0.2, 2.0),
+            draw.uniform(0, 6.28),
+            draw.uniform(-0.6, 0.6),
+        ]
         if k == 0:
             values = [0.0, 1.0, 0.0, 2.0, 0.3]
         c, ring = solve(*(mp.mpf(v) for v in values))
-        cases.append({"input": values, "attitude": [[float(c[i, j]) for j in range(3)] for i in range(3)], "ring": float(ring)})
-    header = "builders/build_platform_geometry.py: null conditions solved at 50 digits; input m1, c1, m2, c2, eta [rad]"
+        cases.append(
+            {
+                "input": values,
+                "attitude": [[float(c[i, j]) for j in range(3)] for i in range(3)],
+                "ring": float(ring),
+            }
+        )
+    header = "build_platform_geometry.py: null conditions at 50 digits; input m1, c1, m2, c2, eta [rad]"
     print(json.dumps({"header": header, "cases": cases}, indent=1))
 
 

@@ -97,8 +97,10 @@ def test_budget_and_seeds_are_added_on_request(capsys, monkeypatch, scenario, tm
 
 def test_gyro_accelerometers_get_their_own_page(capsys, monkeypatch, scenario, tmp_path):
     step = "1 s"
-    scenario.write_text(SHORT.replace(STEP, step).replace("[sensors]", '[sensors]\naccelerometers = "piga"').replace("1 h", "20 min")
-                        + '[compensation]\nmodels = ["B"]\nmisalignment = "true"\nattitude = "true"\n')  # fmt: skip
+    text = SHORT.replace(STEP, step).replace("1 h", "20 min")
+    text = text.replace("[sensors]", '[sensors]\naccelerometers = "piga"')
+    models = '[compensation]\nmodels = ["B"]\nmisalignment = "true"\nattitude = "true"\n'
+    scenario.write_text(text + models)
     code, _ = _run(capsys, monkeypatch, "compare", scenario, "--out", tmp_path / "out")
     assert code == 0
     assert "Gyro accelerometers" in (tmp_path / "out" / "capstone.html").read_text(encoding="utf-8")

@@ -63,8 +63,12 @@ def test_the_small_angle_matrices_are_wrong_by_second_order():
 
 @settings(max_examples=60, deadline=None)
 @given(
-    m1=st.floats(-0.05, 0.05), m2=st.floats(-0.05, 0.05), c1=st.floats(-9, 9), c2=st.floats(-9, 9), eta=st.floats(-1, 1)
-)  # fmt: skip
+    m1=st.floats(-0.05, 0.05),
+    m2=st.floats(-0.05, 0.05),
+    c1=st.floats(-9, 9),
+    c2=st.floats(-9, 9),
+    eta=st.floats(-1, 1),
+)
 def test_each_momentum_lies_along_its_tip(m1, m2, c1, c2, eta):
     attitude, ring = nulled_attitude(Gyro(m1), Gyro(m2), c1, c2, eta)
     c = attitude[0]

@@ -1,4 +1,4 @@
-"""Identification: exact without noise, efficient and honest with it; recursive as batch; what cannot be told."""
+"""Identification: exact without noise, efficient and honest with it; recursive as batch."""
 
 from __future__ import annotations
 
@@ -150,8 +150,7 @@ def test_intervals_hold():
 def test_intervals_hold_in_a_thousand_runs(sources):
     scores, _ = _scores(_scenario(sensors=NOISE), range(1000), sources)
     covered = np.mean(np.abs(scores) < 1.96, axis=0)
-    low = 0.926 if "gimbals" in sources else 0.926
-    assert np.all((covered > low) & (covered < 0.985))
+    assert np.all((covered > 0.926) & (covered < 0.985))
     if "gimbals" in sources:
         assert np.all(covered < 0.971)
         assert np.all(np.abs(scores.std(axis=0) - 1.0) < 0.075)

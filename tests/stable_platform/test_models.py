@@ -59,7 +59,7 @@ def test_the_published_numbers_of_day_ten(ten_days):
 
 @only_compiled
 def test_model_a_also_leaves_the_secant_term(ten_days):
-    """The published d_r = m1 cos(c1) (tan eta - tan eta0) lacks m2 sin(c2) (sec eta - sec eta0): 1.6 % on day ten."""
+    """The published d_r = m1 cos(c1) (tan eta - tan eta0) lacks m2 sin(c2) (sec eta - sec eta0)."""
     eta, m = 2.28 * DEG, 4.0 * ARCMIN
     first = -np.exp(1j * 20 * DEG) * np.tan(eta)
     second = -1j * np.exp(1j * 75 * DEG) * (1.0 / np.cos(eta) - 1.0)
@@ -107,9 +107,10 @@ def test_the_second_order_remainder_is_a_step_and_lines_at_twice_the_rate():
 
     def left(scale):
         scaled = replace(
-            s, polar=replace(s.polar, misalignment=4.0 * ARCMIN * scale),
+            s,
+            polar=replace(s.polar, misalignment=4.0 * ARCMIN * scale),
             equatorial=replace(s.equatorial, misalignment=4.0 * ARCMIN * scale),
-        )  # fmt: skip
+        )
         run = simulate(scaled)
         shown = navigate(
             run.readouts, compensator("B", true_knowledge(scaled), run.readouts), true_start(run.truth)

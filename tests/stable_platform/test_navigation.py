@@ -55,7 +55,7 @@ def _orbit(step, steps, tilt=0.7):
     run = simulate(published(duration=16.0).without_errors())
     made = compensator("none", true_knowledge(run.scenario), run.readouts)
     navigator = Navigator(made, Start(position, velocity, np.eye(3), np.zeros(3)), step, damping_time=0.0)
-    quiet = np.zeros((steps, 2)) + [1.0, 0.0]
+    quiet = np.tile([1.0, 0.0], (steps, 1))
     return navigator.push(np.zeros((steps, 3)), quiet, quiet, np.zeros(1), np.ones(1), np.zeros(1))
 
 
@@ -92,13 +92,13 @@ def test_chunks_do_not_change_the_result():
     whole = Navigator(made, true_start(run.truth), 2.0).push(
         run.readouts.increments, z1, z2, tangent, secant, np.zeros(1)
     )
-    navigator, rows = Navigator(made, true_start(run.truth), 2.0), []
-    for part in (slice(0, 2), slice(2, 131), slice(131, 300)):
-        rows.append(
-            navigator.push(
-                run.readouts.increments[part], z1[part], z2[part], tangent[part], secant[part], np.zeros(1)
-            )[0]
-        )
+    navigator = Navigator(made, true_start(run.truth), 2.0)
+
+    def pushed(part):
+        arguments = (run.readouts.increments, z1, z2, tangent, secant)
+        return navigator.push(*(values[part] for values in arguments), np.zeros(1))[0]
+
+    rows = [pushed(part) for part in (slice(0, 2), slice(2, 131), slice(131, 300))]
     np.testing.assert_array_equal(np.concatenate(rows), whole[0])
 
 

@@ -180,10 +180,18 @@ def test_track_is_read_and_felt(tmp_path):
     [
         ("time_s,latitude_deg\n0,1\n1,1\n2,1\n3,1\n4,1", "column 'longitude_deg' is missing"),
         ("x\n", "at least 4 rows"),
-        ("time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n" + "\n".join(["0,1,1,1,1,1,1"] * 4 + ["0,1,x,1,1,1,1"]), "line 6, column 3: 'x'"),
-        ("time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n" + "\n".join(["0,1,1,1,1,1,1"] * 5), "does not increase"),
+        (
+            "time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n"
+            + "\n".join(["0,1,1,1,1,1,1"] * 4 + ["0,1,x,1,1,1,1"]),
+            "line 6, column 3: 'x'",
+        ),
+        (
+            "time_s,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg\n"
+            + "\n".join(["0,1,1,1,1,1,1"] * 5),
+            "does not increase",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_bad_track_is_refused_by_line_and_column(tmp_path, text, message):
     (tmp_path / "track.csv").write_text(text)
     with pytest.raises(DataError, match=message):

@@ -97,7 +97,9 @@ def test_a_step_too_long_is_refused():
 
 def _capstone_scenario(**changes):
     values = {
-        "polar": Gyro(1e-3, 0.3), "equatorial": Gyro(1e-3, 1.3), "sensors": Sensors(piga=replace(PIGA, cone=35 * DEG)),
+        "polar": Gyro(1e-3, 0.3),
+        "equatorial": Gyro(1e-3, 1.3),
+        "sensors": Sensors(piga=replace(PIGA, cone=35 * DEG)),
         "compensation": Compensation(misalignment="true", attitude="true"),
     }  # fmt: skip
     return published(**(values | changes))

@@ -29,7 +29,7 @@ def error_rates(
     earth_rate: float,
     rate: Array,
 ) -> None:
-    """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.stable_platform.error_model`."""
+    """Time derivative of the error (6,) in inertial axes at ``t``; see ``stable_platform.error_model``."""
     c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
     x, y, z = c * r0[0] - s * r0[1], s * r0[0] + c * r0[1], r0[2]
     fx, fy, fz = c * f0[0] - s * f0[1], s * f0[0] + c * f0[1], f0[2]
@@ -69,7 +69,7 @@ def propagate_errors(
     h: float,
     out: Array,
 ) -> None:
-    """Errors (m, 6) in local axes (position n, e, d; velocity n, e, d relative to the Earth) every ``h`` seconds.
+    """Errors (m, 6) in local axes (position n, e, d; velocity n, e, d over the Earth) every ``h`` seconds.
 
     ``start`` (6,) in inertial axes; ``r0, f0`` position and specific force of a base at rest and ``axes``
     its ``C_n^e``, all in Earth axes at time zero.

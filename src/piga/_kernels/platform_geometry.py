@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @inline
 def misalignment_at(constant: float, cosines: Array, sines: Array, c: float, s: float) -> float:
-    """Misalignment ``m(c) = m + sum_k A_k cos(k c) + B_k sin(k c)`` [rad] from ``c, s = cos, sin`` of the angle."""
+    """Misalignment ``m(c) = m + sum_k A_k cos(k c) + B_k sin(k c)`` [rad] from cosine and sine of c."""
     total = constant
     ck, sk = 1.0, 0.0
     for k in range(cosines.shape[0]):

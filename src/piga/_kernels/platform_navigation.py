@@ -72,7 +72,7 @@ def compensation_angles(
 
 
 @kernel
-def navigate_chunk(
+def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     dv: Array,
     z1: Array,
     z2: Array,
@@ -102,7 +102,7 @@ def navigate_chunk(
     ``a1, b1, a2, b2`` (K,) [rad]; ``c_gi`` (3, 3) triad to inertial axes at the start of the chunk;
     ``drift`` (3,) triad drift [rad/s]; ``altitude`` (n,) or (1,) reference height [m]; ``damping``
     (2,) gains [1/s, 1/s^2]; ``earth`` (5,) = GM, 1.5 J2 a^2, b, e^2, 1/(1 - e^2); ``h`` step [s];
-    ``state`` (9, 3) in and out: r, v, last three gravitations, last two increments, (height error, -, -), normal.
+    ``state`` (9, 3) in and out: r, v, three gravitations, two increments, (height error, -, -), normal.
     Every ``every``-th new state goes to ``positions`` and ``velocities``.
     """
     n = dv.shape[0]

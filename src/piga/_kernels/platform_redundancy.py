@@ -21,7 +21,7 @@ def follow(
     rate_gain: float,
     out: Array,
 ) -> None:
-    """Second-order tracker of ``pickoff - expected`` [rad]; ``out`` (n,) is the redundancy angle, no lag on a ramp."""
+    """Track ``pickoff - expected`` [rad] to second order; ``out`` (n,) has no lag on a ramp."""
     value = start
     for i in range(pickoff.shape[0]):
         if i > 0:

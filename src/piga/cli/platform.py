@@ -114,17 +114,12 @@ def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
     for name, run in comparison.models.items():
         write_by_rename(folder / f"navigation-{name}.parquet", partial(_parquet, navigation_table(run)))
     _page(folder, navigation_page(comparison))
+    worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
     document = {
-        "models": {
-            m: {"position_error_m": float(r.errors.horizontal.max()), "file": f"navigation-{m}.parquet"}
-            for m, r in comparison.models.items()
-        },
+        "models": {m: {"position_error_m": v, "file": f"navigation-{m}.parquet"} for m, v in worst.items()},
         "notes": list(comparison.preparation.notes),
     }
-    lines = [
-        f"{m:<6}largest horizontal position error {v['position_error_m']:.4g} m"
-        for m, v in document["models"].items()
-    ]  # type: ignore[attr-defined]
+    lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
     _finish(document, json, "\n".join([*lines, f"wrote {folder}/navigation-*.parquet, report.html"]))
 
 
@@ -201,9 +196,9 @@ def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:
 
 
 def _page(folder: Path, page: Any, name: str = "report.html") -> None:
-    from piga.reports.page import write_page
+    from piga.reports.page import page_html
 
-    write_by_rename(folder / name, partial(write_page, page))
+    write_by_rename(folder / name, partial(_text, page_html(page)))
 
 
 def _write_json(path: Path, document: dict[str, Any]) -> None:

@@ -59,8 +59,9 @@ def simulation_page(run: Run) -> Page:
     return _page("Platform simulation", s, tiles, sections)
 
 
-def identification_page(run: Run, found: Identification, recursive: Identification | None,
-                        sources: Sequence[Observability]) -> Page:  # fmt: skip
+def identification_page(
+    run: Run, found: Identification, recursive: Identification | None, sources: Sequence[Observability]
+) -> Page:
     """Page of ``piga platform identify``."""
     s = run.scenario
     m1, m2 = found["polar.misalignment"], found["equatorial.misalignment"]
@@ -132,17 +133,29 @@ def comparison_page(
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario
     sections = [
-        Section("Lines at the case-rotation period", "lines", (
-            Text(_lines_sentence(comparison), lead=True), FigureBlock(lines_figure(comparison)),
-            _line_table(comparison, "east_velocity", "East velocity line", "mm/s", 1e3),
-            _line_table(comparison, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
-            _line_table(comparison, "roll", "Roll line", "arcmin", 1.0 / ARCMIN))),
-        Section("Forty minutes and the whole run", "histories", (
-            FigureBlock(published_figure(comparison)), FigureBlock(histories_figure(comparison)))),
-        Section("Spectrum and position", "spectrum", (
-            FigureBlock(spectrum_figure(comparison)), FigureBlock(position_figure(comparison)))),
+        Section(
+            "Lines at the case-rotation period",
+            "lines",
+            (
+                Text(_lines_sentence(comparison), lead=True),
+                FigureBlock(lines_figure(comparison)),
+                _line_table(comparison, "east_velocity", "East velocity line", "mm/s", 1e3),
+                _line_table(comparison, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
+                _line_table(comparison, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
+            ),
+        ),
+        Section(
+            "Forty minutes and the whole run",
+            "histories",
+            (FigureBlock(published_figure(comparison)), FigureBlock(histories_figure(comparison))),
+        ),
+        Section(
+            "Spectrum and position",
+            "spectrum",
+            (FigureBlock(spectrum_figure(comparison)), FigureBlock(position_figure(comparison))),
+        ),
         _preparation_section(s, comparison.preparation),
-    ]  # fmt: skip
+    ]
     if budget:
         sections.append(Section("Error budget by source", "budget", (_budget_table(budget),)))
     if scatter is not None:
@@ -160,12 +173,17 @@ def capstone_page(found: Capstone) -> Page:
         Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
     )
     story = (
-        f"The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the horizontal twice "
-        f"a sidereal day and is inside its locked zone for {short(float(raw.locked_per_day.max()))} s a day. {_passage_words(found)} "
+        "The platform stands still in inertial space and the Earth turns under it. Each input "
+        "axis crosses the horizontal twice "
+        "a sidereal day and is inside its locked zone for "
+        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(found)} "
         f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
-        f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, with "
-        f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three instruments give the force "
-        f"back in any mounting: {short(solved.position)} m, against {short(found.outcomes['ideal'].position)} m with ideal ones."
+        "Mounted within the latitude of the pole the axes never come to the horizontal: "
+        f"{short(skewed.position)} m, with "
+        f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes "
+        "the three instruments give the force "
+        f"back in any mounting: {short(solved.position)} m, against "
+        f"{short(found.outcomes['ideal'].position)} m with ideal ones."
     )
     passage = passage_figure(found)
     day: tuple[Block, ...] = (FigureBlock(force_day_figure(found)),)
@@ -183,7 +201,8 @@ def capstone_page(found: Capstone) -> Page:
 
 
 def _page(title: str, s: Scenario, tiles: tuple[Tile, ...], sections: tuple[Section, ...]) -> Page:
-    where = f"{np.degrees(s.place.latitude):.3f} deg latitude, {s.duration / 86400.0:.4g} d at {s.step:g} s, base {s.motion.kind}"
+    length = f"{s.duration / 86400.0:.4g} d at {s.step:g} s"
+    where = f"{np.degrees(s.place.latitude):.3f} deg latitude, {length}, base {s.motion.kind}"
     return Page(title, where, tiles, sections, "piga platform", _FOOTER)
 
 
@@ -226,7 +245,8 @@ def _case_rotation_text(s: Scenario) -> Text:
             resting = averaged_drift(at_rest, gyro.case_drift, s.duration) / ARCMIN
             turning = averaged_drift(rotation, gyro.case_drift, s.duration) / ARCMIN
             parts.append(
-                f"The case-fixed drift of the {name} gyro would turn its momentum by {short(resting)} arcmin over the run with the "
+                f"The case-fixed drift of the {name} gyro would turn its momentum by "
+                f"{short(resting)} arcmin over the run with the "
                 f"case at rest; with the case turning it stays within {short(turning)} arcmin."
             )
     return Text("\n\n".join(parts) or "No case-fixed drift was put in.")
@@ -252,9 +272,12 @@ def _parameter_table(found: Identification, s: Scenario) -> Table:
         )
         rows.append((p.name.replace(".", " "), f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off))
     columns = (
-        Column("quantity", align="text"), Column("value"), Column("standard uncertainty"), Column("unit", align="text"),
+        Column("quantity", align="text"),
+        Column("value"),
+        Column("standard uncertainty"),
+        Column("unit", align="text"),
         Column("off truth, in uncertainties"),
-    )  # fmt: skip
+    )
     noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in found.noise.items())
     return Table(columns, tuple(rows), notes=(f"Noise found in the residuals: {noise}.",))
 
@@ -280,11 +303,15 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
         *(Column(n, "arcsec") for n in UNKNOWNS),
         Column("verdict", align="text"),
     )
-    rows = tuple(
-        (o.source, short(o.condition), *(short(float(v / ARCSEC)) if v < 1.0 else "–" for v in o.std),
-         Cell(o.sentence, "good" if o.separable else "doubtful"))
+    rows: tuple[tuple[str | Cell, ...], ...] = tuple(
+        (
+            o.source,
+            short(o.condition),
+            *(short(float(v / ARCSEC)) if v < 1.0 else "–" for v in o.std),
+            Cell(o.sentence, "good" if o.separable else "doubtful"),
+        )
         for o in sources
-    )  # fmt: skip
+    )
     return Table(
         columns,
         rows,
@@ -394,8 +421,14 @@ def _line_table(c: Comparison, channel: str, heading: str, unit: str, scale: flo
 
 
 def _budget_table(budget: Sequence[BudgetRow]) -> Table:
-    columns = (Column("source", align="text"), Column("position, linear", "m"), Column("position, full run", "m"), Column("velocity, linear", "mm/s"),
-               Column("velocity, full run", "mm/s"), Column("largest difference", "m"))  # fmt: skip
+    columns = (
+        Column("source", align="text"),
+        Column("position, linear", "m"),
+        Column("position, full run", "m"),
+        Column("velocity, linear", "mm/s"),
+        Column("velocity, full run", "mm/s"),
+        Column("largest difference", "m"),
+    )
     rows = tuple(
         (
             b.source,
@@ -410,9 +443,7 @@ def _budget_table(budget: Sequence[BudgetRow]) -> Table:
     return Table(
         columns,
         rows,
-        notes=(
-            "Largest horizontal error over the run: the linear error model against a navigation run with the error put in.",
-        ),
+        notes=("Largest horizontal error over the run: linear model against a run with the error put in.",),
     )
 
 
@@ -448,7 +479,8 @@ def _passage_words(found: Capstone) -> str:
     if p is None:
         return "No instrument passes its locked zone here."
     return (
-        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so slowly that "
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about "
+        "it the gimbal turns so slowly that "
         f"its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
     )
 
@@ -476,7 +508,5 @@ def _capstone_table(found: Capstone) -> Table:
     return Table(
         columns,
         rows,
-        notes=(
-            "Locked: seconds a day of the instrument that locks longest. Noise gain: against three axes at right angles.",
-        ),
+        notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",),
     )

@@ -62,19 +62,33 @@ def lines_figure(comparison: Comparison) -> Figure:
                 )
         panels.append(Panel(Axis("day", "1"), Axis(quantity, unit, log=True), tuple(series)))
     return Figure(
-        "fig-lines-per-day", "What each model leaves at the case-rotation period", tuple(panels),
-        "Amplitude fitted over each day. Model A grows with the redundancy angle as the theory says; B follows it; "
-        "C removes the wobble as well.", columns=2, height=2.6,
-    )  # fmt: skip
+        "fig-lines-per-day",
+        "What each model leaves at the case-rotation period",
+        tuple(panels),
+        "Amplitude fitted over each day. Model A grows with the redundancy angle as the theory "
+        "says; B follows it; "
+        "C removes the wobble as well.",
+        columns=2,
+        height=2.6,
+    )
 
 
 def histories_figure(comparison: Comparison) -> Figure:
     """Errors over the whole run: east velocity, heading, roll, horizontal position."""
     times = next(iter(comparison.models.values())).errors.times
     axis, unit = time_axis(float(times[-1]))
-    return _channels(comparison, slice(None), axis, unit, "fig-histories", "Navigation errors over the run",
-                     "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
-                     "errors are some hundred times larger and would hide these.", 0.0, ("A", "B", "C"))  # fmt: skip
+    return _channels(
+        comparison,
+        slice(None),
+        axis,
+        unit,
+        "fig-histories",
+        "Navigation errors over the run",
+        "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
+        "errors are some hundred times larger and would hide these.",
+        0.0,
+        ("A", "B", "C"),
+    )
 
 
 def published_figure(comparison: Comparison) -> Figure:
@@ -82,16 +96,36 @@ def published_figure(comparison: Comparison) -> Figure:
     times = next(iter(comparison.models.values())).errors.times
     begin = max(0.0, float(times[-1]) - 40.0 * MINUTE)
     part = slice(int(np.searchsorted(times, begin)), None)
-    return _channels(comparison, part, Axis("time before the end", "min"), MINUTE, "fig-last-minutes", "The last forty minutes",
-                     "Means taken out. The period is that of the case rotation.", float(times[-1]), ("A", "B", "C"))  # fmt: skip
+    return _channels(
+        comparison,
+        part,
+        Axis("time before the end", "min"),
+        MINUTE,
+        "fig-last-minutes",
+        "The last forty minutes",
+        "Means taken out. The period is that of the case rotation.",
+        float(times[-1]),
+        ("A", "B", "C"),
+    )
 
 
-def _channels(comparison: Comparison, part: slice, axis: Axis, unit: float, key: str, title: str, caption: str,
-              origin: float, only: Sequence[str] = ("none", "A", "B", "C")) -> Figure:  # fmt: skip
+def _channels(
+    comparison: Comparison,
+    part: slice,
+    axis: Axis,
+    unit: float,
+    key: str,
+    title: str,
+    caption: str,
+    origin: float,
+    only: Sequence[str] = ("none", "A", "B", "C"),
+) -> Figure:
     shown = {m: r for m, r in comparison.models.items() if m in only} or dict(comparison.models)
     rows: list[tuple[str, str, float]] = [
-        ("east velocity error", "m/s", 1.0), ("heading error", "arcmin", ARCMIN), ("roll error", "arcmin", ARCMIN),
-    ]  # fmt: skip
+        ("east velocity error", "m/s", 1.0),
+        ("heading error", "arcmin", ARCMIN),
+        ("roll error", "arcmin", ARCMIN),
+    ]
     panels = []
     for k, (quantity, name, scale) in enumerate(rows):
         series = []
@@ -119,8 +153,12 @@ def position_figure(comparison: Comparison) -> Figure:
         )
         for m, run in comparison.models.items()
     )
-    return Figure("fig-position", "Horizontal position error", (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-                  "Distance between where the navigator says it is and where it is; largest of 84 minutes.")  # fmt: skip
+    return Figure(
+        "fig-position",
+        "Horizontal position error",
+        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
+        "Distance between where the navigator says it is and where it is; largest of 84 minutes.",
+    )
 
 
 def spectrum_figure(comparison: Comparison) -> Figure:
@@ -143,8 +181,12 @@ def spectrum_figure(comparison: Comparison) -> Figure:
     panel = Panel(
         Axis("period", "min", log=True), Axis("east velocity amplitude", "m/s", log=True), tuple(series)
     )
-    return Figure("fig-spectrum", "Spectrum of the east velocity, last day", (panel,),
-                  "Amplitude of a sine at each period (Hann window). The Schuler motion stands at 84 min.")  # fmt: skip
+    return Figure(
+        "fig-spectrum",
+        "Spectrum of the east velocity, last day",
+        (panel,),
+        "Amplitude of a sine at each period (Hann window). The Schuler motion stands at 84 min.",
+    )
 
 
 def model_figure(run: ModelRun) -> Figure:
@@ -153,10 +195,12 @@ def model_figure(run: ModelRun) -> Figure:
     axis, unit = time_axis(float(e.times[-1]))
     late = e.times > e.times[-1] - 40.0 * MINUTE
     name = run.compensator.model
+    named: tuple[tuple[str, Role], ...] = (("roll", "x"), ("pitch", "y"), ("heading", "z"))
     panels = []
     for part, ax, origin, scale in (
-        (np.ones_like(late), axis, 0.0, unit), (late, Axis("time before the end", "min"), e.times[-1], MINUTE),
-    ):  # fmt: skip
+        (np.ones_like(late), axis, 0.0, unit),
+        (late, Axis("time before the end", "min"), e.times[-1], MINUTE),
+    ):
         x = (e.times[part] - origin) / scale
         velocity = (
             Series(x, e.velocity[part, 1], "east", "line", "x"),
@@ -164,19 +208,25 @@ def model_figure(run: ModelRun) -> Figure:
         )
         angles = tuple(
             Series(x, e.attitude[part, k] / ARCMIN, label, "line", role)
-            for k, (label, role) in enumerate((("roll", "x"), ("pitch", "y"), ("heading", "z")))
+            for k, (label, role) in enumerate(named)
         )
         panels += [
             Panel(ax, Axis("velocity error", "m/s"), velocity),
             Panel(ax, Axis("attitude error", "arcmin"), angles),
-        ]  # type: ignore[arg-type]
+        ]
     order = (panels[0], panels[2], panels[1], panels[3])
-    return Figure(f"fig-model-{name}", "No model" if name == "none" else f"Model {name}", order,
-                  "Left: the whole run. Right: its last forty minutes.", columns=2, height=2.4)  # fmt: skip
+    return Figure(
+        f"fig-model-{name}",
+        "No model" if name == "none" else f"Model {name}",
+        order,
+        "Left: the whole run. Right: its last forty minutes.",
+        columns=2,
+        height=2.4,
+    )
 
 
 def readouts_figure(run: Run) -> Figure:
-    """What is read: specific force, gimbal angles, redundancy-axis pick-off, over the run and its first minutes."""
+    """What is read: specific force, gimbal angles, pick-off, over the run and its first minutes."""
     r = run.readouts
     axis, unit = time_axis(float(r.times[-1]))
     early = slice(0, max(2, min(len(r.times), int(40.0 * MINUTE / r.step))))
@@ -185,23 +235,77 @@ def readouts_figure(run: Run) -> Figure:
     roles: tuple[Role, ...] = ("x", "y", "z")
     first = r.gimbals[early]
     return Figure(
-        "fig-readouts", "What is read on the platform",
+        "fig-readouts",
+        "What is read on the platform",
         (
-            Panel(axis, Axis("specific force", "m/s^2"), tuple(Series(middle / unit, force[:, k], "xyz"[k], "line", roles[k]) for k in range(3))),
-            Panel(Axis("time", "min"), Axis("force less its start", "mm/s^2"),
-                  tuple(Series(middle[early] / MINUTE, 1e3 * (force[early, k] - force[0, k]), "xyz"[k], "line", roles[k]) for k in range(3))),
-            Panel(axis, Axis("gimbal angle", "deg"),
-                  tuple(Series(r.times / unit, np.degrees(r.gimbals[:, k]), n, "line", roles[k]) for k, n in enumerate(("outer", "middle", "inner")))),
-            Panel(Axis("time", "min"), Axis("gimbal angle less its line", "arcmin"),
-                  tuple(Series(r.times[early] / MINUTE, _flattened(r.times[early], np.unwrap(first[:, k])) / ARCMIN, n, "line", roles[k])
-                        for k, n in enumerate(("outer", "middle", "inner")))),
-            Panel(axis, Axis("redundancy-axis pick-off", "arcmin"),
-                  (Series(r.times / unit, r.pickoff / ARCMIN, "read", "line", "data"), Series(r.times / unit, run.truth.eta / ARCMIN, "redundancy angle", "line", "model"))),
-            Panel(Axis("time", "min"), Axis("redundancy-axis pick-off", "arcmin"),
-                  (Series(r.times[early] / MINUTE, r.pickoff[early] / ARCMIN, "read", "line", "data"), Series(r.times[early] / MINUTE, run.truth.eta[early] / ARCMIN, "redundancy angle", "line", "model"))),
+            Panel(
+                axis,
+                Axis("specific force", "m/s^2"),
+                tuple(Series(middle / unit, force[:, k], "xyz"[k], "line", roles[k]) for k in range(3)),
+            ),
+            Panel(
+                Axis("time", "min"),
+                Axis("force less its start", "mm/s^2"),
+                tuple(
+                    Series(
+                        middle[early] / MINUTE,
+                        1e3 * (force[early, k] - force[0, k]),
+                        "xyz"[k],
+                        "line",
+                        roles[k],
+                    )
+                    for k in range(3)
+                ),
+            ),
+            Panel(
+                axis,
+                Axis("gimbal angle", "deg"),
+                tuple(
+                    Series(r.times / unit, np.degrees(r.gimbals[:, k]), n, "line", roles[k])
+                    for k, n in enumerate(("outer", "middle", "inner"))
+                ),
+            ),
+            Panel(
+                Axis("time", "min"),
+                Axis("gimbal angle less its line", "arcmin"),
+                tuple(
+                    Series(
+                        r.times[early] / MINUTE,
+                        _flattened(r.times[early], np.unwrap(first[:, k])) / ARCMIN,
+                        n,
+                        "line",
+                        roles[k],
+                    )
+                    for k, n in enumerate(("outer", "middle", "inner"))
+                ),
+            ),
+            Panel(
+                axis,
+                Axis("redundancy-axis pick-off", "arcmin"),
+                (
+                    Series(r.times / unit, r.pickoff / ARCMIN, "read", "line", "data"),
+                    Series(r.times / unit, run.truth.eta / ARCMIN, "redundancy angle", "line", "model"),
+                ),
+            ),
+            Panel(
+                Axis("time", "min"),
+                Axis("redundancy-axis pick-off", "arcmin"),
+                (
+                    Series(r.times[early] / MINUTE, r.pickoff[early] / ARCMIN, "read", "line", "data"),
+                    Series(
+                        r.times[early] / MINUTE,
+                        run.truth.eta[early] / ARCMIN,
+                        "redundancy angle",
+                        "line",
+                        "model",
+                    ),
+                ),
+            ),
         ),
-        "Left: the whole run. Right: the first minutes, where the misalignment turns with the cases.", columns=2, height=2.4,
-    )  # fmt: skip
+        "Left: the whole run. Right: the first minutes, where the misalignment turns with the cases.",
+        columns=2,
+        height=2.4,
+    )
 
 
 def _flattened(t: Array, values: Array) -> Array:
@@ -214,19 +318,26 @@ def convergence_figure(found: Identification) -> Figure:
     values, stds = found.history["values"], found.history["stds"]
     half = (len(found.names) - 2 * ("eta0" in found.names)) // 2
     panels = []
+    roles: tuple[Role, Role] = ("x", "y")
     for at, title in ((0, "polar"), (half, "equatorial")):
         last = values[-1, at : at + 2]
         series: list[Series] = []
-        for k, role in enumerate(("x", "y")):
+        for k, role in enumerate(roles):
             late = slice(len(t) // 8, None)
             y, s = (values[late, at + k] - last[k]) / ARCSEC, 1.96 * stds[late, at + k] / ARCSEC
             series.append(Series(t[late], -s, "95 % band" if k == 0 else "", "band", "muted", upper=s))
-            series.append(Series(t[late], y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))  # type: ignore[arg-type]
+            series.append(Series(t[late], y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))
         panels.append(
             Panel(Axis("time", "min"), Axis(f"{title}: estimate less its end", "arcsec"), tuple(series))
         )
-    return Figure("fig-convergence", "Recursive identification", tuple(panels),
-                  "Estimates sample by sample; the band is the filter's own 95 % interval.", columns=2, height=2.6)  # fmt: skip
+    return Figure(
+        "fig-convergence",
+        "Recursive identification",
+        tuple(panels),
+        "Estimates sample by sample; the band is the filter's own 95 % interval.",
+        columns=2,
+        height=2.6,
+    )
 
 
 def cone_figure(run: Run, aligned: Alignment) -> Figure:
@@ -243,12 +354,22 @@ def cone_figure(run: Run, aligned: Alignment) -> Figure:
         @ aligned.triad
     )
     return Figure(
-        "fig-cone", "The gravity cone", (Panel(
-            Axis("specific force x", "m/s^2"), Axis("specific force y", "m/s^2"),
-            (Series(cone[:, 0], cone[:, 1], "cone about the Earth's axis", "line", "muted"), Series(mean[:, 0], mean[:, 1], "measured", "points", "data")),
-            equal=True),),
-        "On a platform fixed in inertial space gravity runs once round this cone in a sidereal day; the measured arc gives the Earth's axis.",
-    )  # fmt: skip
+        "fig-cone",
+        "The gravity cone",
+        (
+            Panel(
+                Axis("specific force x", "m/s^2"),
+                Axis("specific force y", "m/s^2"),
+                (
+                    Series(cone[:, 0], cone[:, 1], "cone about the Earth's axis", "line", "muted"),
+                    Series(mean[:, 0], mean[:, 1], "measured", "points", "data"),
+                ),
+                equal=True,
+            ),
+        ),
+        "On a platform fixed in inertial space gravity runs once round this cone in a sidereal "
+        "day; the measured arc gives the Earth's axis.",
+    )
 
 
 def force_day_figure(found: Capstone) -> Figure:
@@ -258,12 +379,20 @@ def force_day_figure(found: Capstone) -> Figure:
     width = 9.8 * (sensors.tan_beta if sensors else 0.0)
     roles: tuple[Role, ...] = ("x", "y", "z")
     panel = Panel(
-        Axis("time", "h"), Axis("force along the input axis", "m/s^2"),
-        (*(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", roles[k]) for k in range(3)),
-         Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True)),
-    )  # fmt: skip
-    return Figure("fig-day", "Gravity sweeps through every input axis", (panel,),
-                  f"Three axes at right angles round the pole. Each crosses zero twice a day; within {1e3 * width:.1f} mm/s^2 of it the instrument locks.")  # fmt: skip
+        Axis("time", "h"),
+        Axis("force along the input axis", "m/s^2"),
+        (
+            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", roles[k]) for k in range(3)),
+            Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True),
+        ),
+    )
+    return Figure(
+        "fig-day",
+        "Gravity sweeps through every input axis",
+        (panel,),
+        "Three axes at right angles round the pole. Each crosses zero twice a day; within "
+        f"{1e3 * width:.1f} mm/s^2 of it the instrument locks.",
+    )
 
 
 def passage_figure(found: Capstone) -> Figure | None:
@@ -274,27 +403,51 @@ def passage_figure(found: Capstone) -> Figure | None:
     minutes = (p.times - p.times[0]) / MINUTE
     centre = 1e3
     return Figure(
-        "fig-passage", f"Instrument {p.instrument + 1} passes its locked zone",
+        "fig-passage",
+        f"Instrument {p.instrument + 1} passes its locked zone",
         (
-            Panel(Axis("time", "min"), Axis("force along the input axis", "mm/s^2"),
-                  (Series(minutes, -p.half_width * centre * np.ones_like(minutes), "locked zone", "band", "warning", upper=p.half_width * centre * np.ones_like(minutes)),
-                   Series(minutes, p.true * centre, "true", "line", "reference", dashed=True),
-                   Series(minutes, p.raw * centre, "raw output", "line", "before"))),
-            Panel(Axis("time", "min"), Axis("error of the reading", "mm/s^2"),
-                  (Series(minutes, (p.raw - p.true) * centre, "raw output", "line", "before"),
-                   Series(minutes, (p.triad - p.true) * centre, "triad solved", "line", "after"))),
+            Panel(
+                Axis("time", "min"),
+                Axis("force along the input axis", "mm/s^2"),
+                (
+                    Series(
+                        minutes,
+                        -p.half_width * centre * np.ones_like(minutes),
+                        "locked zone",
+                        "band",
+                        "warning",
+                        upper=p.half_width * centre * np.ones_like(minutes),
+                    ),
+                    Series(minutes, p.true * centre, "true", "line", "reference", dashed=True),
+                    Series(minutes, p.raw * centre, "raw output", "line", "before"),
+                ),
+            ),
+            Panel(
+                Axis("time", "min"),
+                Axis("error of the reading", "mm/s^2"),
+                (
+                    Series(minutes, (p.raw - p.true) * centre, "raw output", "line", "before"),
+                    Series(minutes, (p.triad - p.true) * centre, "triad solved", "line", "after"),
+                ),
+            ),
         ),
-        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else averaged over each turn, keeps one sign for minutes. Solving the three instruments with their effective axes gives the force back.",
+        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else "
+        "averaged over each turn, keeps one sign for minutes. Solving the three instruments with "
+        "their effective axes gives the force back.",
         height=2.6,
-    )  # fmt: skip
+    )
 
 
 def capstone_figure(found: Capstone) -> Figure:
     """Horizontal position error over the run for every reading."""
     looks: dict[str, tuple[Role, bool]] = {
-        "ideal": ("reference", True), "raw tripod": ("before", False), "raw skewed": ("warning", False),
-        "triad": ("after", False), "triad skewed": ("model", True), "triad, calibrated": ("z", True),
-    }  # fmt: skip
+        "ideal": ("reference", True),
+        "raw tripod": ("before", False),
+        "raw skewed": ("warning", False),
+        "triad": ("after", False),
+        "triad skewed": ("model", True),
+        "triad, calibrated": ("z", True),
+    }
     axis, unit = time_axis(float(found.scenario.duration))
     series = tuple(
         Series(
@@ -307,8 +460,13 @@ def capstone_figure(found: Capstone) -> Figure:
         )
         for name, o in found.outcomes.items()
     )
-    return Figure("fig-capstone", "Ten days with three gyro accelerometers", (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-                  "Largest error within each 84 minutes.", height=3.6)  # fmt: skip
+    return Figure(
+        "fig-capstone",
+        "Ten days with three gyro accelerometers",
+        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
+        "Largest error within each 84 minutes.",
+        height=3.6,
+    )
 
 
 def _schuler_peak(times: Array, values: Array) -> Array:

@@ -123,14 +123,14 @@ def _groups(x: Unknowns, readouts: Readouts, force: Array, levels: Sequence[floa
     angle, by_angle, _, _ = gimbal_rows(x, readouts)
     felt, by_force = force_rows(x, readouts, force)
     groups = [
-        Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x, readouts)),
+        Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
         Group("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
     ]
     return groups if levels is None else [replace(g, sigma=s) for g, s in zip(groups, levels, strict=True)]
 
 
-def _with_third(columns: Array, x: Unknowns, readouts: Readouts) -> Array:
-    """Add the third base angle, about the Earth's axis: seen by the gimbals like a turn of the triad about it."""
+def _with_third(columns: Array, x: Unknowns) -> Array:
+    """Add the third base angle, about the Earth's axis: the gimbals see it like a turn of the triad."""
     pole = x.triad[:, 2]
     third = -columns[:, :, :3] @ pole
     return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ def channels(errors: Errors) -> dict[str, Array]:
 
 
 def line_amplitudes(times: Array, values: Array, rate: float, latitude: float) -> Array:
-    """Amplitude at angular rate ``rate`` [rad/s] in each column of ``values`` (n, k), fitted over ``times`` (n,) [s].
+    """Amplitude at angular rate ``rate`` [rad/s] in each column of ``values`` (n, k) over ``times`` (n,) [s].
 
     Fitted together with what else is known to be there: the growth of the line over the stretch, its
     neighbours at ``rate +- Earth rate`` (on stretches of half a day and more), twice the rate, the
@@ -80,7 +81,7 @@ def day_slices(times: Array) -> list[slice]:
     days = int(np.ceil((times[-1] - 1e-6) / DAY))
     edges = np.searchsorted(times, np.arange(days + 1) * DAY + 1e-6)
     edges[0] = 0
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a > 24]
+    return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 24]
 
 
 def daily_lines(errors: Errors, rate: float, latitude: float) -> Lines:
@@ -163,7 +164,7 @@ def _about_pole(polar: Gyro, equatorial: Gyro, encoder: Array, eta: float) -> Ar
 
 
 def spectrum(times: Array, values: Array) -> tuple[Array, Array]:
-    """Amplitude spectrum (Hann window, mean removed): frequency [Hz] and amplitude of a sine at that frequency."""
+    """Amplitude spectrum (Hann window, mean removed): frequency [Hz], amplitude of a sine there."""
     n = len(times)
     window = np.hanning(n)
     amplitude = 2.0 * np.abs(np.fft.rfft((values - values.mean()) * window)) / window.sum()

@@ -127,7 +127,7 @@ def _cores() -> int:
 
 @dataclass(frozen=True)
 class Scatter:
-    """Monte Carlo over seeds: largest horizontal position error [m] and lines of the last day per model, (seeds,)."""
+    """Monte Carlo over seeds: largest horizontal error [m] and last day's line [m/s] per model, (seeds,)."""
 
     seeds: tuple[int, ...]
     position: Mapping[Model, Array]

@@ -41,7 +41,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Navigation errors of one reading: largest horizontal position [m] and velocity [m/s], locked time [s/day]."""
+    """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
 
     reading: Reading
     errors: Errors
@@ -53,8 +53,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Passage:
-    """One instrument through its locked zone: time [s], true a_x, raw and triad reading [m/s^2], zone half-width
-    [m/s^2], time constant of locking [s], and the velocity error [m/s] that stationary phase predicts at most."""
+    """One instrument through its locked zone.
+
+    ``times`` [s]; ``true``, ``raw`` and ``triad`` reading of a_x [m/s^2]; ``half_width`` of the zone [m/s^2];
+    ``lock_time``: time constant of locking [s]; ``velocity_error``: the most that stationary phase
+    predicts for one passage [m/s].
+    """
 
     instrument: int
     times: Array
@@ -87,16 +91,26 @@ def readings(sensors: PigaSensors) -> tuple[Reading, ...]:
     cone = np.degrees(sensors.cone)
     return (
         Reading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
-        Reading("raw tripod", replace(tripod, output="raw"), "three axes at right angles, output taken as alpha'/K"),
-        Reading("raw skewed", replace(skewed, output="raw"), f"axes within {cone:.0f} deg of the pole: never locked, still pulled"),
+        Reading(
+            "raw tripod", replace(tripod, output="raw"), "three axes at right angles, output taken as alpha'/K"
+        ),
+        Reading(
+            "raw skewed",
+            replace(skewed, output="raw"),
+            f"axes within {cone:.0f} deg of the pole: never locked, still pulled",
+        ),
         Reading("triad", replace(tripod, output="triad"), "right angles, effective axes solved per sample"),
         Reading("triad skewed", replace(skewed, output="triad"), "skewed and solved per sample"),
-        Reading("triad, calibrated", replace(tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error), "solved with tan(beta) and phase off by a calibration's error"),
-    )  # fmt: skip
+        Reading(
+            "triad, calibrated",
+            replace(tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error),
+            "solved with tan(beta) and phase off by a calibration's error",
+        ),
+    )
 
 
 def capstone(scenario: Scenario) -> Capstone:
-    """Navigate the scenario with every reading of its gyro accelerometers (model B, as the scenario prepares it).
+    """Navigate the scenario with every reading of its gyro accelerometers (model B).
 
     Raises
     ------
@@ -174,7 +188,13 @@ def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
     width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
     slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
     return Passage(
-        instrument, times[1:], 0.5 * (along[1:] + along[:-1]), read["raw"], read["triad"], width,
-        inside[part][1:, instrument], 1.0 / (sensors.scale_factor * width),
+        instrument,
+        times[1:],
+        0.5 * (along[1:] + along[:-1]),
+        read["raw"],
+        read["triad"],
+        width,
+        inside[part][1:, instrument],
+        1.0 / (sensors.scale_factor * width),
         width * float(np.sqrt(2.0 * np.pi / (sensors.scale_factor * slope))),
-    )  # fmt: skip
+    )

@@ -24,7 +24,7 @@ ARCMIN = np.pi / 10800.0
 
 @dataclass(frozen=True)
 class Preparation:
-    """What is known before navigating: misalignments, start, and how they were found (None: taken from truth)."""
+    """What is known before navigating: misalignments, start, and how they were found (None: from truth)."""
 
     knowledge: Knowledge
     start: Start

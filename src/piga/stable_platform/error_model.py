@@ -31,8 +31,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Perturbation:
-    """One error put in: attitude (3,) and drift (3,) of the triad [rad], [rad/s], bias (3,) [m/s^2], height [m],
-    position (3,) [m] and velocity (3,) [m/s] north, east, down at the start.
+    """One error put in.
+
+    ``attitude`` [rad] and ``drift`` [rad/s] of the triad, accelerometer ``bias`` [m/s^2], reference
+    ``height`` [m], and ``position`` [m], ``velocity`` [m/s] north, east, down at the start.
     """
 
     attitude: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -60,12 +62,12 @@ class Perturbation:
 
 def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, step: float = 10.0,
                   damping_time: float = 100.0) -> Array:  # fmt: skip
-    """Errors of a navigator at rest at ``place``: rows of time [s], position n, e, d [m], velocity n, e, d [m/s].
+    """Errors of a navigator at rest at ``place``: time [s], position n, e, d [m], velocity n, e, d [m/s].
 
     Shape (m, 7), every ``step`` seconds. The perturbation is that of the navigator: its triad is turned
     by ``attitude + drift t`` too far, its accelerometers read ``bias`` too much.
     """
-    count = int(round(duration / step))
+    count = round(duration / step)
     position = geodetic_to_earth(place.latitude, place.longitude, place.height)
     axes = local_axes(place.latitude, place.longitude)
     spin = np.array([0.0, 0.0, earth.EARTH_RATE])

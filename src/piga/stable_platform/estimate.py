@@ -18,8 +18,9 @@ _SMALLEST_SIGMA = 1e-12
 
 @dataclass(frozen=True)
 class Group:
-    """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p), ``sigma``; ``rows`` counts
-    independent rows (fewer than n when the rows are filtered).
+    """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p), ``sigma``.
+
+    ``rows`` counts independent rows: fewer than n when the rows are filtered; 0 stands for n.
     """
 
     name: str
@@ -67,7 +68,8 @@ def solve(groups: Sequence[Group], names: Sequence[str]) -> Solution:
 def reduced(groups: Sequence[Group]) -> Array:
     """Triangular factor of the weighted rows ``[regressors | residual]``."""
     parts = [np.column_stack([g.regressors, g.residual]) / g.sigma for g in groups]
-    return np.linalg.qr(np.concatenate(parts), mode="r")
+    factor: Array = np.linalg.qr(np.concatenate(parts), mode="r")  # type: ignore[assignment]
+    return factor
 
 
 def noise_levels(groups: Sequence[Group], unknowns: int) -> list[float]:

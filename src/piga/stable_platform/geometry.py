@@ -41,7 +41,8 @@ def nulled_attitude(
     a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
     attitude, ring = np.empty((a.size, 3, 3)), np.empty(a.size)
     exact_geometry_series(
-        polar.misalignment, *harmonic_arrays(polar), a, equatorial.misalignment, *harmonic_arrays(equatorial), b, e,
+        polar.misalignment, *harmonic_arrays(polar), a,
+        equatorial.misalignment, *harmonic_arrays(equatorial), b, e,
         attitude, ring,
     )  # fmt: skip
     return attitude, ring

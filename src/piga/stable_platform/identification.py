@@ -124,8 +124,14 @@ def _gauss_newton(readouts: Readouts, place: Place, sources: tuple[str, ...], or
     return x.moved(_whole(solution.step, sources, orders)), _after(groups, solution.step), solution
 
 
-def identify_recursively(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
-                         points: int = 200) -> Identification:  # fmt: skip
+def identify_recursively(
+    readouts: Readouts,
+    place: Place,
+    *,
+    sources: Sequence[str] = STATIC_SOURCES,
+    orders: int = 3,
+    points: int = 200,
+) -> Identification:
     """The same estimate sample by sample, with its history.
 
     The rows are linearised once about a batch solution over the first quarter of the record (at least four case
@@ -232,7 +238,7 @@ def disturbance_rows(readouts: Readouts, x: Unknowns, size: int) -> Group:
 
     The mean over one case turn of the force, turned back to the triad with what is known so far, stands
     for the undisturbed force; force and regressors alike are smoothed
-    over a fifth of a turn (two Hann windows) and freed of that mean, so that motion faster than the case rotation
+    over a fifth of a turn (two Hann windows) and freed of that mean, so that motion faster than the cases turn
     and the slow turn of gravity drop out. ``rows`` counts the independent samples left.
     """
     from scipy.signal import oaconvolve
@@ -240,7 +246,7 @@ def disturbance_rows(readouts: Readouts, x: Unknowns, size: int) -> Group:
     t = 0.5 * (readouts.times[1:] + readouts.times[:-1])
     encoders = [0.5 * (angle[1:] + angle[:-1]) for angle in (readouts.encoder1, readouts.encoder2)]
     force = readouts.increments / readouts.step
-    turn = int(round(_case_period(readouts) / readouts.step)) // 2 * 2 + 1
+    turn = round(_case_period(readouts) / readouts.step) // 2 * 2 + 1
     box = np.ones(turn)
     if readouts.step * turn > _case_period(readouts):
         box[0] = box[-1] = 0.5

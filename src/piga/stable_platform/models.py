@@ -35,7 +35,7 @@ def true_knowledge(scenario: Scenario) -> Knowledge:
 
 
 def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
-    """Harmonics of the misalignment as cosine and sine coefficients over the *encoder* angle, order 1 to ``orders``.
+    """Harmonics of the misalignment over the *encoder* angle: cosine and sine, order 1 to ``orders``.
 
     With ``c = theta + phase``: ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``,
     ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
@@ -51,7 +51,7 @@ def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Compensator:
-    """One model made ready for the navigator: constants for the kernels, redundancy angle per node (n + 1,) or (1,)."""
+    """One model made ready for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
 
     model: Model
     tips: Array

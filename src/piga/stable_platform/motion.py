@@ -111,7 +111,7 @@ def _around(at: Place, sway: tuple[Oscillation, ...], scenario: Scenario) -> tup
 
 
 def _felt(position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array, Array]:
-    """Place and velocity at the nodes, specific force at the half steps, from Earth-axes kinematics (2n + 1, 3)."""
+    """Place and velocity at the nodes, specific force at the half steps, from Earth-axes motion (2n + 1, 3)."""
     spin = np.array([0.0, 0.0, earth.EARTH_RATE])
     coriolis = 2.0 * np.cross(spin, velocity) + np.cross(spin, np.cross(spin, position))
     lat, lon, height = earth_to_geodetic(position[::2])
@@ -127,7 +127,8 @@ def _track(plan: MotionPlan, scenario: Scenario) -> BaseMotion:
     half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
     if table["time"][0] > 0.0 or table["time"][-1] < half[-1]:
         raise DataError(
-            f"{plan.file}: the track covers {table['time'][0]:g} s to {table['time'][-1]:g} s, the run needs 0 to {half[-1]:g} s",
+            f"{plan.file}: the track covers {table['time'][0]:g} s to {table['time'][-1]:g} s, the "
+            f"run needs 0 to {half[-1]:g} s",
             remedy="shorten [run] duration or lengthen the track",
         )
     earth_fixed = geodetic_to_earth(table["latitude"], np.unwrap(table["longitude"]), table["height"])

@@ -24,7 +24,7 @@ _LARGEST_TURN = 1e-5
 
 @dataclass(frozen=True)
 class Start:
-    """Where navigation starts: inertial position [m], velocity [m/s], triad ``C_G^i`` (3, 3), drift (3,) [rad/s]."""
+    """Start of navigation: inertial position [m], velocity [m/s], triad ``C_G^i`` (3, 3), drift (3,) [rad/s]."""
 
     position: Array
     velocity: Array
@@ -53,8 +53,16 @@ class Navigator:
         self.state[0], self.state[1] = start.position, start.velocity
         self.steps = 0
 
-    def push(self, increments: Array, case1: Array, case2: Array, tangent: Array, secant: Array, altitude: Array,
-             every: int = 1) -> tuple[Array, Array]:  # fmt: skip
+    def push(
+        self,
+        increments: Array,
+        case1: Array,
+        case2: Array,
+        tangent: Array,
+        secant: Array,
+        altitude: Array,
+        every: int = 1,
+    ) -> tuple[Array, Array]:
         """Advance over ``increments`` (n, 3) [m/s].
 
         ``case1, case2`` (n, 2): cosine and sine of the case encoders at mid-step; ``tangent, secant`` of
@@ -124,7 +132,11 @@ class Navigation:
 
 @dataclass(frozen=True)
 class Errors:
-    """Navigator less truth, each (n,): position north, east, up [m], velocity n, e, d [m/s], roll, pitch, heading [rad]."""
+    """Navigator less truth, rows at ``times`` (n,) [s].
+
+    ``north, east, up`` (n,) [m]; ``velocity`` (n, 3) north, east, down [m/s]; ``attitude`` (n, 3) roll,
+    pitch, heading [rad].
+    """
 
     times: Array
     north: Array
@@ -165,7 +177,8 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
     table = np.empty((len(times), 9))
     local_level(
         position, velocity, readouts.gimbals[node], case1[node], case2[node],
-        _cut(tangent, node), _cut(secant, node), compensator.tips, *compensator.harmonics, start.triad, start.drift,
+        _cut(tangent, node), _cut(secant, node), compensator.tips, *compensator.harmonics,
+        start.triad, start.drift,
         times, earth.EARTH_RATE, earth.SEMI_MAJOR_AXIS, earth.ECCENTRICITY_SQUARED, table,
     )  # fmt: skip
     return Navigation(compensator.model, times, table, position, velocity)

@@ -200,7 +200,7 @@ def force_rows(x: Unknowns, readouts: Readouts, force_earth: Array) -> tuple[Arr
     """
     middle = 0.5 * (readouts.times[1:] + readouts.times[:-1])
     half = [0.5 * (angle[1:] + angle[:-1]) for angle in (readouts.encoder1, readouts.encoder2)]
-    attitude, force = _felt(x, middle, *half, force_earth)
+    attitude, force = _felt(x, middle, half[0], half[1], force_earth)
     _, ends = _felt(x, readouts.times, readouts.encoder1, readouts.encoder2, force_earth)
     mean = (ends[:-1] + 4.0 * force + ends[1:]) / 6.0
     e, _ = misalignment_regressors(x, middle, *half)

@@ -78,7 +78,7 @@ class Gyro:
 
 @dataclass(frozen=True)
 class PigaSensors:
-    """Three gyro accelerometers: K [(rad/s)/(m/s^2)], tan(beta), start angle [rad], mounting, calibration errors.
+    """Three gyro accelerometers: K [(rad/s)/(m/s^2)], tan(beta), start angles [rad], mounting.
 
     ``mounting`` orthogonal | skewed; ``cone`` [rad] is the angle of skewed input axes to the platform's
     polar axis. ``output`` raw (``alpha'/K``) | triad (effective axes solved per sample).

@@ -71,13 +71,15 @@ def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
     fastest = float(np.abs(turned).max())
     if fastest > 2.0 * np.pi / 3.0:
         raise ArgumentError(
-            f"the gyro accelerometers turn up to {fastest:.2f} rad in a step; at most a third of a turn can be solved",
+            f"the gyro accelerometers turn up to {fastest:.2f} rad in a step; at most a third of a "
+            "turn can be solved",
             remedy=f"shorten [run] step below {(times[1] - times[0]) * 2.0 / fastest:.2g} s",
         )
     increments = np.empty((turned.shape[1], 3))
     solve_triad(
         alpha + sensors.phase_error, axes, np.full(3, sensors.scale_factor),
-        np.full(3, sensors.tan_beta + sensors.tan_beta_error), float(times[1] - times[0]), 4, np.empty((3, 4)), increments,
+        np.full(3, sensors.tan_beta + sensors.tan_beta_error), float(times[1] - times[0]), 4,
+        np.empty((3, 4)), increments,
     )  # fmt: skip
     return increments
 
@@ -88,7 +90,7 @@ def through_pigas(sensors: PigaSensors, times: Array, force: Array, spin: Array)
 
 
 def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:
-    """Whether each instrument is inside its locked zone ``|a_x| < a_t tan(beta)``: (n, 3) for ``force`` (n, 3)."""
+    """Whether each instrument is inside its locked zone ``|a_x| < a_t tan(beta)``: (n, 3)."""
     along = force @ mounting_axes(sensors)[:, 0, :].T
     across = np.sqrt(np.maximum(np.sum(force**2, axis=1)[:, None] - along**2, 0.0))
     return np.abs(along) < across * abs(sensors.tan_beta)
