@@ -19,7 +19,9 @@ MICRO_G = 1e-6 * G0
 POINTS = 1500
 
 
-def compensation_figures(record: Run, result: Compensated, scale_factor: float) -> tuple[Figure, ...]:
+def compensation_figures(
+    record: Run, result: Compensated, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Figure, ...]:
     """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
 
     Parameters
@@ -28,11 +30,13 @@ def compensation_figures(record: Run, result: Compensated, scale_factor: float) 
         The record and its compensation.
     scale_factor:
         K [(rad/s)/(m/s^2)] that turns the output rate into the indicated force.
+    noise:
+        White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
     """
     errors = compensation_errors(record, result, scale_factor)
     return (
         error_figure(errors, result.u_ax),
-        error_spectrum_figure({"a_x": errors}, scale_factor),
+        error_spectrum_figure({"a_x": errors}, scale_factor, noise),
     )
 
 
@@ -91,7 +95,9 @@ def error_figure(errors: Residuals, uncertainty: Array) -> Figure:
         known = np.where(np.isfinite(uncertainty), uncertainty, 0.0)
         some = envelope_rows(known, POINTS)
         series = Series(t[some], uncertainty[some] / MICRO_G, "u(a_x)", role="model")
-        panels.append(Panel(time, Axis("standard uncertainty per row", "micro-g"), (series,)))
+        highest = 1.2 * float(known.max()) / MICRO_G
+        axis = Axis("standard uncertainty per row", "micro-g", limits=(0.0, highest or 1.0))
+        panels.append(Panel(time, axis, (series,)))
     return Figure(
         "compensation-error",
         "Error before and after compensation",
@@ -101,25 +107,22 @@ def error_figure(errors: Residuals, uncertainty: Array) -> Figure:
     )
 
 
-def error_spectrum_figure(errors: dict[str, Residuals], scale_factor: float) -> Figure:
+def error_spectrum_figure(
+    errors: dict[str, Residuals], scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
+) -> Figure:
     """Amplitude of the error in revolution order, one panel per component; a line at an order is a missed term."""
     panels = []
     for name, residuals in errors.items():
-        found = order_spectrum(residuals, scale_factor)
-        curves = (
+        found = order_spectrum(residuals, scale_factor, noise=noise)
+        curves: tuple[Series, ...] = (
             Series(found.order, found.before / MICRO_G, "as indicated", role="before"),
             Series(found.order, found.after / MICRO_G, "compensated", role="after"),
-            Series(
-                found.order, found.noise / MICRO_G, "white noise of the same size", role="muted", dashed=True
-            ),
         )
-        panels.append(
-            Panel(
-                Axis("revolution order", "1"),
-                Axis(f"amplitude of the error of {name}", "micro-g", log=True),
-                curves,
-            )
-        )
+        if any(noise):
+            expected = Series(found.order, found.noise / MICRO_G, "noise alone", role="muted", dashed=True)
+            curves = (*curves, expected)
+        amplitude = Axis(f"amplitude of the error of {name}", "micro-g", log=True)
+        panels.append(Panel(Axis("revolution order", "1"), amplitude, curves))
     return Figure(
         "compensation-spectrum",
         "Error in revolution order",
