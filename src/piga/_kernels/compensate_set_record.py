@@ -114,7 +114,8 @@ def weigh(
 
 @exact
 def weigh_all(
-    n: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array, codes: NDArray[np.int64],
+    n: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array,
+    codes: NDArray[np.int64],
     factors: Array, weights: Array, scratch: Array, w: Array, c: Array,
 ) -> None:  # fmt: skip
     """Weights of all instruments; a redundant set is solved again with them."""
