@@ -24,7 +24,7 @@ from piga.instrument.twin_predictions import (
     predicted_rectification,
     predicted_second_harmonic,
 )
-from piga.records import read_run
+from piga.stand import read_run
 from piga.reports.calibration_figures import order_spectrum, scale_factor, spectrum_figure
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.simulation_figures import loop_figures, servo_figure

@@ -73,7 +73,8 @@ if TYPE_CHECKING:
     from piga.calibration import calibrate
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
-    from piga.records import Calibration, Run, read_run
+    from piga.records import Calibration, Run
+    from piga.stand import read_run
 
 _LAZY = {
     "Instrument": "piga.instrument",
@@ -81,7 +82,7 @@ _LAZY = {
     "propagate": "piga.instrument",
     "regime": "piga.instrument",
     "Run": "piga.records",
-    "read_run": "piga.records",
+    "read_run": "piga.stand",
     "Calibration": "piga.records",
     "calibrate": "piga.calibration",
     "compensate": "piga.compensation",

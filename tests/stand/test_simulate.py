@@ -20,7 +20,6 @@ from piga.instrument import ErrorModel, Instrument
 from piga.instrument.electronics import Electronics, Temperature
 from piga.instrument.twin_linear import UnstableDesignError
 from piga.instrument.twin_parameters import PRESETS
-from piga.records import read_run
 from piga.reports.figure import Figure
 from piga.reports.page import page_html
 from piga.reports.simulation import simulation_page, simulation_text
@@ -35,6 +34,7 @@ from piga.stand import (
     Specimen,
     SpinPlan,
     VibrationTable,
+    read_run,
     read_scenario,
     run_scenario,
     simulate_test,

@@ -268,7 +268,9 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics={"residual_kind": run.kind} | diagnose(residuals) | segment_scatter(fit.design, residuals, fit.noise),
+        diagnostics={"residual_kind": run.kind}
+        | diagnose(residuals)
+        | segment_scatter(fit.design, residuals, fit.noise),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,

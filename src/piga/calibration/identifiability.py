@@ -163,7 +163,11 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
 
 
 def notes_in_words(
-    coefficients: tuple[Coefficient, ...], covariance: Array, condition: float, phase: str, scatter: dict[str, float]
+    coefficients: tuple[Coefficient, ...],
+    covariance: Array,
+    condition: float,
+    phase: str,
+    scatter: dict[str, float],
 ) -> tuple[str, ...]:
     """Doubts about the estimate, one sentence each."""
     notes = []

@@ -109,7 +109,9 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
         if right - left < 10 or design.run.begins[left + 1 : right].any() or duration == 0.0:
             continue
         slopes.append(float(t @ residuals.after[left:right] / (t @ t)))
-        expected.append(math.sqrt(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration))
+        expected.append(
+            math.sqrt(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
+        )
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
         return {}
     ratio = np.array(slopes) / np.array(expected)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS
+from piga.stand import stand_changes
 from piga.units import G0, from_si, to_si
 
 Array = NDArray[np.float64]
@@ -34,7 +35,8 @@ def sources(run: Run) -> Iterator[Source]:
 
     ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
     independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
-    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer.
+    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. The
+    entries of a particular stand (levelling, dividing errors, arm, rate ...) act through its own geometry.
     """
     for name, like in UNCERTAINTY_UNITS.items():
         given = getattr(run.uncertainty, name)
@@ -54,6 +56,9 @@ def sources(run: Run) -> Iterator[Source]:
             move = _bias if name == "reference_bias" else _turn
             for axis, label in enumerate(("X0", "Y0", "Z0")):
                 yield Source(f"{name} {label}", shown, unit, replace(run, f=move(run.f, axis, value)))
+    for change in stand_changes(run):
+        number, _, written_unit = change.written.partition(" ")
+        yield Source(change.name, float(number), written_unit or "1", replace(run, f=run.f + change.change))
 
 
 def _bias(f: Array, axis: int, value: float) -> Array:

@@ -18,7 +18,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 
 def check(run: RunFileArgument, as_json: JsonOption = False) -> None:
     """Read a recorded test and show what is found in it; nothing is calibrated."""
-    from piga.records import read_run
+    from piga.stand import read_run
 
     with progress("reading"):
         record = read_run(run)
@@ -98,7 +98,7 @@ def run_calibration(
 ) -> Calibration:
     """Read and calibrate, with progress."""
     from piga.calibration import calibrate as estimate
-    from piga.records import read_run
+    from piga.stand import read_run
 
     with progress("reading"):
         record = read_run(run)

@@ -102,7 +102,8 @@ def _single(
     from piga.compensation import identify_phase
     from piga.compensation.file_to_file import FileSummary, compensate_file
     from piga.compensation.writers import format_of, write_table
-    from piga.records import read_run, read_run_file
+    from piga.records import read_run_file
+    from piga.stand import read_run
 
     kind = format_of(out)
     data = run.parent / read_run_file(run).data.file
@@ -155,7 +156,7 @@ def _together(
     from piga.compensation import FLAGS, compensate_triad
     from piga.compensation.triad_file import orthogonal_triad, read_triad
     from piga.compensation.writers import format_of, write_table
-    from piga.records import read_run
+    from piga.stand import read_run
 
     kind = format_of(out)
     if len(runs) == 1:

@@ -22,8 +22,8 @@ def demo(
 ) -> None:
     """Calibrate the shipped dividing-head record, compensate it and write the report."""
     from piga.compensation import compensate
-    from piga.records import read_run
     from piga.reports.calibration import calibration_text
+    from piga.stand import read_run
 
     run = copy_example(output_directory(out))
     calibration = run_calibration(run, None, None, None, None)

@@ -10,7 +10,8 @@ import numpy as np
 from piga.compensation.model import Phase
 from piga.compensation.triad import Mounted
 from piga.errors import RunFileError
-from piga.records import Calibration, Run, read_run, read_toml
+from piga.records import Calibration, Run, read_toml
+from piga.stand import read_run
 from piga.records.run_file import Quantity
 from piga.units import to_si
 

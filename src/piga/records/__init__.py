@@ -9,7 +9,7 @@ from piga.records.calibration import (
     Residuals,
     SegmentSummary,
 )
-from piga.records.read_run import read_run
+from piga.records.read_run import read_record
 from piga.records.run import Run
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.toml_file import read_toml
@@ -24,7 +24,7 @@ __all__ = [
     "Run",
     "RunFile",
     "SegmentSummary",
-    "read_run",
+    "read_record",
     "read_run_file",
     "read_toml",
 ]

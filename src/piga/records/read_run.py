@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,21 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 MAX_SEGMENTS = 100_000
 
 
-def read_run(path: str | Path) -> Run:
-    """Read a recorded test.
+StandReference = Callable[
+    [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]
+]
+"""Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
+
+
+def read_record(path: str | Path, stand_reference: StandReference) -> Run:
+    """Read a recorded test; :func:`piga.read_run` is this with the stands of piga.
 
     Parameters
     ----------
     path:
         Run file (TOML), see ``interface.md``; its data file is looked for beside it.
+    stand_reference:
+        Gives the reference when ``[data]`` has none and a ``[stand]`` table describes it.
 
     Raises
     ------
@@ -47,7 +56,7 @@ def read_run(path: str | Path) -> Run:
     data_path = path.parent / run_file.data.file
     digest = _sha256(data_path)
     table = _read_table(data_path, run_file)
-    run = _Assembly(run_file, table).run(path)
+    run = _Assembly(run_file, table, stand_reference).run(path)
     if _sha256(data_path) != digest:
         raise DataError(
             f"{data_path}: the file changed while it was read", remedy="stop the logger, then try again"
@@ -95,6 +104,7 @@ class _Assembly:
 
     run_file: RunFile
     table: RawTable
+    stand_reference: StandReference
 
     def run(self, path: Path) -> Run:
         data, table = self.run_file.data, self.table
@@ -110,8 +120,7 @@ class _Assembly:
         events += base.events
         keep = base.keep
         self._check_enough(base, path)
-        f = self._group(data.reference, "m/s^2", keep)
-        assert f is not None  # noqa: S101 - read_run_file refuses a run file without reference
+        f, base_rate = self._reference(path, t[keep], segment[keep], labels, keep)
         output, lost, resolution = self._output(keep, base, f[:, 0], rows[keep], events)
         segment, labels, groups = _split_lost(segment[keep], labels, lost, events, rows[keep])
         return Run(
@@ -121,7 +130,7 @@ class _Assembly:
             t=t[keep],
             output=output,
             f=f,
-            base_rate=self._group(data.base_rate, "rad/s", keep),
+            base_rate=base_rate,
             temperature=self._temperature(keep),
             segment=segment,
             labels=labels,
@@ -133,8 +142,20 @@ class _Assembly:
             model=self.run_file.model,
             estimation=self.run_file.estimation,
             uncertainty=self.run_file.uncertainty,
+            stand=self.run_file.stand,
             source=str(path),
         )
+
+    def _reference(
+        self, path: Path, t: Array, segment: NDArray[np.int32], labels: tuple[str, ...], keep: NDArray[np.bool_]
+    ) -> tuple[Array, Array | None]:
+        """Specific force and base rate from the columns, or from the stand where there are none."""
+        data = self.run_file.data
+        f, base_rate = self._group(data.reference, "m/s^2", keep), self._group(data.base_rate, "rad/s", keep)
+        if f is None:
+            f, stand_rate = self.stand_reference(self.run_file.stand or {}, path.parent, t, segment, labels)
+            base_rate = stand_rate if base_rate is None else base_rate
+        return f, base_rate
 
     def _segments(self, events: list[Event]) -> tuple[NDArray[np.int32], tuple[str, ...]]:
         name = self.run_file.data.segment

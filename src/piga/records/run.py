@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,8 @@ class Run:
         1-based row in the data file.
     resolution:
         Angle of one count [rad], 0 when the output is not counted.
+    stand:
+        The run file's ``[stand]`` table as written, for the uncertainty budget.
     """
 
     serial: str
@@ -61,6 +64,7 @@ class Run:
     model: ModelTable = field(default_factory=ModelTable)
     estimation: EstimationTable = field(default_factory=EstimationTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    stand: dict[str, Any] | None = None
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
 

@@ -7,7 +7,7 @@ data: keys, types, units, term names, and options that contradict each other.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -95,7 +95,10 @@ class EstimationTable(Table, frozen=True):
 
 
 class UncertaintyTable(Table, frozen=True):
-    """``[uncertainty]``: Type B standard uncertainties of the reference and the clock."""
+    """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
+
+    Those below ``temperature`` belong to particular stands and need the ``[stand]`` table.
+    """
 
     reference_scale: Quantity | None = None
     reference_bias: Quantity | None = None
@@ -103,6 +106,23 @@ class UncertaintyTable(Table, frozen=True):
     gravity: Quantity | None = None
     timing: Quantity | None = None
     temperature: Quantity | None = None
+    levelling: Any = None
+    angle_error: Any = None
+    angle_harmonics: Any = None
+    settling: Any = None
+    arm_radius: Any = None
+    arm_stretch: Any = None
+    rate_error: Any = None
+    rate_ripple: Any = None
+    transverse_motion: Any = None
+    rocking: Any = None
+
+    def of_the_stand(self) -> dict[str, Any]:
+        """The stand-specific entries that are given."""
+        own = msgspec.structs.asdict(self)
+        return {
+            name: value for name, value in own.items() if name not in UNCERTAINTY_UNITS and value is not None
+        }
 
 
 class RunFile(Table, frozen=True):
@@ -113,6 +133,7 @@ class RunFile(Table, frozen=True):
     model: ModelTable = ModelTable()
     estimation: EstimationTable = EstimationTable()
     uncertainty: UncertaintyTable = UncertaintyTable()
+    stand: dict[str, Any] | None = None
 
 
 UNCERTAINTY_UNITS = {
@@ -139,6 +160,7 @@ def read_run_file(path: str | Path) -> RunFile:
     try:
         _check_units(run_file)
         _check_output(run_file)
+        _check_reference(run_file)
         check_terms(run_file.model.terms, where="[model] terms")
     except (UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
@@ -216,10 +238,19 @@ def _check_output(run_file: RunFile) -> None:
         )
     if data.sample_rate is not None and to_si(data.sample_rate, "Hz", what="[data] sample_rate") <= 0.0:
         raise RunFileError("[data] sample_rate: must be positive", remedy="e.g. '100 Hz'")
-    if data.reference is None:
-        raise RunFileError(
-            "[data] reference is missing: the specific force that the instrument felt",
-            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }",
-        )
     if data.decimal is not None and data.decimal == data.delimiter:
         raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")
+
+
+def _check_reference(run_file: RunFile) -> None:
+    if run_file.data.reference is None and run_file.stand is None:
+        raise RunFileError(
+            "[data] reference is missing: the specific force that the instrument felt",
+            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
+        )
+    named = run_file.uncertainty.of_the_stand()
+    if named and run_file.stand is None:
+        raise RunFileError(
+            f"[uncertainty] {next(iter(named))}: belongs to a stand, but there is no [stand] table",
+            remedy="add [stand] kind = '...', latitude = '...' and its positions or levels",
+        )

@@ -7,6 +7,7 @@ from piga.stand.imperfections import Imperfections
 from piga.stand.logged import LoggedProfile
 from piga.stand.profile import Profile, Segment, Stand, force_change, sample_stand
 from piga.stand.rate_table import RateTable
+from piga.stand.run_reference import read_run, stand_changes
 from piga.stand.scenario import Scenario, read_scenario, run_scenario
 from piga.stand.simulate import SimulatedTest, Specimen, simulate_test
 from piga.stand.spin import SpinPlan
@@ -29,8 +30,10 @@ __all__ = [
     "Stand",
     "VibrationTable",
     "force_change",
+    "read_run",
     "read_scenario",
     "run_scenario",
     "sample_stand",
     "simulate_test",
+    "stand_changes",
 ]

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from piga._version import __version__
@@ -73,7 +74,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
         "segment": "segment",
     }
     tables = {"instrument": instrument, "data": data, "model": _model(scenario, test)}
-    tables |= {name: getattr(scenario.table, name) for name in ("estimation", "uncertainty")}
+    tables |= {"stand": _stand(scenario), "estimation": scenario.table.estimation, "uncertainty": _uncertainty(scenario)}
     comment = (
         f"# Simulated by piga {__version__} from {scenario.path.name}, model {test.model}, seed {test.seed}.\n"
     )
@@ -88,6 +89,18 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
         model["terms"] = names
     model.setdefault("phase", "shared" if shares_phase(test) else "per-segment")
     return model
+
+
+def _stand(scenario: Scenario) -> dict[str, Any]:
+    """The stand as the scenario gives it: the budget of the calibration uses it."""
+    table = msgspec.to_builtins(scenario.table.stand)
+    return {key: value for key, value in table.items() if value is not None}
+
+
+def _uncertainty(scenario: Scenario) -> dict[str, Any]:
+    """``[uncertainty]`` as written; where the imperfections were drawn, their standard uncertainties too."""
+    drawn = scenario.table.imperfections if scenario.table.run.imperfections == "drawn" else {}
+    return drawn | scenario.table.uncertainty
 
 
 def _toml_table(name: str, table: dict[str, Any]) -> str:

@@ -1,0 +1,162 @@
+"""The stand behind a recorded test: its reference where the log has none, and what its errors change.
+
+A run file's ``[stand]`` table has the keys of a scenario's. Static stands (dividing head, centrifuge and
+rate table at constant rate) are matched to the record segment by segment: by label where the labels of the
+record are those of the stand, else in order. A vibration table, a logged profile and a composite are
+matched by time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
+from piga.records.read_run import read_record
+from piga.records.run import Run
+from piga.stand.imperfections import Imperfections, imperfections
+from piga.stand.profile import Segment, Stand, force_change
+from piga.stand.scenario_tables import CompositeTable, SimpleStand
+
+Array = NDArray[np.float64]
+
+TIMED = ("vibration-table", "profile", "composite")
+"""Stands matched to a record by time."""
+
+
+@dataclass(frozen=True)
+class StandChange:
+    """One component of a stand's uncertainty: name, standard uncertainty as written, change of f [m/s^2]."""
+
+    name: str
+    written: str
+    change: Array
+
+
+def read_run(path: str | Path) -> Run:
+    """Read a recorded test.
+
+    Parameters
+    ----------
+    path:
+        Run file (TOML); its data file is looked for beside it. Without reference columns the reference is
+        computed from its ``[stand]`` table.
+
+    Raises
+    ------
+    RunFileError
+        If the run file is not valid.
+    DataError
+        If the data file does not hold what the run file says; with file, row, column and remedy.
+    """
+    try:
+        return read_record(path, stand_reference)
+    except (ArgumentError, UnitError) as error:
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+
+
+def stand_reference(
+    table: dict[str, Any], folder: Path, t: Array, segment: NDArray[np.int32], labels: tuple[str, ...]
+) -> tuple[Array, Array]:
+    """Specific force [m/s^2] and base rate [rad/s] of the perfect stand at the samples, (n, 3) each.
+
+    Raises
+    ------
+    ArgumentError
+        If the table is not valid or does not fit the record; names the key.
+    """
+    stand, names = _build(table, folder)
+    if stand.kind == "vibration-table":
+        raise ArgumentError(
+            "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
+            remedy="log the reference and give [data] reference",
+        )
+    return stand.motion(_stand_times(stand, names, t, segment, labels), Imperfections())
+
+
+def stand_changes(run: Run) -> Iterator[StandChange]:
+    """What each stand-specific entry of the run file's ``[uncertainty]`` changes, component by component.
+
+    Raises
+    ------
+    RunFileError
+        If an entry does not exist on the stand or is not valid.
+    """
+    named = run.uncertainty.of_the_stand()
+    if not named:
+        return
+    try:
+        stand, names = _build(run.stand or {}, Path(run.source).parent)
+        t = _stand_times(stand, names, run.t, run.segment, run.labels)
+        for name, written in named.items():
+            for text, errors in _components(name, written):
+                errors.require(stand.accepted, stand.kind)
+                yield StandChange(f"{name}{text[0]}", text[1], force_change(stand, t, errors))
+    except PigaError as error:
+        raise RunFileError(f"{run.source}: {error.message}", remedy=error.remedy) from None
+
+
+def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] | None]:
+    """The stand, and the labels of its positions when they are given by name."""
+    positions = table.get("positions")
+    names = None
+    if isinstance(positions, dict):
+        names = tuple(positions)
+        table = table | {"positions": list(positions.values())}
+    try:
+        built = msgspec.convert(table, SimpleStand | CompositeTable)
+    except msgspec.ValidationError as error:
+        raise ArgumentError(f"[stand]: {str(error).lower()}", remedy="see the example scenarios") from None
+    return built.build(folder), names
+
+
+def _stand_times(
+    stand: Stand, names: tuple[str, ...] | None, t: Array, segment: NDArray[np.int32], labels: tuple[str, ...]
+) -> Array:
+    """Time on the stand's own plan of each sample [s]."""
+    if stand.kind in TIMED:
+        return t
+    planned = [part for part in stand.segments() if part.recorded]
+    by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
+    parts = [by_name.get(label.split("/")[0]) for label in labels]
+    if None in parts:
+        parts = list(_in_order(planned, labels))
+    result = np.empty(t.size)
+    for index, part in enumerate(parts):
+        inside = segment == index
+        if part is not None and inside.any():
+            result[inside] = part.start + np.clip(t[inside] - t[inside][0], 0.0, part.duration)
+    return result
+
+
+def _in_order(planned: list[Segment], labels: tuple[str, ...]) -> list[Segment]:
+    if len(planned) != len(labels):
+        raise ArgumentError(
+            f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments",
+            remedy="name them: positions = { 'label' = 'angle', ... }",
+        )
+    return planned
+
+
+def _components(name: str, written: Any) -> Iterator[tuple[tuple[str, str], Imperfections]]:
+    """``((suffix, value as written), imperfections with one component)`` for one entry."""
+    where = "[uncertainty]"
+    if name == "angle_harmonics":
+        for order, amplitude, *phase in written:
+            for at in phase or ("0 deg", "90 deg"):
+                suffix = f" order {order}" + ("" if phase else f" ({'sine' if at == '0 deg' else 'cosine'})")
+                yield (suffix, str(amplitude)), imperfections({name: [[order, amplitude, at]]}, where=where)
+    elif name == "levelling":
+        values = written if isinstance(written, (list, tuple)) else (written, written)
+        for axis, value in enumerate(values):
+            pair = ["0 rad", "0 rad"]
+            pair[axis] = value
+            yield (f" axis {axis + 1}", str(value)), imperfections({name: pair}, where=where)
+    else:
+        yield ("", str(written)), imperfections({name: written}, where=where)

@@ -1,0 +1,109 @@
+"""The ``[stand]`` table of a run file: reference where the log has none, rows of the uncertainty budget."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piga
+from piga.cli.demo import copy_example
+from piga.stand import stand_changes
+from piga.units import ARCSEC, G0
+
+STAND = """
+[stand]
+kind = "dividing-head"
+latitude = "40 deg"
+gravity = "9.80166 m/s^2"
+positions = "0:360:15 deg"
+"""
+
+
+def edited(folder: Path, *, stand: str = STAND, uncertainty: str = "", keep_reference: bool = False) -> Path:
+    path = copy_example(folder)
+    lines = path.read_text().split("[uncertainty]")[0].splitlines()
+    if not keep_reference:
+        lines = [line for line in lines if not line.startswith(("reference =", "base_rate ="))]
+    path.write_text("\n".join(lines) + stand + uncertainty)
+    return path
+
+
+def test_the_stand_gives_the_reference_of_the_shipped_record(tmp_path: Path) -> None:
+    logged = piga.read_run(copy_example(tmp_path))
+    run = piga.read_run(edited(tmp_path))
+    np.testing.assert_allclose(run.f, logged.f, atol=1e-9 * G0)
+    assert run.base_rate is not None
+    assert logged.base_rate is not None
+    np.testing.assert_allclose(run.base_rate, logged.base_rate, atol=1e-13)
+
+
+def test_positions_by_name(tmp_path: Path) -> None:
+    names = ", ".join(f'"{k}" = "{15 * k} deg"' for k in reversed(range(24)))
+    by_name = STAND.replace('"0:360:15 deg"', f"{{ {names} }}")
+    run = piga.read_run(edited(tmp_path, stand=by_name))
+    np.testing.assert_allclose(run.f, piga.read_run(edited(tmp_path)).f, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("stand", "uncertainty", "message"),
+    [
+        (STAND.replace("0:360:15", "0:360:45"), "", r"8 positions or levels, the record has 24 segments"),
+        (STAND.replace("dividing-head", "swing"), "", "invalid value 'swing'"),
+        (STAND.replace("latitude", "lattitude"), "", "lattitude|latitude"),
+        (STAND.replace("40 deg", "40 g"), "", r"\[stand\] latitude.*quantity in 'rad'"),
+        (
+            '[stand]\nkind = "vibration-table"\nlatitude = "40 deg"\n[[stand.drives]]\nshape = "rest"\nduration = "60 s"\n',
+            "",
+            "phase of the drive",
+        ),
+        ("", "", r"\[data\] reference is missing"),
+        ("", '[uncertainty]\nlevelling = "1 arcsec"\n', r"reference is missing"),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path: Path, stand: str, uncertainty: str, message: str) -> None:
+    path = edited(tmp_path, stand="\n" + stand, uncertainty=uncertainty)
+    with pytest.raises(piga.RunFileError, match="(?s)" + message) as caught:
+        piga.read_run(path)
+    assert str(path) in str(caught.value)
+
+
+def test_stand_entries_need_a_stand_and_one_that_has_them(tmp_path: Path) -> None:
+    alone = edited(
+        tmp_path, stand="\n", uncertainty='[uncertainty]\nlevelling = "1 arcsec"\n', keep_reference=True
+    )
+    with pytest.raises(piga.RunFileError, match="levelling: belongs to a stand"):
+        piga.read_run(alone)
+    wrong = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\narm_radius = "1 um"\n'))
+    with pytest.raises(piga.RunFileError, match="'arm_radius' does not exist on a dividing-head"):
+        list(stand_changes(wrong))
+    unit = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\nangle_error = "1 um"\n'))
+    with pytest.raises(piga.RunFileError, match=r"angle_error.*'1 um'"):
+        list(stand_changes(unit))
+
+
+def test_each_component_changes_the_force_as_its_geometry_says(tmp_path: Path) -> None:
+    entries = (
+        '[uncertainty]\nangle_error = "2 arcsec"\nlevelling = "1 arcsec"\nangle_harmonics = [[2, "1 arcsec"]]\n'
+    )
+    run = piga.read_run(edited(tmp_path, uncertainty=entries))
+    changes = {change.name: change for change in stand_changes(run)}
+    assert set(changes) == {
+        "angle_error", "levelling axis 1", "levelling axis 2",
+        "angle_harmonics order 2 (sine)", "angle_harmonics order 2 (cosine)",
+    }  # fmt: skip
+    turned = changes["angle_error"].change
+    np.testing.assert_allclose(turned[:, 0], 2.0 * ARCSEC * run.f[:, 1], atol=1e-9)
+    np.testing.assert_allclose(turned[:, 1], -2.0 * ARCSEC * run.f[:, 0], atol=1e-9)
+
+
+@pytest.mark.only_compiled
+def test_budget_has_the_rows_of_the_stand(tmp_path: Path) -> None:
+    """An index error of the head is a misalignment m_Y, and nothing else, to first order."""
+    run = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\nangle_error = "2 arcsec"\n'))
+    rows = {row["source"]: row for row in piga.calibrate(run).budget}
+    found = rows["angle_error"]
+    assert found["standard_uncertainty"] == {"value": 2.0, "unit": "arcsec"}
+    assert abs(found["contributions"]["m_Y"]) == pytest.approx(2.0 * ARCSEC, rel=1e-2)
+    assert abs(found["contributions"]["k0"]) < 1e-9
