@@ -24,12 +24,11 @@ from piga.instrument.twin_predictions import (
     predicted_rectification,
     predicted_second_harmonic,
 )
-from piga.stand import read_run
 from piga.reports.calibration_figures import order_spectrum, scale_factor, spectrum_figure
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.simulation_figures import loop_figures, servo_figure
 from piga.reports.static import write_figure
-from piga.stand import DividingHead, Specimen, read_scenario, run_scenario, simulate_test
+from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
 from piga.stand.truth import coefficients, predicted_angle_error
 from piga.stand.write_run import run_file_text, write_data
 from piga.units import ARCSEC, G0

@@ -11,8 +11,8 @@ from piga.compensation.model import Phase
 from piga.compensation.triad import Mounted
 from piga.errors import RunFileError
 from piga.records import Calibration, Run, read_toml
-from piga.stand import read_run
 from piga.records.run_file import Quantity
+from piga.stand import read_run
 from piga.units import to_si
 
 Row = tuple[float, float, float]
