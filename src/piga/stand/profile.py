@@ -6,7 +6,7 @@ A stand is two functions: the plan of its segments, and what an instrument on it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.stand.imperfections import NONE, Imperfections
+from piga.stand.tide import EarthTide
 
 Array = NDArray[np.float64]
 
@@ -123,9 +124,12 @@ def check_step(segments: tuple[Segment, ...], step: float) -> None:
 
 
 def sample_stand(
-    stand: Stand, step: float, *, errors: Imperfections = NONE, oversample: int = 1, extra: int = 0
-) -> Profile:
+    stand: Stand, step: float, *, errors: Imperfections = NONE, oversample: int = 1, extra: int = 0,
+    tide: EarthTide | None = None,
+) -> Profile:  # fmt: skip
     """Sample a stand at every ``step/oversample`` [s], with ``extra`` rows beyond its end.
+
+    The specific force of every stand is linear in gravity: the tide adds its share of the unit change.
 
     Raises
     ------
@@ -139,8 +143,13 @@ def sample_stand(
     check_step(segments, step)
     end = round((segments[-1].stop - segments[0].start) / step) * oversample
     t = segments[0].start + np.arange(end + extra + 1) * step / oversample
-    force, rate = errors.felt(*stand.motion(t, errors))
+    force, rate = stand.motion(t, errors)
     reference, reference_rate = stand.motion(t, NONE)
+    if tide is not None:
+        change = tide.gravity(t)[:, None] * (stand.motion(t, replace(NONE, gravity=1.0))[0] - reference)
+        force = force + change
+        reference = reference + change if tide.in_reference else reference
+    force, rate = errors.felt(force, rate)
     return Profile(t, segment_index(t, segments), segments, force, rate, reference, reference_rate)
 
 

@@ -18,6 +18,7 @@ from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.profile import Stand
 from piga.stand.scenario_tables import ScenarioTable
 from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
+from piga.stand.tide import EarthTide
 from piga.units import to_si
 
 _MOTION = ("scale_factor", "beta", "tan_beta", "alpha0", "T_ref")
@@ -89,9 +90,25 @@ def run_scenario(
             seed=chosen,
             step=None if run.step is None else to_si(run.step, "s", what="[run] step"),
             force=force,
+            tide=_tide(scenario),
         )
     except PigaError as error:
         raise type(error)(f"{scenario.path}: {error.message}", remedy=error.remedy) from None
+
+
+def _tide(scenario: Scenario) -> EarthTide | None:
+    table = scenario.table.run.earth_tide
+    if table is None:
+        return None
+    site = getattr(scenario.stand, "site", None)
+    if site is None:
+        raise ArgumentError(
+            f"[run] earth_tide: a stand of kind '{scenario.stand.kind}' has no site",
+            remedy="use it with a dividing head, centrifuge, rate table or vibration table",
+        )
+    if table.start.tzinfo is None:
+        raise ArgumentError("[run] earth_tide start has no time zone", remedy="write e.g. 2026-11-21T08:00:00Z")
+    return EarthTide(site, table.start, table.reference == "includes")
 
 
 def _specimen(table: ScenarioTable) -> Specimen:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from pathlib import Path
 from typing import Any, Literal
 
@@ -57,6 +58,13 @@ class TemperatureTable(Table, frozen=True):
     period: Quantity = "1 d"
 
 
+class EarthTideTable(Table, frozen=True):
+    """``[run] earth_tide``: UTC of the start of the test, and whether the lab's reference has the tide."""
+
+    start: dt.datetime
+    reference: Literal["ignores", "includes"] = "ignores"
+
+
 class RunTable(Table, frozen=True):
     """``[run]``: how it is simulated and written."""
 
@@ -66,6 +74,7 @@ class RunTable(Table, frozen=True):
     step: Quantity | None = None
     format: Literal["parquet", "csv"] = "parquet"
     imperfections: Literal["fixed", "drawn"] = "fixed"
+    earth_tide: EarthTideTable | None = None
 
 
 class SiteTable(Table, frozen=True):

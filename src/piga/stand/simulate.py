@@ -27,6 +27,7 @@ from piga.instrument.twin_linear import analyse_loop, require_stable
 from piga.instrument.twin_parameters import TwinParameters
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
+from piga.stand.tide import EarthTide
 
 Array = NDArray[np.float64]
 Model = Literal["quasi-steady", "twin"]
@@ -113,6 +114,7 @@ def simulate_test(
     seed: int = 1,
     step: float | None = None,
     force: bool = False,
+    tide: EarthTide | None = None,
 ) -> SimulatedTest:
     """Simulate a test.
 
@@ -133,6 +135,8 @@ def simulate_test(
         interval; None: what the stand's fastest motion needs.
     force:
         Simulate an unstable servo loop as well; having no slow manifold, it starts with its transient.
+    tide:
+        Tide of the solid Earth in gravity; None: none.
 
     Raises
     ------
@@ -148,6 +152,7 @@ def simulate_test(
         errors=imperfections,
         oversample=oversample,
         extra=_overshoot(stand, electronics, imperfections, grid),
+        tide=tide,
     )
     streams = np.random.default_rng(seed).spawn(4)
     kelvin = temperature.at(profile.t)
