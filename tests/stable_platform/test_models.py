@@ -47,6 +47,13 @@ def test_model_a_leaves_what_the_theory_says(ten_days):
 
 
 @only_compiled
+def test_the_coriolis_coupling_gives_the_north_velocity(ten_days):
+    run = ten_days.models["A"]
+    ratio = run.lines.amplitude["north_velocity"] / run.theory.amplitude["north_velocity"]
+    assert np.all(np.abs(ratio[2:] - 1.0) < 0.002)
+
+
+@only_compiled
 def test_the_published_numbers_of_day_ten(ten_days):
     a = ten_days.models["A"].lines.amplitude
     end = np.tan(2.4 * DEG) / np.tan(2.28 * DEG)

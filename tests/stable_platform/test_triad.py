@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piga._kernels.platform_triad import solve_triad
 from piga.errors import ArgumentError
 from piga.stable_platform import capstone
 from piga.stable_platform.scenario import Compensation, Gyro, PigaSensors, Sensors
@@ -37,6 +38,19 @@ def test_the_solved_force_is_the_true_one(mounting, tan_beta):
     mean = 0.5 * (force[1:] + force[:-1])
     assert np.abs(solved - mean).max() < 3e-6 * (tan_beta / 3.6e-4)
     assert np.abs(raw - mean).max() > 1.5 * tan_beta
+
+
+def test_two_newton_steps_reach_the_end():
+    """The averaged effective axes are the Jacobian to first order in tan(beta)."""
+    t, force = _sweep(n=40)
+    alpha = gimbal_angles(replace(PIGA, tan_beta=5e-3), t, force, np.zeros((40, 3)))
+    found = []
+    for sweeps in (2, 6):
+        increments = np.empty((40, 3))
+        constants = np.full(3, PIGA.scale_factor), np.full(3, 5e-3)
+        solve_triad(alpha, mounting_axes(PIGA), *constants, 1.0, sweeps, np.empty((3, 4)), increments)
+        found.append(increments)
+    assert np.abs(found[0] - found[1])[1:].max() < 2e-8
 
 
 def test_mounting_axes_are_right_handed_triads():

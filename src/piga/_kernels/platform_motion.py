@@ -117,7 +117,7 @@ def simulate_platform(
     eta_out: Array,
     spin: Array,
 ) -> float:
-    """True readouts over ``n = dv.shape[0]`` steps of ``h``; node ``k`` at ``start + k h``. Returns the last eta.
+    """True readouts over ``n = dv.shape[0]`` steps of ``h``; node k at ``start + k h``. Returns the last eta.
 
     ``gyro`` (4,) m1, phase 1, m2, phase 2; ``a1 .. b2`` harmonics [rad]; ``rates`` (8,) see
     :func:`drift_triad`; ``case`` (4,) rate 1, turns before reversal 1, rate 2, turns 2; ``f_e`` specific

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piga.reports.numbers import short
+from piga.reports.numbers import fixed, short
 from piga.reports.page import Block, Cell, Column, FigureBlock, Notice, Page, Section, Table, Text, Tile
 from piga.reports.platform_figures import (
     ARCMIN,
@@ -349,7 +349,7 @@ def _alignment_table(run: Run, aligned: Alignment) -> Table:
             )
         )
     for k, name in enumerate(("roll", "pitch", "heading")):
-        rows.append((f"base {name}", f"{np.degrees(aligned.base_angles[k]):.5f}", "–", "deg", "–"))
+        rows.append((f"base {name}", fixed(float(np.degrees(aligned.base_angles[k])), 5), "–", "deg", "–"))
     columns = (
         Column("quantity", align="text"),
         Column("value"),

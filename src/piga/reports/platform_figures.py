@@ -261,13 +261,13 @@ def readouts_figure(run: Run) -> Figure:
                 axis,
                 Axis("gimbal angle", "deg"),
                 tuple(
-                    Series(r.times / unit, np.degrees(r.gimbals[:, k]), n, "line", roles[k])
+                    Series(r.times / unit, np.degrees(np.unwrap(r.gimbals[:, k])), n, "line", roles[k])
                     for k, n in enumerate(("outer", "middle", "inner"))
                 ),
             ),
             Panel(
                 Axis("time", "min"),
-                Axis("gimbal angle less its line", "arcmin"),
+                Axis("gimbal less its course", "arcmin"),
                 tuple(
                     Series(
                         r.times[early] / MINUTE,
@@ -281,7 +281,7 @@ def readouts_figure(run: Run) -> Figure:
             ),
             Panel(
                 axis,
-                Axis("redundancy-axis pick-off", "arcmin"),
+                Axis("pick-off", "arcmin"),
                 (
                     Series(r.times / unit, r.pickoff / ARCMIN, "read", "line", "data"),
                     Series(r.times / unit, run.truth.eta / ARCMIN, "redundancy angle", "line", "model"),
@@ -289,7 +289,7 @@ def readouts_figure(run: Run) -> Figure:
             ),
             Panel(
                 Axis("time", "min"),
-                Axis("redundancy-axis pick-off", "arcmin"),
+                Axis("pick-off", "arcmin"),
                 (
                     Series(r.times[early] / MINUTE, r.pickoff[early] / ARCMIN, "read", "line", "data"),
                     Series(
@@ -390,8 +390,8 @@ def force_day_figure(found: Capstone) -> Figure:
         "fig-day",
         "Gravity sweeps through every input axis",
         (panel,),
-        "Three axes at right angles round the pole. Each crosses zero twice a day; within "
-        f"{1e3 * width:.1f} mm/s^2 of it the instrument locks.",
+        "Three axes at right angles round the pole. Each crosses zero twice a day, "
+        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it.",
     )
 
 

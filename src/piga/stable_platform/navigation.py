@@ -24,7 +24,7 @@ _LARGEST_TURN = 1e-5
 
 @dataclass(frozen=True)
 class Start:
-    """Start of navigation: inertial position [m], velocity [m/s], triad ``C_G^i`` (3, 3), drift (3,) [rad/s]."""
+    """Start: inertial position [m], velocity [m/s], triad ``C_G^i`` (3, 3), drift (3,) [rad/s]."""
 
     position: Array
     velocity: Array
