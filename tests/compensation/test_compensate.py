@@ -108,3 +108,15 @@ def test_uncertainty_grows_in_the_dead_zone():
     running = piga.compensate(run_of(t, constant_force(t, 1.0, 5.0), phi=PHI), cal)
     assert locked.u_ax[5] > 5.0 * TAN_BETA * G0 / np.sqrt(3.0)
     assert running.u_ax[5] < 1e-4 * G0
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("step", [0.3, 1.0, 6.0])
+@pytest.mark.parametrize("a_x", [1.0, -1.0, 0.02])
+def test_constant_force_comes_back_whatever_the_output_turns_in_an_interval(step, a_x):
+    """The inverse is that of the exact motion: up to several radians and, flagged as coarse, beyond a turn."""
+    t = step * np.arange(30)
+    found = piga.compensate(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI), CAL)
+    assert np.abs(found.ax[1:] - a_x * G0).max() < 1e-13 * G0
+    turned = np.abs(np.diff(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI).output)) > 1.0
+    assert (found.flagged("coarse")[1:] == turned).all()

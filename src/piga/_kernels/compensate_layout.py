@@ -46,11 +46,12 @@ ANGLE = 28 * STRIDE  # effective angle [rad]
 INVERSE = 29 * STRIDE  # 1/STEP [1/s]; 0 where no increment is formed
 AXIS_X, AXIS_Y, AXIS_Z = 30 * STRIDE, 31 * STRIDE, 32 * STRIDE  # sets: effective axis in the common frame
 HALF = 33 * STRIDE  # sets: half the angle turned [rad], or the rate [rad/s]
-GAIN = 34 * STRIDE  # sets: sin(HALF)/HALF
+GAIN = 34 * STRIDE  # sin(delta)/delta, delta half the angle turned
 BASE_X, BASE_Y, BASE_Z = 35 * STRIDE, 36 * STRIDE, 37 * STRIDE  # sets: what base rate and harmonics add [rad/s]
 ERROR = 38 * STRIDE  # sets: error model at the force [m/s^2]
 HARMONICS = 39 * STRIDE  # sets: second and higher harmonics [m/s^2]
-WORK = 40 * STRIDE
+ANGLE_TURNED = 40 * STRIDE  # A: integral of u_x over the interval [rad]
+WORK = 41 * STRIDE
 
 P_K = 0
 P_TAN_BETA = 1
