@@ -110,7 +110,7 @@ def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch
 def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts, chunk):
     monkeypatch.setattr(large_file, "CHUNK_ROWS", chunk)
     monkeypatch.setattr(large_file, "BLOCK_BYTES", 20 * chunk)
-    path = write(tmp_path, name, counts=counts)
+    path = write(tmp_path, name, rows=1500, counts=counts)
     cal = calibration_of(CAL, {"phi": 1e-4}, serial="A", angle_rms=1e-6)
     summary = file_to_file.compensate_file(path, cal, tmp_path / "o.parquet", "parquet")
     whole = piga.compensate(piga.read_run(path), cal)

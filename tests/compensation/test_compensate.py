@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 import piga
-from piga.compensation import FLAGS, Phase
+from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
+TOLERANCE_RAMPS = 1e-11
+TOLERANCE_ERRORS = 2e-7
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
 
 
@@ -108,3 +110,60 @@ def test_uncertainty_grows_in_the_dead_zone():
     running = piga.compensate(run_of(t, constant_force(t, 1.0, 5.0), phi=PHI), cal)
     assert locked.u_ax[5] > 5.0 * TAN_BETA * G0 / np.sqrt(3.0)
     assert running.u_ax[5] < 1e-4 * G0
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("step", [0.3, 1.0, 6.0])
+@pytest.mark.parametrize("a_x", [1.0, -1.0, 0.02])
+def test_constant_force_comes_back_whatever_the_output_turns_in_an_interval(step, a_x):
+    """The inverse is that of the exact motion: up to several radians and, flagged as coarse, beyond a turn."""
+    t = step * np.arange(30)
+    found = piga.compensate(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI), CAL)
+    assert np.abs(found.ax[1:] - a_x * G0).max() < 1e-13 * G0
+    turned = np.abs(np.diff(run_of(t, constant_force(t, a_x, 4.0, 3.0), phi=PHI).output)) > 1.0
+    assert (found.flagged("coarse")[1:] == turned).all()
+
+
+def ramps(t):
+    """Three forces with slopes of their own [m/s^2]."""
+    return G0 * np.stack([1.0 + 0.1 * t, 2.0 - 0.3 * t, -1.0 + 0.25 * t], axis=1)
+
+
+@pytest.mark.compiled
+def test_independent_ramps_come_back_to_the_fourth_order():
+    """From the second interval on the slope is known: 1e-12 g at 20 Hz; a wrong Magnus term leaves 1e-6 g."""
+    t = np.arange(0.0, 5.0, 0.05)
+    found = piga.compensate(run_of(t, ramps(t), phi=PHI), CAL)
+    assert np.abs(found.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_RAMPS * G0
+
+
+@pytest.mark.compiled
+def test_error_model_is_integrated_over_the_slope():
+    """What is left comes from the curvature that exaggerated coefficients give the input: 7e-8 g."""
+    t = np.arange(0.0, 5.0, 0.05)
+    errors = {"k2": 5e-2, "k3": 1e-2, "k_XY": 2e-2, "k_XZ": 3e-2, "k_YY": 1e-2, "k_YZ": 2e-2}
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **errors})
+    found = piga.compensate(run_of(t, ramps(t), phi=PHI, errors=errors), cal)
+    assert np.abs(found.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_ERRORS * G0
+
+
+@pytest.mark.compiled
+def test_harmonics_at_samples_of_angle_and_rate():
+    """Rates written down from the model, with orders 1 to 3."""
+    t = np.arange(50) * 0.01
+    alpha = PHI + 0.9 * t + 0.2 * np.sin(5.0 * t)
+    values = {"s1": 1e-4, "c1": -2e-4, "s2": 3e-4, "c2": 1e-4, "s3": -1e-4, "c3": 2e-4}
+    ripple = sum(v * (np.sin if k[0] == "s" else np.cos)(int(k[1]) * alpha) for k, v in values.items())
+    f = ramps(t)
+    coupled = f[:, 0] + TAN_BETA * (f[:, 1] * np.sin(alpha) - f[:, 2] * np.cos(alpha)) + ripple * G0
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **values})
+    rate, psi = K_G / G0 * coupled, alpha - PHI
+    single = piga.Compensator(cal, kind="rate").push({"t": t, "output": rate, "f": f, "angle": psi})
+    assert np.abs(single.ax - f[:, 0]).max() < 1e-13 * G0
+    axes = [np.roll(np.eye(3), -i, axis=0) for i in range(3)]
+    rates = []
+    for matrix in axes:
+        x, y, z = (f @ matrix.T).T
+        rates.append(K_G / G0 * (x + TAN_BETA * (y * np.sin(alpha) - z * np.cos(alpha)) + ripple * G0))
+    stream = SetCompensator([Mounted(cal, matrix) for matrix in axes], sampled=True)
+    assert np.abs(stream.push(t, np.tile(psi, (3, 1)), rate=rates).f - f).max() < 1e-12 * G0

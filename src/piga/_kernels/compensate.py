@@ -126,31 +126,57 @@ def library_angles(n: int, w: Array) -> None:
 
 
 @kernel
-def estimate_first(n: int, w: Array) -> None:
-    """First estimate of the mean ``u_x``: output rate less the coupling at the effective angle."""
-    for j in range(1, n + 1):
-        turn = w[at.PSI + j] - w[at.PSI + j - 1]
-        mean_y = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
-        mean_z = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
-        coupling = mean_y * w[at.SINE + j] - mean_z * w[at.COSINE + j]
-        w[at.FIRST + j] = turn * w[at.INVERSE + j] - coupling
+def solve_small(delta: float, square: float, coupling: float) -> tuple[float, float]:
+    """``e = A - 2 delta`` for small turns and ``sin(delta)/delta``, minus its derivative by the coupling.
+
+    Series of ``q cot q`` about ``delta^2``; ``cos(delta) - 2 delta sin(delta) c'(delta^2) = delta/sin(delta)``.
+    """
+    d = delta * delta
+    gain = 1.0 + d * (-1 / 6 + d * (1 / 120 + d * (-1 / 5040 + d * (1 / 362880 - d / 39916800))))
+    cosine = 1.0 + d * (-1 / 2 + d * (1 / 24 + d * (-1 / 720 + d * (1 / 40320 - d / 3628800))))
+    first = -1 / 3 + d * (-2 / 45 + d * (-6 / 945 + d * (-4 / 4725 + d * (-10 / 93555))))
+    second = -1 / 45 + d * (-6 / 945 + d * (-6 / 4725))
+    weight = 2.0 * delta * gain
+    e = -coupling * gain
+    for _ in range(2):
+        eta = delta * e + 0.25 * (e * e - square)
+        e -= (e * cosine - weight * eta * (first + eta * second) + coupling) * gain
+    return e, gain
 
 
 @kernel
-def solve_small(delta: float, square: float, coupling: float) -> float:
-    """``e = A - 2 delta`` for small turns: series of ``q cot q`` about ``delta^2``, two corrections."""
-    d = delta * delta
-    sine = delta * (1.0 + d * (-1 / 6 + d * (1 / 120 + d * (-1 / 5040 + d / 362880))))
-    cosine = 1.0 + d * (-1 / 2 + d * (1 / 24 + d * (-1 / 720 + d / 40320)))
-    first = -1 / 3 + d * (-2 / 45 + d * (-6 / 945 + d * (-4 / 4725 + d * (-10 / 93555))))
-    second = -1 / 45 + d * (-6 / 945 + d * (-6 / 4725))
-    weight = 2.0 * sine
-    inverse = 1.0 / (cosine - weight * delta * first)
-    e = -coupling * inverse
-    for _ in range(2):
-        eta = delta * e + 0.25 * (e * e - square)
-        e -= (e * cosine - weight * eta * (first + eta * second) + coupling) * inverse
-    return e
+def estimate_first(n: int, w: Array) -> None:
+    """Mean ``u_x`` of every interval for input that is constant in it: exact then."""
+    far = 0
+    for j in range(1, n + 1):
+        step = w[at.STEP + j]
+        delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+        Y = 0.5 * step * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
+        Z = 0.5 * step * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
+        square = Y * Y + Z * Z
+        e, gain = solve_small(delta, square, Y * w[at.SINE + j] - Z * w[at.COSINE + j])
+        w[at.FIRST + j] = (2.0 * delta + e) * w[at.INVERSE + j]
+        w[at.GAIN + j] = gain
+        w[at.ANGLE_TURNED + j] = 2.0 * delta + e
+        far |= (abs(delta) > FAR_TURN) | (square * delta * delta > FAR_PRODUCT)
+    if far:
+        estimate_far(n, w)
+
+
+@exact
+def estimate_far(n: int, w: Array) -> None:
+    """The intervals that turn too far for the series."""
+    for j in range(1, n + 1):
+        step = w[at.STEP + j]
+        delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+        Y = 0.5 * step * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
+        Z = 0.5 * step * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
+        square = Y * Y + Z * Z
+        if step != 0.0 and (abs(delta) > FAR_TURN or square * delta * delta > FAR_PRODUCT):
+            e = solve_far(delta, square, Y * w[at.SINE + j] - Z * w[at.COSINE + j])
+            w[at.GAIN + j] = math.sin(delta) / delta if delta != 0.0 else 1.0
+            w[at.ANGLE_TURNED + j] = 2.0 * delta + e
+            w[at.FIRST + j] = w[at.ANGLE_TURNED + j] / step
 
 
 @exact
@@ -183,8 +209,11 @@ def solve_far(delta: float, square: float, coupling: float) -> float:
 
 @kernel
 def invert_motion(n: int, K: float, w: Array) -> None:
-    """Indicated mean specific force along X0 of every interval [m/s^2], and the slope used."""
-    far = 0
+    """Indicated mean specific force along X0 of every interval [m/s^2], and the slope used.
+
+    The Magnus terms of input that is linear in the interval are small beside its mean: the equation is
+    solved for the mean and corrected for them to first order (their square is below rounding).
+    """
     inverse_K = 1.0 / K
     for j in range(1, n + 1):
         step, before = w[at.STEP + j], w[at.STEP + j - 1]
@@ -195,39 +224,22 @@ def invert_motion(n: int, K: float, w: Array) -> None:
         rise = (a - w[at.FIRST + j - 1]) * 2.0 * step / (step + before if joined else 1.0)
         rise = rise if joined else 0.0
         cross = step * step / 12.0
-        Y = step * mean_y + cross * (a * (z1 - z0) - rise * mean_z)
-        Z = step * mean_z - cross * (a * (y1 - y0) - rise * mean_y)
+        Y = cross * (a * (z1 - z0) - rise * mean_z)
+        Z = -cross * (a * (y1 - y0) - rise * mean_y)
         delta = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
-        square = Y * Y + Z * Z
-        coupling = Y * w[at.SINE + j] - Z * w[at.COSINE + j]
-        e = solve_small(delta, square, coupling) - cross * (y0 * z1 - z0 * y1)
-        w[at.INPUT + j] = (2.0 * delta + e) * w[at.INVERSE + j] * inverse_K
+        bent = Y * w[at.SINE + j] - Z * w[at.COSINE + j] - delta / 3.0 * step * (mean_y * Y + mean_z * Z)
+        turned = w[at.ANGLE_TURNED + j] - (w[at.GAIN + j] * bent + cross * (y0 * z1 - z0 * y1))
+        w[at.INPUT + j] = turned * w[at.INVERSE + j] * inverse_K
         w[at.SLOPE + j] = rise * inverse_K
-        w[at.SQUARE + j] = square
-        w[at.PARTIAL + j] = coupling
-        w[at.REGRESSOR + j] = delta
-        far |= (abs(delta) > FAR_TURN) | (square * delta * delta > FAR_PRODUCT)
-    if far:
-        invert_far(n, K, w)
-
-
-@exact
-def invert_far(n: int, K: float, w: Array) -> None:
-    """The intervals that turn too far for the series."""
-    for j in range(1, n + 1):
-        delta, square, step = w[at.REGRESSOR + j], w[at.SQUARE + j], w[at.STEP + j]
-        if step != 0.0 and (abs(delta) > FAR_TURN or square * delta * delta > FAR_PRODUCT):
-            cross = step * step / 12.0
-            outer = w[at.RATE_Y + j - 1] * w[at.RATE_Z + j] - w[at.RATE_Z + j - 1] * w[at.RATE_Y + j]
-            e = solve_far(delta, square, w[at.PARTIAL + j]) - cross * outer
-            w[at.INPUT + j] = (2.0 * delta + e) / (K * step)
 
 
 @exact
 def published_formula(n: int, K: float, w: Array) -> None:
     """The published compensation: output rate less the coupling at the phase [Wei2024, eq. 20]."""
     for j in range(1, n + 1):
-        w[at.INPUT + j] = w[at.FIRST + j] / K
+        rate = (w[at.PSI + j] - w[at.PSI + j - 1]) * w[at.INVERSE + j]
+        y, z = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j]), 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
+        w[at.INPUT + j] = (rate - (y * w[at.SINE + j] - z * w[at.COSINE + j])) / K
         w[at.SLOPE + j] = 0.0
 
 

@@ -16,7 +16,7 @@ from piga._kernels.jit import exact
 
 Array = NDArray[np.float64]
 
-EXACT_ROUNDS = 2
+EXACT_ROUNDS = 3
 """Rounds with the exact equations behind the linear one; each leaves less than 1e-4 of the misfit before it."""
 TERM_ROUNDS = 7
 """The same with an error model: each round leaves about ``2 k2 a_x`` (0.4 % for 2e-3 per g at 1 g) of it."""
@@ -92,7 +92,7 @@ def solve_rounds(
                 set_of.misfit_intervals(rows, parameters[i], w[i])
             set_of.add_right(rows, w[i], weights[i], c)
         set_of.correct_force(rows, c)
-        if k == 0 and not sampled:
+        if k == 1 and not sampled:
             set_of.find_rise(rows, w[0], c)
 
 

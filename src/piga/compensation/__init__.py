@@ -7,11 +7,13 @@ from piga.compensation.model import Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
+from piga.compensation.step import Chunk, Step, init_state, step
 from piga.compensation.triad import CompensatedSet, Mounted, SetCompensator, compensate_triad
 from piga.compensation.validity import Limits
 
 __all__ = [
     "FLAGS",
+    "Chunk",
     "Compensated",
     "CompensatedSet",
     "Compensator",
@@ -21,7 +23,10 @@ __all__ = [
     "PhaseFinder",
     "Resampler",
     "SetCompensator",
+    "Step",
     "compensate",
     "compensate_triad",
     "identify_phase",
+    "init_state",
+    "step",
 ]

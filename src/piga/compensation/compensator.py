@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -119,7 +120,11 @@ class Compensator:
             np.empty(n), np.empty(n), np.empty(n if self._uncertainty else 0), np.empty(n, dtype=np.int32)
         )  # fmt: skip
         if n:
+            before = self._state.copy()
             run_kernel(self._model, self._state, samples, self._kind, self._typical, self._work, result)
+            if not math.isfinite(result.dv.sum()):
+                self._state = before
+                _check_finite(samples)
         return Compensated(samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method)
 
     def _samples(self, columns: Mapping[str, Any]) -> Chunk:
@@ -141,8 +146,6 @@ class Compensator:
         angle = _column(columns, "angle", n) if columns.get("angle") is not None else NONE
         given = columns.get("begins")
         begins = self._find_begins(t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
-        for name, values in (("t", t), ("output", output), ("f", force), ("base_rate", base_rate)):
-            _check_finite(name, values)
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
         return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
 
@@ -186,7 +189,11 @@ def _rows(columns: Mapping[str, Any], name: str, n: int) -> Array:
     return values
 
 
-def _check_finite(name: str, values: Array) -> None:
-    if not np.isfinite(values).all():
-        index = int(np.argwhere(~np.isfinite(values))[0][0])
-        raise ArgumentError(f"chunk['{name}'][{index}] is not finite", remedy="leave such samples out")
+def _check_finite(samples: Chunk) -> None:
+    """Name the sample that made a result which is no number."""
+    named = {"t": samples.t, "output": samples.output, "f": samples.a_Y + samples.a_Z}
+    named |= {"base_rate": samples.base_rate, "temperature": samples.temperature, "angle": samples.angle}
+    for name, values in named.items():
+        if not np.isfinite(values).all():
+            index = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise ArgumentError(f"chunk['{name}'][{index}] is not finite", remedy="leave such samples out")

@@ -12,7 +12,6 @@ FLAGS = {
     "temperature": at.TEMPERATURE,
     "age": at.AGE,
     "coarse": at.COARSE,
-    "phase": at.PHASE,
     "fault": at.FAULT,
 }
 """Bit of each flag by name."""
@@ -25,7 +24,6 @@ MEANING = {
     "temperature": "temperature outside the calibrated range",
     "age": "the calibration is older than allowed",
     "coarse": "the output turned by more than 1 rad since the row before",
-    "phase": "the phase of the output zero is not identified yet",
     "fault": "the instruments of the set contradict each other",
 }
 """Each flag in words."""

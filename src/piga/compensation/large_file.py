@@ -26,8 +26,8 @@ from piga.units import conversion_factor, offset_to_si, to_si
 
 Array = NDArray[np.float64]
 
-CHUNK_ROWS = 1 << 17
-"""Rows of a chunk: about 10 MB while it is worked on."""
+CHUNK_ROWS = 1 << 16
+"""Rows of a chunk: about 5 MB while it is worked on."""
 BLOCK_BYTES = 8 << 20
 
 
@@ -104,9 +104,9 @@ class LargeFile:
         from pyarrow import parquet
 
         try:
-            with parquet.ParquetFile(self._data_path, memory_map=False, pre_buffer=False) as source:
+            with parquet.ParquetFile(self._data_path, pre_buffer=False, buffer_size=1 << 20) as source:
                 self._check_columns(source.schema_arrow.names)
-                yield from source.iter_batches(CHUNK_ROWS, columns=self.columns(), use_threads=True)
+                yield from source.iter_batches(CHUNK_ROWS, columns=self.columns(), use_threads=False)
         except FileNotFoundError:
             raise DataError(
                 f"{self._data_path}: no such file", remedy="[data] file is relative to the run file"

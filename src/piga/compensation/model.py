@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -190,8 +189,3 @@ def check_method(method: str | None, calibration: Calibration) -> str:
     if method not in METHODS:
         raise CalibrationError(f"method: '{method}' is not known", remedy=f"one of: {', '.join(METHODS)}")
     return method
-
-
-def dead_zone(model: Model, transverse: float) -> float:
-    """Half-width of the dead zone [m/s^2] for a transverse force [m/s^2]: ``a_t tan(beta)``."""
-    return math.fabs(model.tan_beta) * transverse
