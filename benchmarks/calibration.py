@@ -28,9 +28,7 @@ def synthetic() -> piga.Run:
     """One million rows of a slowly moving input, counts of 72000 a turn."""
     rng = np.random.default_rng(1)
     t = np.arange(ROWS) * 0.01
-    f = G0 * np.column_stack(
-        [1.0 + 0.5 * np.sin(0.126 * t), 3.0 * np.cos(0.09 * t), 2.0 * np.sin(0.21 * t)]
-    )
+    f = G0 * np.column_stack([1.0 + 0.5 * np.sin(0.126 * t), 3.0 * np.cos(0.09 * t), 2.0 * np.sin(0.21 * t)])
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0=0.5)
     alpha = piga.propagate(inst, t, f + np.array([1e-3 * G0, 0.0, 0.0]))
     count = 2.0 * np.pi / 72000
@@ -61,10 +59,14 @@ def scipy_fit(run: piga.Run) -> None:
 
     def residual(p: np.ndarray) -> np.ndarray:
         alpha = run.output + p[2]
-        rate = x + p[1] * (y * np.sin(alpha) - z * np.cos(alpha)) + p[3] + p[4] * x * x + p[5] * y + p[6] * x * y
+        rate = (
+            x + p[1] * (y * np.sin(alpha) - z * np.cos(alpha)) + p[3] + p[4] * x * x + p[5] * y + p[6] * x * y
+        )
         return run.output - run.output[0] - p[0] * integral(rate)
 
-    least_squares(residual, [0.888, 4.5e-3, 0.1, 0.0, 0.0, 0.0, 0.0], x_scale=[1, 1e-3, 1, 1e-3, 1e-3, 1e-3, 1e-3])
+    least_squares(
+        residual, [0.888, 4.5e-3, 0.1, 0.0, 0.0, 0.0, 0.0], x_scale=[1, 1e-3, 1, 1e-3, 1e-3, 1e-3, 1e-3]
+    )
 
 
 def recursive_updates(rows: int = 200_000) -> tuple[float, float]:
@@ -95,7 +97,13 @@ def cold_command(run: piga.Run) -> float:
             'output = { column = "n", kind = "counts" }\nreference = { columns = ["fx", "fy", "fz"], unit = "g" }\n'
             f"[model]\nterms = {TERMS}\n"
         )
-        command = [sys.executable, "-c", "from piga.cli.main import main; main()", "calibrate", str(folder / "run.toml")]
+        command = [
+            sys.executable,
+            "-c",
+            "from piga.cli.main import main; main()",
+            "calibrate",
+            str(folder / "run.toml"),
+        ]
         times = []
         for _ in range(4):
             start = time.perf_counter()

@@ -19,7 +19,9 @@ from tests.records.files import lines, write_log, write_run
 
 def piga(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from piga.cli.main import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=os.environ | {"COLUMNS": "100"})
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=cwd, env=os.environ | {"COLUMNS": "100"}
+    )
 
 
 def small_run(folder: Path) -> Path:

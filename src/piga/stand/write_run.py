@@ -74,7 +74,11 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
         "segment": "segment",
     }
     tables = {"instrument": instrument, "data": data, "model": _model(scenario, test)}
-    tables |= {"stand": _stand(scenario), "estimation": scenario.table.estimation, "uncertainty": _uncertainty(scenario)}
+    tables |= {
+        "stand": _stand(scenario),
+        "estimation": scenario.table.estimation,
+        "uncertainty": _uncertainty(scenario),
+    }
     comment = (
         f"# Simulated by piga {__version__} from {scenario.path.name}, model {test.model}, seed {test.seed}.\n"
     )
