@@ -116,7 +116,7 @@ def write_intervals(n: int, w: Array, ax: Array, dv: Array, u: Array, flags: NDA
     for j in range(1, n + 1):
         step = w[at.STEP + j]
         ax[j - 1] = w[at.FORCE + j] if step != 0.0 else math.nan
-        dv[j - 1] = w[at.FORCE + j] * step
+        dv[j - 1] = w[at.FORCE + j] * step + 0.0  # never a negative zero
     for j in range(1, u.size + 1):
         u[j - 1] = u[j - 1] if w[at.STEP + j] != 0.0 else math.nan
     for j in range(1, flags.size + 1):
