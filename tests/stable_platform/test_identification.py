@@ -9,6 +9,7 @@ import pytest
 
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.stable_platform import identify, identify_recursively, observability, simulate, true_knowledge
+from piga.stable_platform.case_rotation import apparent_gyro
 from piga.stable_platform.estimate import Group, solve
 from piga.stable_platform.observation import Tip
 from piga.stable_platform.scenario import Gyro, Harmonic, MotionPlan, Oscillation, Rotation, Sensors
@@ -57,6 +58,22 @@ def test_parameters_come_back_as_amplitudes_and_phases():
             assert found[f"{name}.harmonic{h.order}.phase"].value == pytest.approx(h.phase, abs=1e-6)
     with pytest.raises(KeyError, match=r"polar\.phase"):
         found["polar.size"]
+
+
+def test_a_case_fixed_drift_is_identified_as_part_of_the_misalignment():
+    drift = (0.02 * DEG / 3600.0, -0.01 * DEG / 3600.0)
+    s = _scenario(
+        polar=Gyro(4.0 * ARCMIN, 0.4, case_drift=drift), equatorial=Gyro(3.0 * ARCMIN, 1.3, case_drift=drift)
+    )
+    found = identify(simulate(s).readouts, s.place)
+    for gyro, rotation, seen in (
+        (s.polar, s.polar_rotation, found.polar),
+        (s.equatorial, s.equatorial_rotation, found.equatorial),
+    ):
+        apparent = apparent_gyro(gyro, rotation)
+        assert abs(apparent.phase - gyro.phase) > 5e-3
+        assert seen.misalignment == pytest.approx(apparent.misalignment, abs=0.01 * ARCSEC)
+        assert seen.phase == pytest.approx(apparent.phase, abs=5e-5)
 
 
 @pytest.mark.parametrize("sources", [("force", "pick-off"), ("force",)])

@@ -26,6 +26,7 @@ from piga.reports.platform_figures import (
 from piga.stable_platform.alignment import Alignment
 from piga.stable_platform.budget import BudgetRow, Scatter
 from piga.stable_platform.capstone import Capstone
+from piga.stable_platform.case_rotation import apparent_gyro, averaged_drift
 from piga.stable_platform.chain import Comparison, Preparation
 from piga.stable_platform.identification import Identification
 from piga.stable_platform.observability import UNKNOWNS, Observability
@@ -233,8 +234,6 @@ def _pair(drift: tuple[float, float]) -> str:
 
 
 def _case_rotation_text(s: Scenario) -> Text:
-    from piga.stable_platform.case_rotation import averaged_drift
-
     at_rest = type(s.polar_rotation)(0.0)
     parts = []
     for name, gyro, rotation in (
@@ -253,7 +252,9 @@ def _case_rotation_text(s: Scenario) -> Text:
 
 
 def _parameter_table(found: Identification, s: Scenario) -> Table:
-    truth = _truth_by_name(s.polar, s.equatorial)
+    truth = _truth_by_name(
+        apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
+    )
     rows = []
     for p in found.parameters:
         scale, unit = (ARCSEC, "arcsec") if p.unit == "rad" else (np.radians(1.0) / 3600.0, "deg/h")
@@ -279,7 +280,11 @@ def _parameter_table(found: Identification, s: Scenario) -> Table:
         Column("off truth, in uncertainties"),
     )
     noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in found.noise.items())
-    return Table(columns, tuple(rows), notes=(f"Noise found in the residuals: {noise}.",))
+    return Table(
+        columns,
+        tuple(rows),
+        notes=(f"Noise found in the residuals: {noise}. Truth includes the circle of case-fixed drift.",),
+    )
 
 
 def _noise(name: str, level: float) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.stable_platform.scenario import Rotation
+from piga.stable_platform.scenario import Gyro, Rotation
 
 Array = NDArray[np.float64]
 
@@ -24,6 +26,19 @@ def phasor(rotation: Rotation, times: ArrayLike) -> Array:
     """Cosine and sine of the encoder angle, shape (n, 2)."""
     angle = encoder_angle(rotation, times)
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
+    """The gyro as identification sees it: a case-fixed drift looks like misalignment under steady rotation.
+
+    Drift ``w`` in case axes [rad/s] drives the momentum round a circle, ``w exp(ic) / (i rate)``, which
+    turns with the case as the misalignment ``m exp(ic)`` does: only ``m - i w / rate`` shows, and only
+    that has to be compensated. Reversal would tell them apart. Own derivation, docs/platform.md section 4.
+    """
+    if rotation.rate == 0.0 or rotation.turns > 0 or not any(gyro.case_drift):
+        return gyro
+    seen = complex(gyro.misalignment, 0.0) - 1j * complex(*gyro.case_drift) / rotation.rate
+    return replace(gyro, misalignment=abs(seen), phase=gyro.phase + float(np.angle(seen)))
 
 
 def averaged_drift(rotation: Rotation, case_drift: tuple[float, float], duration: float) -> float:
