@@ -106,15 +106,30 @@ def test_chain_and_product_are_the_product_of_the_exponentials(m, size):
     for j in range(m):
         A, Y, Z = (mp.mpf(w[row + j]) / 2 for row in (block.STEP_A, block.STEP_Y, block.STEP_Z))
         pairs.append(mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]])) * pairs[-1])
-    block.chain(w, m, p, q)
-    u, v, x, y = block.product(w, m)
+    none, rows = np.empty(0), np.empty((0, 3))
+    block.chain(w, m, p, q, none, rows, none)
+    again, prefix = w.copy(), np.empty(block.PREFIX)
+    u, v, x, y = block.prefixes(again, m, prefix, none, rows)
+    block.pairs_from_prefixes(again, m, prefix, p, q)
     for j in (1, m // 2, m // 2 + 1, m):
         norm = mp.norm(pairs[j])
-        assert abs(w[block.PAIR_P + j] - pairs[j][0]) < 2e-16 * (m + 9) * norm
-        assert abs(w[block.PAIR_Q + j] - pairs[j][1]) < 2e-16 * (m + 9) * norm
+        for filled in (w, again):
+            assert abs(filled[block.PAIR_P + j] - pairs[j][0]) < 2e-16 * (m + 9) * norm
+            assert abs(filled[block.PAIR_Q + j] - pairs[j][1]) < 2e-16 * (m + 9) * norm
     grown = math.hypot(u, v) + math.hypot(x, y)
     assert abs(u * p + x * q - pairs[m][0]) < 2e-16 * (m + 9) * grown
     assert abs(v * p + y * q - pairs[m][1]) < 2e-16 * (m + 9) * grown
+
+
+@pytest.mark.parametrize("size", [0.1, 2.0])
+def test_matrix_of_a_step_of_any_size(size):
+    w = _filled(1, size)
+    A, Y, Z = (w[row] for row in (block.STEP_A, block.STEP_Y, block.STEP_Z))
+    u, v, x, y = block.scaled(block.any_matrix(A, Y, Z))
+    one = mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]]) / 2)
+    top = max(one, key=abs)
+    for value, entry in zip((u, x, v, y), one, strict=True):
+        assert abs(value - entry / abs(top)) < 1e-15
 
 
 def test_large_steps_are_counted_out():

@@ -9,9 +9,10 @@ results do not depend on how a record is split.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
+from numba import types
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -31,10 +32,27 @@ def exact(function: F) -> F:
     return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
 
 
-def reducing_kernel(function: F) -> F:
-    """Compile a loop that sums many numbers: sums may be reordered, so that they use vector registers.
+def _no_prefetch(_array: Any, _index: int) -> None:
+    """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
 
-    Used only where the last bits of a sum do not matter for how results compare between chunkings.
-    """
-    flags = {"contract", "reassoc", "nsz"}
-    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))
+
+if TYPE_CHECKING or numba.config.DISABLE_JIT:
+    prefetch = _no_prefetch
+else:
+    from llvmlite import ir
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def prefetch(_context, array, index):
+        """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
+
+        def generate(context, builder, signature, arguments):
+            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+            byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+            address = builder.bitcast(builder.gep(data, [arguments[1]]), byte)
+            kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+            function = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+            builder.call(function, [address, number(0), number(3), number(1)])
+            return context.get_dummy_value()
+
+        return types.void(array, types.intp), generate

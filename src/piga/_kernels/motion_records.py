@@ -191,19 +191,30 @@ def stepwise(
 
 
 @kernel
-def run_block(
-    w: Array, m: int, turns: float, p: float, q: float, alpha: Array
-) -> tuple[bool, float, float, float]:
-    """Pairs and angles (unless ``alpha`` is empty) of a block whose increments stand in ``w``."""
-    if block.matrices(w, m) < m:
-        return stepwise(w, m, turns, p, q, alpha)
-    end_p, end_q = block.chain(w, m, p, q)
+def close_block(w: Array, m: int, turns: float, alpha: Array) -> tuple[float, float, float]:
+    """Angles (unless ``alpha`` is empty) from the pairs of a block; turns and unit pair at its end."""
     if alpha.size:
         turns = block.angles(w, m, turns, alpha)
-    scale = 1.0 / math.sqrt(end_p * end_p + end_q * end_q)
-    if end_q < 0.0:
+    p, q = w[PAIR_P + m], w[PAIR_Q + m]
+    scale = 1.0 / math.sqrt(p * p + q * q)
+    if q < 0.0:
         scale = -scale
-    return True, turns, end_p * scale, end_q * scale
+    return turns, p * scale, q * scale
+
+
+@kernel
+def run_block(
+    w: Array, m: int, turns: float, p: float, q: float, alpha: Array, t: Array, f: Array, out: Array
+) -> tuple[bool, float, float, float]:
+    """Pairs and angles (unless ``alpha`` is empty) of a block whose increments stand in ``w``.
+
+    ``t``, ``f`` and ``out`` begin where the next block does, to be fetched meanwhile.
+    """
+    if block.matrices(w, m) < m:
+        return stepwise(w, m, turns, p, q, alpha)
+    block.chain(w, m, p, q, t, f, out)
+    turns, p, q = close_block(w, m, turns, alpha)
+    return True, turns, p, q
 
 
 @kernel
@@ -243,7 +254,8 @@ def propagate_samples(
         load_rates(f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w)
         if steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m) < m:
             return first
-        usable, turns, p, q = run_block(w, m, turns, p, q, alpha[first + 1 : stop])
+        ahead = alpha[stop:] if alpha.size else rate[stop:]
+        usable, turns, p, q = run_block(w, m, turns, p, q, alpha[first + 1 : stop], t[stop:], f[stop:], ahead)
         if not usable:
             return first
         block.rates(w, rate[first:stop])
@@ -253,8 +265,23 @@ def propagate_samples(
 
 
 @kernel
-def reduce_samples(
-    matrix: Array,
+def multiply_steps(w: Array, m: int) -> tuple[bool, float, float, float, float]:
+    """Scaled product of ``m`` steps of any size; False when an increment is not a usable number."""
+    u, v, x, y = 1.0, 0.0, 0.0, 1.0
+    for j in range(m):
+        A, Y, Z = w[STEP_A + j], w[STEP_Y + j], w[STEP_Z + j]
+        if not abs(A) + abs(Y) + abs(Z) < _TOO_LARGE:
+            return False, u, v, x, y
+        one = block.any_matrix(A, Y, Z)
+        u, v, x, y = block.scaled(block.multiply(one[0], one[1], one[2], one[3], u, v, x, y))
+    return True, u, v, x, y
+
+
+@kernel
+def prepare_samples(
+    product: Array,
+    prefix: Array,
+    stepped: Array,
     t: Array,
     f: Array,
     base_rate: Array,
@@ -265,7 +292,11 @@ def reduce_samples(
     offset_y: float,
     offset_z: float,
 ) -> int:
-    """One matrix ``[[u, x], [v, y]]`` (2, 2), scaled, that takes the first sample's pair to the last's."""
+    """What a stretch does to any pair: all products of its blocks, and of the stretch as a whole.
+
+    ``prefix`` (blocks, PREFIX): see :func:`~piga._kernels.transfer.prefixes`; ``stepped`` (blocks,) is 1
+    where a step is too large for it; ``product`` (2, 2), scaled. Other arguments: :func:`propagate_samples`.
+    """
     w = np.empty(SIZE)
     u, v, x, y = 1.0, 0.0, 0.0, 1.0
     first = 0
@@ -275,23 +306,62 @@ def reduce_samples(
         load_rates(f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w)
         if steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m) < m:
             return first
-        if block.matrices(w, m) == m:
-            one = block.product(w, m)
-            u, v, x, y = block.multiply(one[0], one[1], one[2], one[3], u, v, x, y)
+        number = first // BLOCK
+        stepped[number] = 0.0 if block.matrices(w, m) == m else 1.0
+        if stepped[number]:
+            usable, r, s, i, k = multiply_steps(w, m)
+            if not usable:
+                return first
         else:
-            for j in range(m):
-                A, Y, Z = w[STEP_A + j], w[STEP_Y + j], w[STEP_Z + j]
-                if not abs(A) + abs(Y) + abs(Z) < _TOO_LARGE:
-                    return first
-                one = block.any_matrix(A, Y, Z)
-                u, v, x, y = block.multiply(one[0], one[1], one[2], one[3], u, v, x, y)
-                scale = 1.0 / max(abs(u), abs(v), abs(x), abs(y))
-                u, v, x, y = u * scale, v * scale, x * scale, y * scale
-        scale = 1.0 / max(abs(u), abs(v), abs(x), abs(y))
-        u, v, x, y = u * scale, v * scale, x * scale, y * scale
+            r, s, i, k = block.prefixes(w, m, prefix[number], t[stop:], f[stop:])
+        u, v, x, y = block.scaled(block.multiply(r, s, i, k, u, v, x, y))
         first += m
-    matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1] = u, x, v, y
+    product[0, 0], product[0, 1], product[1, 0], product[1, 1] = u, x, v, y
     return GOOD
+
+
+@kernel
+def finish_samples(
+    state: Array,
+    alpha: Array,
+    rate: Array,
+    prefix: Array,
+    stepped: Array,
+    t: Array,
+    f: Array,
+    base_rate: Array,
+    extra: Array,
+    extra_mean: Array,
+    K: float,
+    tan_beta: float,
+    offset_y: float,
+    offset_z: float,
+) -> None:
+    """Output of a stretch from what :func:`prepare_samples` left; else as :func:`propagate_samples`.
+
+    ``alpha[0]`` is left alone: it belongs to the stretch before.
+    """
+    w = np.empty(SIZE)
+    turns, p, q = state[0], state[1], state[2]
+    first = 0
+    while first < t.size - 1:
+        m = min(BLOCK, t.size - 1 - first)
+        stop = first + m + 1
+        number = first // BLOCK
+        part = alpha[first + 1 : stop]
+        if rate.size or stepped[number]:
+            load_rates(
+                f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w
+            )
+        if stepped[number]:
+            steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m)
+            _, turns, p, q = stepwise(w, m, turns, p, q, part)
+        else:
+            block.pairs_from_prefixes(w, m, prefix[number], p, q)
+            turns, p, q = close_block(w, m, turns, part)
+        block.rates(w, rate[first:stop])
+        first += m
+    state[0], state[1], state[2] = turns, p, q
 
 
 @kernel
@@ -310,7 +380,8 @@ def propagate_increments(
     while first < n:
         m = min(BLOCK, n - first)
         lead, follow = min(first, 1), min(n - first - m, 1)
-        low, high = first - lead, first + m + follow
+        end = first + m
+        low, high = first - lead, end + follow
         columns = w[1 - lead :]
         if load_means(t[low : high + 1], dv[low:high], dtheta[low:high], K, tan_beta, columns) < high - low:
             return first
@@ -321,7 +392,9 @@ def propagate_increments(
             edge_step(w, 1, min(2, m + follow), min(3, m + follow))
         if follow == 0:
             edge_step(w, m, max(m - 1, 1 - lead), max(m - 2, 1 - lead))
-        usable, turns, p, q = run_block(w, m, turns, p, q, alpha[first + 1 : first + m + 1])
+        usable, turns, p, q = run_block(
+            w, m, turns, p, q, alpha[first + 1 : end + 1], t[end + 1 :], dv[end:], alpha[end + 1 :]
+        )
         if not usable:
             return first
         first += m

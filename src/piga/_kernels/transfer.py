@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import inline, kernel
+from piga._kernels.jit import inline, kernel, prefetch
 from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, step_functions
 from piga._kernels.trig import double_arctangent
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 BLOCK = 256
 HALF = BLOCK // 2
-QUARTER = BLOCK // 4
+_LINES = 3 * BLOCK // 8
 _PITCH = BLOCK + 8
 RATE_A, RATE_Y, RATE_Z = 0, _PITCH, 2 * _PITCH
 STEP_A, STEP_Y, STEP_Z = 3 * _PITCH, 4 * _PITCH, 5 * _PITCH
@@ -32,6 +32,7 @@ _G, _H, _B, _C = 6 * _PITCH, 7 * _PITCH, 8 * _PITCH, 9 * _PITCH
 PAIR_P, PAIR_Q = 10 * _PITCH, 11 * _PITCH
 _U, _V, _X, _Y = 12 * _PITCH, 13 * _PITCH, 14 * _PITCH, 15 * _PITCH
 SIZE = 16 * _PITCH
+PREFIX = 4 * _PITCH
 
 SMALL_STEP = 1.0
 """Bound of ``A^2 + Y^2 + Z^2`` [rad^2] up to which the series below and the turn count hold."""
@@ -66,20 +67,28 @@ def transfer(w: Array, j: int, p: float, q: float) -> tuple[float, float]:
 
 
 @kernel
-def chain(w: Array, m: int, p: float, q: float) -> tuple[float, float]:
-    """Pairs at all samples of a block that starts with ``(p, q)``; returns the last, not normalised.
+def chain(w: Array, m: int, p: float, q: float, t: Array, f: Array, out: Array) -> None:
+    """Pairs at all samples of a block that starts with ``(p, q)``, not normalised.
 
     The second half of a full block is multiplied up as a matrix while the first half is worked off as
-    a vector: two chains at once, each half as long.
+    a vector: two chains at once, each half as long. Its multiply-adds wait for each other; meanwhile
+    the memory fetches what the next block will read and write, a line of 64 bytes at a time: ``t``,
+    ``f``, ``out`` begin where that block does. Fetched in one go they would add 2 ns a sample.
     """
     w[PAIR_P], w[PAIR_Q] = p, q
     if m < BLOCK:
         for j in range(m):
             p, q = transfer(w, j, p, q)
             w[PAIR_P + 1 + j], w[PAIR_Q + 1 + j] = p, q
-        return p, q
+        return
     u, v, x, y = 1.0, 0.0, 0.0, 1.0
     for j in range(HALF):
+        if j < _LINES:
+            prefetch(f, 8 * j)
+        else:
+            prefetch(t, 8 * (j - _LINES))
+        if j % 4 == 0:
+            prefetch(out, 2 * j)
         p, q = transfer(w, j, p, q)
         u, v = transfer(w, HALF + j, u, v)
         x, y = transfer(w, HALF + j, x, y)
@@ -88,7 +97,6 @@ def chain(w: Array, m: int, p: float, q: float) -> tuple[float, float]:
     for j in range(HALF):
         w[PAIR_P + HALF + 1 + j] = w[_U + j] * p + w[_X + j] * q
         w[PAIR_Q + HALF + 1 + j] = w[_V + j] * p + w[_Y + j] * q
-    return w[PAIR_P + BLOCK], w[PAIR_Q + BLOCK]
 
 
 @inline
@@ -99,30 +107,57 @@ def multiply(
     return u * u0 + x * v0, v * u0 + y * v0, u * x0 + x * y0, v * x0 + y * y0
 
 
+@inline
+def scaled(columns: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """The matrix with its largest entry of size one."""
+    u, v, x, y = columns
+    scale = 1.0 / max(abs(u), abs(v), abs(x), abs(y))
+    return u * scale, v * scale, x * scale, y * scale
+
+
 @kernel
-def product(w: Array, m: int) -> tuple[float, float, float, float]:
-    """Matrix of a whole block, columns ``(u, v)`` and ``(x, y)``; a full block in four chains at once."""
-    u0, v0, x0, y0 = 1.0, 0.0, 0.0, 1.0
+def prefixes(w: Array, m: int, out: Array, t: Array, f: Array) -> tuple[float, float, float, float]:
+    """Products of the first 1, 2, ... ``m`` matrices of a block, columns ``(u, v), (x, y)``; returns the last.
+
+    ``out`` (PREFIX,) holds four rows ``u, v, x, y``. The second half of a full block
+    starts from one again: two chains at once. ``t`` and ``f`` begin where the next block does.
+    """
+    u, v, x, y = 1.0, 0.0, 0.0, 1.0
     if m < BLOCK:
         for j in range(m):
-            u0, v0 = transfer(w, j, u0, v0)
-            x0, y0 = transfer(w, j, x0, y0)
-        return u0, v0, x0, y0
-    u1, v1, x1, y1 = u0, v0, x0, y0
-    u2, v2, x2, y2 = u0, v0, x0, y0
-    u3, v3, x3, y3 = u0, v0, x0, y0
-    for j in range(QUARTER):
-        u0, v0 = transfer(w, j, u0, v0)
-        x0, y0 = transfer(w, j, x0, y0)
-        u1, v1 = transfer(w, QUARTER + j, u1, v1)
-        x1, y1 = transfer(w, QUARTER + j, x1, y1)
-        u2, v2 = transfer(w, HALF + j, u2, v2)
-        x2, y2 = transfer(w, HALF + j, x2, y2)
-        u3, v3 = transfer(w, HALF + QUARTER + j, u3, v3)
-        x3, y3 = transfer(w, HALF + QUARTER + j, x3, y3)
-    first = multiply(u1, v1, x1, y1, u0, v0, x0, y0)
-    second = multiply(u3, v3, x3, y3, u2, v2, x2, y2)
-    return multiply(second[0], second[1], second[2], second[3], first[0], first[1], first[2], first[3])
+            u, v = transfer(w, j, u, v)
+            x, y = transfer(w, j, x, y)
+            out[j], out[_PITCH + j], out[2 * _PITCH + j], out[3 * _PITCH + j] = u, v, x, y
+        return u, v, x, y
+    r, s, i, k = 1.0, 0.0, 0.0, 1.0
+    for j in range(HALF):
+        if j < _LINES:
+            prefetch(f, 8 * j)
+        else:
+            prefetch(t, 8 * (j - _LINES))
+        u, v = transfer(w, j, u, v)
+        x, y = transfer(w, j, x, y)
+        r, s = transfer(w, HALF + j, r, s)
+        i, k = transfer(w, HALF + j, i, k)
+        out[j], out[_PITCH + j], out[2 * _PITCH + j], out[3 * _PITCH + j] = u, v, x, y
+        at = HALF + j
+        out[at], out[_PITCH + at], out[2 * _PITCH + at], out[3 * _PITCH + at] = r, s, i, k
+    return multiply(r, s, i, k, u, v, x, y)
+
+
+@kernel
+def pairs_from_prefixes(w: Array, m: int, prefix: Array, p: float, q: float) -> None:
+    """Pairs at all samples of a block that starts with ``(p, q)``, from :func:`prefixes`."""
+    w[PAIR_P], w[PAIR_Q] = p, q
+    split = HALF if m == BLOCK else m
+    for j in range(split):
+        w[PAIR_P + 1 + j] = prefix[j] * p + prefix[2 * _PITCH + j] * q
+        w[PAIR_Q + 1 + j] = prefix[_PITCH + j] * p + prefix[3 * _PITCH + j] * q
+    if split < m:
+        p, q = w[PAIR_P + HALF], w[PAIR_Q + HALF]
+        for j in range(HALF):
+            w[PAIR_P + HALF + 1 + j] = prefix[HALF + j] * p + prefix[2 * _PITCH + HALF + j] * q
+            w[PAIR_Q + HALF + 1 + j] = prefix[_PITCH + HALF + j] * p + prefix[3 * _PITCH + HALF + j] * q
 
 
 @kernel

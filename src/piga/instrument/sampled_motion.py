@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
+from threading import Event
 from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.motion import TWO_PI, split_turns, unwrapped
-from piga._kernels.motion_records import GOOD, propagate_samples, reduce_samples
+from piga._kernels.motion import TWO_PI, split_turns
+from piga._kernels.motion_records import GOOD, finish_samples, prepare_samples, propagate_samples
+from piga._kernels.transfer import BLOCK, PREFIX
 from piga._kernels.trig import double_arctangent
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
@@ -28,10 +29,8 @@ Array = NDArray[np.float64]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
-_REDUCTION_COST = 0.6
-"""Time to reduce a sample to its matrix, relative to putting it out (benchmarks/motion.py)."""
-_LEAST_CHUNK = 16384
-"""Samples below which another thread costs more than it saves."""
+_STRETCH = 128 * BLOCK
+"""Steps that a thread works off at a time; its products (1 MB) stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -127,83 +126,107 @@ def initial_state(alpha0: float) -> Array:
     return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
 
 
-def _chunks(n: int, workers: int) -> list[tuple[int, int]]:
-    """Samples ``start`` to ``stop`` (shared with the next chunk) of each worker.
-
-    Worker i > 0 first reduces chunk i - 1, so chunks shrink: so that all finish together.
-    """
-    workers = max(1, min(workers, n // _LEAST_CHUNK))
-    lengths = [1.0]
-    for _ in range(workers - 1):
-        lengths.append(1.0 - _REDUCTION_COST * lengths[-1])
-    edges = np.rint(np.cumsum([0.0, *lengths]) / sum(lengths) * (n - 1)).astype(int)
-    return [(int(a), int(b) + 1) for a, b in pairwise(edges)]
-
-
-def _start_pairs(states: Array, products: Array) -> None:
-    """Half-angle pairs at the start of chunks 1, 2, ... from the first and the matrices of the chunks."""
-    for i in range(1, len(states)):
-        pair = products[i - 1] @ states[i - 1, 1:]
-        states[i, 0] = 0.0
-        states[i, 1:] = pair / math.copysign(math.hypot(pair[0], pair[1]), pair[1])
-
-
-def _add_turns(chunks: list[tuple[int, int]], starts: Array, ends: Array, alpha: Array) -> None:
-    """Add to each chunk the whole turns that were completed before it."""
-    turns = 0.0
-    for i, (start, stop) in enumerate(chunks):
-        if i:
-            before = double_arctangent(ends[i - 1, 1], ends[i - 1, 2])
-            alpha[start] = unwrapped(ends[i - 1, 0], before)
-            turns = ends[i - 1, 0] + np.rint((before - double_arctangent(starts[i, 1], starts[i, 2])) / TWO_PI)
-            if turns:
-                alpha[start + 1 : stop] += turns * TWO_PI
-        ends[i, 0] += turns
-
-
 def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, workers: int) -> None:
     """Fill ``alpha`` and ``rate`` (each (n,) or empty) on up to ``workers`` threads.
-
-    The first chunk is put out while the others, but for the last, are reduced to one matrix each;
-    the products of the matrices give the pair at the start of every chunk. The turns completed before
-    a chunk are added at the end.
 
     Raises
     ------
     ArgumentError
         If a sample is not finite or a time does not increase.
     """
-    chunks = _chunks(record.t.size, workers)
-    products = np.empty((len(chunks), 2, 2))
-    starts = np.tile(initial_state(alpha0), (len(chunks), 1))
-    ends = np.empty_like(starts)
-
-    def output(i: int) -> int:
-        start, stop = chunks[i]
-        ends[i] = starts[i]
-        last = stop if stop == record.t.size else stop - 1
-        with np.errstate(all="ignore"):
-            return propagate_samples(
-                ends[i], alpha[start:stop], rate[start:last], *record.arguments(start, stop)
-            )
-
-    def reduce(i: int) -> int:
-        with np.errstate(all="ignore"):
-            return reduce_samples(products[i], *record.arguments(*chunks[i]))
-
-    if len(chunks) == 1:
-        record.require(output(0))
+    n = record.t.size
+    stretches = [(a, min(a + _STRETCH, n - 1) + 1) for a in range(0, n - 1, _STRETCH)]
+    workers = min(workers, len(stretches))
+    if workers > 1:
+        _StretchedRun(record, alpha0, alpha, rate, stretches).run(workers)
         return
-    with ThreadPoolExecutor(len(chunks)) as pool:
-        outputs = [pool.submit(output, 0)]
-        for status in [pool.submit(reduce, i) for i in range(len(chunks) - 1)]:
-            record.require(status.result())
-        _start_pairs(starts, products)
-        outputs += [pool.submit(output, i) for i in range(1, len(chunks))]
-        for status in outputs:
-            record.require(status.result())
-    if alpha.size:
-        _add_turns(chunks, starts, ends, alpha)
+    with np.errstate(all="ignore"):
+        status = propagate_samples(initial_state(alpha0), alpha, rate, *record.arguments(0, n))
+    record.require(status)
+
+
+class _StretchedRun:
+    """One record in stretches that threads take in turn.
+
+    A thread forms the products of the matrices of its stretch, which need no start; then waits for
+    the pair at the start of the stretch, hands on the pair at its end (one product), and puts the
+    stretch out. The turns completed before each stretch are added last.
+    """
+
+    def __init__(
+        self, record: SampledInput, alpha0: float, alpha: Array, rate: Array, stretches: list[tuple[int, int]]
+    ) -> None:
+        self.record, self.alpha, self.rate, self.stretches = record, alpha, rate, stretches
+        self.starts = np.zeros((len(stretches) + 1, 3))
+        self.starts[0] = initial_state(alpha0)
+        self.ends = np.zeros((len(stretches), 3))
+        self.ready = [Event() for _ in range(len(stretches) + 1)]
+        self.fault = GOOD
+
+    def run(self, workers: int) -> None:
+        """Put out all stretches."""
+        self.ready[0].set()
+        with ThreadPoolExecutor(workers) as pool:
+            turns = range(workers)
+            for _ in pool.map(lambda first: self._take(range(first, len(self.stretches), workers)), turns):
+                pass
+            self.record.require(self.fault)
+            if self.alpha.size:
+                list(pool.map(self._add_turns, range(len(self.stretches)), self._turns_before()))
+
+    def _take(self, numbers: range) -> None:
+        """Prepare and put out the stretches ``numbers``, as soon as the one before allows."""
+        prefix, stepped = np.empty((_STRETCH // BLOCK, PREFIX)), np.empty(_STRETCH // BLOCK)
+        try:
+            for i in numbers:
+                start, stop = self.stretches[i]
+                arguments = self.record.arguments(start, stop)
+                self._prepare(i, prefix, stepped, arguments)
+                if self.fault != GOOD:
+                    return
+                self.ends[i] = self.starts[i]
+                last = stop if stop == self.record.t.size else stop - 1
+                rate = self.rate[start:last]
+                finish_samples(self.ends[i], self.alpha[start:stop], rate, prefix, stepped, *arguments)
+        except BaseException:
+            self._stop(0)
+            raise
+
+    def _prepare(self, i: int, prefix: Array, stepped: Array, arguments: tuple[Any, ...]) -> None:
+        """Products of stretch ``i``; then the pair at its end, once that at its start is known."""
+        product = np.empty((2, 2))
+        with np.errstate(all="ignore"):
+            status = prepare_samples(product, prefix, stepped, *arguments)
+        if status != GOOD:
+            self._stop(self.stretches[i][0] + status)
+            return
+        self.ready[i].wait()
+        if self.fault != GOOD:
+            return
+        pair = product @ self.starts[i, 1:]
+        self.starts[i + 1, 1:] = pair / math.copysign(math.hypot(pair[0], pair[1]), pair[1])
+        self.ready[i + 1].set()
+
+    def _stop(self, fault: int) -> None:
+        """Note where a fault is and let no thread wait any longer."""
+        self.fault = fault
+        for event in self.ready:
+            event.set()
+
+    def _turns_before(self) -> Array:
+        """Whole turns completed before each stretch, from the turns within each."""
+        turns = self.starts[:-1, 0].copy()
+        for i in range(1, turns.size):
+            before, after = (double_arctangent(p, q) for _, p, q in (self.ends[i - 1], self.starts[i]))
+            turns[i] = self.ends[i - 1, 0] + np.rint((before - after) / TWO_PI)
+            self.ends[i, 0] += turns[i]
+        turns[0] = 0.0
+        return turns
+
+    def _add_turns(self, i: int, turns: float) -> None:
+        start, stop = self.stretches[i]
+        if turns:
+            self.alpha[start + 1 : stop] += turns * TWO_PI
 
 
 @overload
