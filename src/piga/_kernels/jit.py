@@ -32,6 +32,15 @@ def exact(function: F) -> F:
     return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
 
 
+def reducing_kernel(function: F) -> F:
+    """Compile a loop that sums many numbers: sums may be reordered, so that they use vector registers.
+
+    Used only where the last bits of a sum do not matter for how results compare between chunkings.
+    """
+    flags = {"contract", "reassoc", "nsz"}
+    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))
+
+
 def _no_prefetch(_array: Any, _index: int) -> None:
     """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
 
@@ -43,7 +52,7 @@ else:
     from numba.extending import intrinsic
 
     @intrinsic
-    def prefetch(_context, array, index):
+    def prefetch(_context, array, _index):
         """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
 
         def generate(context, builder, signature, arguments):

@@ -268,15 +268,25 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics={"residual_kind": run.kind}
+        diagnostics={"residual_kind": run.kind, "range": _range(run)}
         | diagnose(residuals)
         | segment_scatter(fit.design, residuals, fit.noise),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,
+        time_reference=fit.design.time_reference,
         residuals=residuals,
         history=history,
     )
+
+
+def _range(run: Run) -> dict[str, list[float]]:
+    """Range in which the calibration holds (SI): axial and transverse force, temperature."""
+    transverse = np.hypot(run.f[:, 1], run.f[:, 2])
+    found = {"a_x": run.f[:, 0], "a_t": transverse}
+    if run.temperature is not None:
+        found["temperature"] = run.temperature
+    return {name: [float(values.min()), float(values.max())] for name, values in found.items()}
 
 
 def _rms(values: Array) -> float:

@@ -70,7 +70,8 @@ class Design:
         self.point = run.kind == "rate"
         self._force = np.ascontiguousarray(run.f.T)
         self._psi = _phase_angle(run, self.request, self.scale_factor)
-        self._t = run.t - 0.5 * (run.t[0] + run.t[-1])
+        self.time_reference = 0.5 * float(run.t[0] + run.t[-1])
+        self._t = run.t - self.time_reference
         reference = self.request.temperature_reference
         self._temperature = np.zeros(0) if run.temperature is None else run.temperature - reference
         self._ranges = _ranges(run)

@@ -106,8 +106,11 @@ def _single(
     from piga.stand import read_run
 
     kind = format_of(out)
-    data = run.parent / read_run_file(run).data.file
-    large = rest is None and data.exists() and data.stat().st_size > STREAM_BYTES
+    wanted = read_run_file(run).data
+    data = run.parent / wanted.file
+    large = (
+        rest is None and wanted.reference is not None and data.exists() and data.stat().st_size > STREAM_BYTES
+    )
     found = FileSummary()
     if large:
 

@@ -147,7 +147,6 @@ class _Plan:
             method=self.method,
             segment=label,
             phase=self.phase,
-            time_reference=0.5 * float(self.record.t[0] + self.record.t[-1]),
             limits=self.limits,
             flag=self.flag,
         )

@@ -14,7 +14,7 @@ from piga.compensation.model import Phase, check_method, make_model
 from piga.compensation.result import Compensated
 from piga.compensation.step import NO_MARKS, NO_RATES, NONE, Chunk, Step, init_state, run_kernel, work_array
 from piga.compensation.validity import Limits, age_flag
-from piga.errors import ArgumentError, CalibrationError
+from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 
@@ -44,8 +44,6 @@ class Compensator:
     step:
         Nominal interval [s], to tell gaps and for the noise of a rate sample that begins a stretch (nan
         without); None: gaps are told by the first interval of the stream.
-    time_reference:
-        Time [s] at which ``k0`` holds, needed with the term ``k0_t``.
     uncertainty, limits, max_age_days:
         As for :func:`piga.compensate`.
     state:
@@ -54,7 +52,7 @@ class Compensator:
     Raises
     ------
     CalibrationError
-        If the calibration lacks the phase, or needs a time reference.
+        If the calibration lacks the phase.
     """
 
     def __init__(
@@ -66,7 +64,6 @@ class Compensator:
         segment: str | None = None,
         phase: Phase | None = None,
         step: float | None = None,
-        time_reference: float | None = None,
         uncertainty: bool = True,
         limits: Limits | None = None,
         max_age_days: float | None = None,
@@ -81,11 +78,9 @@ class Compensator:
         self._kind = kind
         self._uncertainty = uncertainty
         self._model = make_model(
-            calibration, method=self.method, segment=segment, phase=phase, time_reference=time_reference or 0.0,
+            calibration, method=self.method, segment=segment, phase=phase,
             limits=limits, flag=age_flag(calibration, max_age_days),
         )  # fmt: skip
-        if self._model.needs_time and time_reference is None:
-            raise CalibrationError("the calibration has the term k0_t", remedy="give time_reference")
         self._state = init_state() if state is None else np.array(state, dtype=float)
         self._typical = np.nan if step is None else step
         if step is not None:

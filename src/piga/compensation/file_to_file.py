@@ -69,8 +69,6 @@ def compensate_file(
     chosen = check_method(method, calibration)
     flag = age_flag(calibration, max_age_days)
     summary = FileSummary()
-    if any(c.name == "k0_t" for c in calibration.coefficients):
-        raise CalibrationError("the term k0_t needs the whole record", remedy="compensate a smaller file")
 
     def model(label: str) -> Model:
         return make_model(calibration, method=chosen, segment=label, phase=phase, flag=flag)

@@ -44,7 +44,6 @@ class Model:
     formula: int
     base_flag: int
     needs_temperature: bool
-    needs_time: bool
 
     @property
     def scale_factor(self) -> float:
@@ -63,7 +62,6 @@ def make_model(
     method: str = "exact",
     segment: str | None = None,
     phase: Phase | None = None,
-    time_reference: float = 0.0,
     limits: Limits | None = None,
     flag: int = 0,
 ) -> Model:
@@ -84,7 +82,7 @@ def make_model(
     parameters[at.P_TAN_BETA] = values.get("tan_beta", 0.0)
     parameters[at.P_PHI] = values.get("phi", 0.0)
     parameters[at.P_OFFSET_Y], parameters[at.P_OFFSET_Z] = K * values.get("s1", 0.0), -K * values.get("c1", 0.0)
-    parameters[at.P_TIME_REFERENCE] = time_reference
+    parameters[at.P_TIME_REFERENCE] = calibration.time_reference
     parameters[at.P_TEMPERATURE_REFERENCE] = calibration.temperature_reference
     parameters[at.P_WHITE], parameters[at.P_WALK] = calibration.angle_rms**2, calibration.angle_random_walk**2
     for index, name in enumerate(at.TERMS):
@@ -104,7 +102,6 @@ def make_model(
         formula=at.PUBLISHED if method == "published" else at.EXACT,
         base_flag=flag,
         needs_temperature=any(name in values for name in ("k0_T", "k1_T")),
-        needs_time="k0_t" in values,
     )
 
 

@@ -113,7 +113,6 @@ class SetCompensator:
         instruments: Sequence[Mounted],
         *,
         sampled: bool = False,
-        time_reference: float = 0.0,
         uncertainty: bool = True,
         flags: bool = True,
         limits: Limits | None = None,
@@ -127,7 +126,6 @@ class SetCompensator:
                 item.calibration,
                 segment=item.segment,
                 phase=item.phase,
-                time_reference=time_reference,
                 limits=limits,
             )
             for item in instruments
@@ -233,7 +231,7 @@ def compensate_triad(
         for record, item in zip(records, instruments, strict=True)
     ]
     stream = SetCompensator(
-        mounted, sampled=first.kind == "rate", time_reference=0.5 * float(first.t[0] + first.t[-1]),
+        mounted, sampled=first.kind == "rate",
         uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
     )  # fmt: skip
     outputs = np.array([record.output for record in records])

@@ -126,6 +126,7 @@ class Calibration:
     segments: tuple[SegmentSummary, ...]
     provenance: Provenance
     temperature_reference: float = 293.15
+    time_reference: float = 0.0
     residuals: Residuals | None = None
     history: dict[str, Array] | None = None
 

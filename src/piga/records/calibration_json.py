@@ -36,6 +36,7 @@ class _Model(msgspec.Struct, frozen=True):
     phase_source: str
     method: str
     temperature_reference: _Quantity = _Quantity(293.15, "K")
+    time_reference: _Quantity = _Quantity(0.0, "s")
 
 
 class _Coefficient(msgspec.Struct, frozen=True):
@@ -137,6 +138,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
             "phase_source": c.phase_source,
             "method": c.method,
             "temperature_reference": {"value": c.temperature_reference, "unit": "K"},
+            "time_reference": {"value": c.time_reference, "unit": "s"},
         },
         "coefficients": [
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
@@ -232,6 +234,7 @@ def read_calibration(path: Path) -> Calibration:
             document.provenance.options,
         ),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
+        time_reference=_in_si(document.model.time_reference, "s", path),
     )
 
 
