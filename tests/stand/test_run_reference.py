@@ -67,7 +67,7 @@ def test_positions_by_name(tmp_path: Path) -> None:
             "phase of the drive",
         ),
         ("", "", r"\[data\] reference is missing"),
-        ("", '[uncertainty]\nlevelling = "1 arcsec"\n', r"reference is missing"),
+        ("", '[uncertainty]\nlevelling = "1 arcsec"\n', "levelling: belongs to a stand"),
     ],
 )
 def test_what_does_not_fit_is_refused(tmp_path: Path, stand: str, uncertainty: str, message: str) -> None:
@@ -115,3 +115,22 @@ def test_budget_has_the_rows_of_the_stand(tmp_path: Path) -> None:
     assert found["standard_uncertainty"] == {"value": 2.0, "unit": "arcsec"}
     assert abs(found["contributions"]["m_Y"]) == pytest.approx(2.0 * ARCSEC, rel=1e-2)
     assert abs(found["contributions"]["k0"]) < 1e-9
+
+
+@pytest.mark.parametrize("bits", [None, 16])
+def test_a_record_without_reference_is_read_where_none_is_needed(tmp_path: Path, bits: int | None) -> None:
+    path = edited(tmp_path, stand="\n")
+    if bits is not None:
+        path.write_text(path.read_text().replace("= 72000", f"= 72000\ncounter_bits = {bits}"))
+        header, *rows = (tmp_path / "tumble-a.csv").read_text().splitlines()
+        cells = [row.split(",") for row in rows]
+        folded = [",".join([*c[:2], str(int(c[2]) % 2**bits), *c[3:]]) for c in cells]
+        (tmp_path / "tumble-a.csv").write_text("\n".join([header, *folded]) + "\n")
+    run = piga.read_run(path, need_reference=False)
+    assert np.isnan(run.f).all()
+    (tmp_path / "again").mkdir()
+    logged = piga.read_run(copy_example(tmp_path / "again"))
+    steps = ~run.begins[1:]
+    np.testing.assert_allclose(np.diff(run.output)[steps], np.diff(logged.output)[steps], atol=1e-9)
+    with pytest.raises(piga.RunFileError, match="reference is missing"):
+        piga.read_run(path)

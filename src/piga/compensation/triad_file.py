@@ -65,7 +65,7 @@ def read_triad(path: Path) -> tuple[list[Run], list[Mounted]]:
         raise RunFileError(
             f"{path}: [[triad.instrument]] stands {len(items)} times", remedy="three or more are needed"
         )
-    records = [read_run(path.parent / item.run) for item in items]
+    records = [read_run(path.parent / item.run, need_reference=False) for item in items]
     mounted = [
         Mounted(
             Calibration.from_json(path.parent / item.calibration),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError
+from piga.errors import DataError, RunFileError
 from piga.records.calibration import Event, Quality
 from piga.records.counter import unwrap
 from piga.records.parquet_reader import read_parquet
@@ -34,7 +34,7 @@ StandReference = Callable[
 """Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
 
 
-def read_record(path: str | Path, stand_reference: StandReference) -> Run:
+def read_record(path: str | Path, stand_reference: StandReference, *, need_reference: bool = True) -> Run:
     """Read a recorded test; :func:`piga.read_run` is this with the stands of piga.
 
     Parameters
@@ -43,6 +43,8 @@ def read_record(path: str | Path, stand_reference: StandReference) -> Run:
         Run file (TOML), see ``interface.md``; its data file is looked for beside it.
     stand_reference:
         Gives the reference when ``[data]`` has none and a ``[stand]`` table describes it.
+    need_reference:
+        False: a record without any reference is read too (its ``f`` is nan); a set of instruments needs none.
 
     Raises
     ------
@@ -53,6 +55,11 @@ def read_record(path: str | Path, stand_reference: StandReference) -> Run:
     """
     path = Path(path)
     run_file = read_run_file(path)
+    if need_reference and run_file.data.reference is None and run_file.stand is None:
+        raise RunFileError(
+            f"{path}: [data] reference is missing: the specific force that the instrument felt",
+            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
+        )
     data_path = path.parent / run_file.data.file
     digest = _sha256(data_path)
     table = _read_table(data_path, run_file)
@@ -152,10 +159,10 @@ class _Assembly:
         """Specific force and base rate from the columns, or from the stand where there are none."""
         data = self.run_file.data
         f, base_rate = self._group(data.reference, "m/s^2", keep), self._group(data.base_rate, "rad/s", keep)
-        if f is None:
-            f, stand_rate = self.stand_reference(self.run_file.stand or {}, path.parent, t, segment, labels)
+        if f is None and self.run_file.stand is not None:
+            f, stand_rate = self.stand_reference(self.run_file.stand, path.parent, t, segment, labels)
             base_rate = stand_rate if base_rate is None else base_rate
-        return f, base_rate
+        return np.full((t.size, 3), np.nan) if f is None else f, base_rate
 
     def _segments(self, events: list[Event]) -> tuple[NDArray[np.int32], tuple[str, ...]]:
         name = self.run_file.data.segment
@@ -267,7 +274,7 @@ class _Assembly:
             )
 
     def _largest_step(self, base: TimeBase, a_x: Array) -> float:
-        """Largest output step [rad] between samples of a stretch that the reference allows."""
+        """Largest output step [rad] between samples that the reference allows; nan without one."""
         return (
             1.2
             * to_si(self.run_file.instrument.scale_factor, "rad/s/g")
@@ -288,6 +295,9 @@ class _Assembly:
                 remedy="correct [instrument] counter_bits (or wraps_at)",
             )
         largest = self._largest_step(base, a_x)
+        if np.isnan(largest):
+            steps = np.diff(reading)[~base.begins[1:]]
+            largest = 1.2 * factor * float(np.abs(steps - span * np.round(steps / span)).max())
         if largest >= 0.5 * span * factor:
             rate = largest / base.nominal / (0.5 * span * factor)
             raise DataError(

@@ -160,7 +160,7 @@ def read_run_file(path: str | Path) -> RunFile:
     try:
         _check_units(run_file)
         _check_output(run_file)
-        _check_reference(run_file)
+        _check_stand(run_file)
         check_terms(run_file.model.terms, where="[model] terms")
     except (UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
@@ -242,12 +242,7 @@ def _check_output(run_file: RunFile) -> None:
         raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")
 
 
-def _check_reference(run_file: RunFile) -> None:
-    if run_file.data.reference is None and run_file.stand is None:
-        raise RunFileError(
-            "[data] reference is missing: the specific force that the instrument felt",
-            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
-        )
+def _check_stand(run_file: RunFile) -> None:
     named = run_file.uncertainty.of_the_stand()
     if named and run_file.stand is None:
         raise RunFileError(

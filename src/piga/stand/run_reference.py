@@ -39,7 +39,7 @@ class StandChange:
     change: Array
 
 
-def read_run(path: str | Path) -> Run:
+def read_run(path: str | Path, *, need_reference: bool = True) -> Run:
     """Read a recorded test.
 
     Parameters
@@ -47,6 +47,8 @@ def read_run(path: str | Path) -> Run:
     path:
         Run file (TOML); its data file is looked for beside it. Without reference columns the reference is
         computed from its ``[stand]`` table.
+    need_reference:
+        False: a record with neither is read too, with ``f`` nan; instruments compensated together need none.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def read_run(path: str | Path) -> Run:
         If the data file does not hold what the run file says; with file, row, column and remedy.
     """
     try:
-        return read_record(path, stand_reference)
+        return read_record(path, stand_reference, need_reference=need_reference)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
 
