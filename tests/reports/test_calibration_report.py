@@ -11,7 +11,14 @@ from piga.reports.calibration import (
     calibration_text,
     write_calibration_report,
 )
-from piga.reports.calibration_figures import elapsed_time, residual_figure, scale_factor
+from piga.reports.calibration_figures import (
+    convergence_figure,
+    elapsed_time,
+    residual_angles,
+    residual_figure,
+    scale_factor,
+)
+from piga.reports.calibration_tables import residual_quantity
 from piga.reports.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker
@@ -173,3 +180,36 @@ def test_terminal_summary_is_aligned_ascii(cal):
     start = next(i for i, line in enumerate(lines) if "coefficient" in line and "unit" in line)
     column = lines[start].index("unit")
     assert all(line[column - 1] == " " and line[column] != " " for line in lines[start : start + 7])
+
+
+def test_convergence_figure_shows_every_coefficient_with_its_band():
+    cal = calibration()
+    samples = np.geomspace(100.0, 28_000.0, 50)
+    history = {"sample": samples}
+    for c in cal.coefficients:
+        history |= {c.key: c.value + c.std * 100.0 / samples, f"u({c.key})": c.std * 30.0 / np.sqrt(samples)}
+    figure = convergence_figure(dataclasses.replace(cal, history=history))
+    assert [panel.title for panel in figure.panels] == [c.key for c in cal.coefficients]
+    for panel, c in zip(figure.panels, cal.coefficients, strict=True):
+        band, curve = panel.series
+        assert band.upper is not None
+        assert panel.x.quantity
+        assert panel.y.quantity
+        last = 0.0 if c.name == "scale_factor" else c.value
+        assert curve.arrays()[1][-1] == pytest.approx(last, rel=1e-2, abs=1e-2 * abs(last) + 1e3 * c.std)
+    page = page_html(calibration_page(dataclasses.replace(cal, history=history)))
+    assert "Convergence" in page
+
+
+def test_a_log_of_rates_is_reported_as_rates():
+    cal = calibration()
+    rates = dataclasses.replace(cal, diagnostics={**cal.diagnostics, "residual_kind": "rate"})
+    assert residual_quantity(rates) == ("residual rate", "arcsec/s")
+    assert "arcsec/s" in page_html(calibration_page(rates))
+    assert "arcsec/s (before" in calibration_text(rates)
+    angles = residual_angles(rates)
+    first = slice(0, 50)
+    step = np.diff(rates.residuals.t[first])
+    wanted = np.cumsum(step * 0.5 * (rates.residuals.after[first][1:] + rates.residuals.after[first][:-1]))
+    np.testing.assert_allclose(angles.after[1:50] - angles.after[0], wanted, rtol=1e-9, atol=1e-12)
+    assert residual_angles(cal) is cal.residuals

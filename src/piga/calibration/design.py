@@ -69,7 +69,7 @@ class Design:
         self.names = self.local_names + self.shared_names
         self.point = run.kind == "rate"
         self._force = np.ascontiguousarray(run.f.T)
-        self._psi = _phase_angle(run, self.request, self.scale_factor)
+        self.phase_angle = _phase_angle(run, self.request, self.scale_factor)
         self.time_reference = 0.5 * float(run.t[0] + run.t[-1])
         self._t = run.t - self.time_reference
         reference = self.request.temperature_reference
@@ -153,7 +153,7 @@ class Design:
     def _fill_local(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
         if not self.local_names:
             return
-        psi = np.ascontiguousarray(self._psi[window])
+        psi = np.ascontiguousarray(self.phase_angle[window])
         y, z = force[1], force[2]
         if self.run.base_rate is not None:
             y = y - self.run.base_rate[window, 1] / self.scale_factor

@@ -35,7 +35,9 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     else:
         after_angle = _stretch_angle(d, run.begins)
         before_angle = _stretch_angle(before, run.begins)
-    return Residuals(run.row, run.t, run.output, run.f[:, 0], before_angle, after_angle, whitened, run.segment)
+    return Residuals(
+        run.row, run.t, design.phase_angle, run.f[:, 0], before_angle, after_angle, whitened, run.segment
+    )
 
 
 def _nominal_increments(design: Design) -> Array:

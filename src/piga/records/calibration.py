@@ -69,7 +69,7 @@ class SegmentSummary:
 class Residuals:
     """Residual angle per used sample (not stored in the JSON; ``residuals.parquet`` holds it).
 
-    ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: the rate),
+    ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: its integral),
     ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle less the nominal uncoupled instrument,
     ``after`` [rad] less the fitted model; each stretch from its own mean (rates [rad/s] for a rate log).
     ``innovation`` [1] is the whitened residual: unit variance and white when model and noise levels are

@@ -18,6 +18,7 @@ from piga.reports.calibration_tables import (
     facts_table,
     meaning,
     quality_table,
+    residual_quantity,
     scalars,
     segment_table,
 )
@@ -52,6 +53,7 @@ def calibration_page(cal: Calibration) -> Page:
         _tested(cal),
         _coefficients(cal),
         _residuals(figures),
+        *_convergence(figures),
         _orders(figures),
         _segments(cal, figures),
         _budget(cal),
@@ -105,18 +107,19 @@ def _improvement(before: float, after: float) -> str:
 
 def _tiles(cal: Calibration) -> tuple[Tile, ...]:
     better: Tone = "good" if cal.residual_rms < cal.residual_rms_before else "bad"
+    quantity, unit = residual_quantity(cal)
     tiles = [
         Tile(
-            "Residual angle, rms",
+            f"{quantity.capitalize()}, rms",
             f"{short(cal.residual_rms_before / ARCSEC)} → {short(cal.residual_rms / ARCSEC)}",
-            "arcsec",
+            unit,
             f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
             better,
         ),
         Tile(
-            "Residual angle, largest",
+            f"{quantity.capitalize()}, largest",
             f"{short(cal.residual_max_before / ARCSEC)} → {short(cal.residual_max_after / ARCSEC)}",
-            "arcsec",
+            unit,
             f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
             if cal.residual_rms
             else "",
@@ -226,6 +229,14 @@ def _residuals(figures: dict[str, Figure]) -> Section:
         "residuals",
         (Text(lead, lead=True), _shown(figures, "residual-time", missing)),
     )
+
+
+def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
+    """The history of a recursive estimate, when there is one."""
+    if "convergence" not in figures:
+        return ()
+    lead = "How the estimates settled while the record came in, sample by sample."
+    return (Section("Convergence", "history", (Text(lead, lead=True), FigureBlock(figures["convergence"]))),)
 
 
 def _orders(figures: dict[str, Figure]) -> Section:
@@ -341,8 +352,10 @@ def _text_table(cal: Calibration) -> list[str]:
 
 
 def _text_figures(cal: Calibration) -> list[str]:
+    unit = residual_quantity(cal)[1]
+
     def angle(before: float, after: float) -> str:
-        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} arcsec (before -> after)"
+        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
 
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Calibration, Residuals
+from piga.reports.calibration_tables import residual_quantity
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.numbers import friendly, pretty_unit
 from piga.reports.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
 from piga.units import ARCSEC, G0, conversion_factor
 
@@ -26,15 +30,74 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        figures.append(residual_figure(cal.residuals))
+        figures.append(residual_figure(cal.residuals, residual_quantity(cal)))
         figures += [whiteness_figure(cal.residuals)] if np.isfinite(cal.residuals.innovation).any() else []
-        spectrum = order_spectrum(cal.residuals, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
-        turned = ripple(cal.residuals, scale_factor(cal))
+        angles = residual_angles(cal)
+        spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
+        turned = ripple(angles, scale_factor(cal))
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []
         figures += [ripple_figure(turned)] if turned.segments else []
     if len(cal.segments) > 1:
         figures.append(segment_figure(cal))
+    if cal.history is not None and cal.history["sample"].size > 1:
+        figures.append(convergence_figure(cal))
     return tuple(figures)
+
+
+def residual_angles(cal: Calibration) -> Residuals:
+    """The residuals as angles: those of a rate log integrated over each segment."""
+    found = cal.residuals
+    if found is None or residual_quantity(cal)[1] == "arcsec":
+        return cast("Residuals", found)
+    step = np.diff(found.t, prepend=found.t[:1])
+    step[np.diff(found.segment, prepend=found.segment[:1]) != 0] = 0.0
+    return replace(found, before=_integral(found.before, step), after=_integral(found.after, step))
+
+
+def _integral(rate: Array, step: Array) -> Array:
+    return np.cumsum(step * 0.5 * (rate + np.concatenate((rate[:1], rate[:-1]))))
+
+
+def convergence_figure(cal: Calibration) -> Figure:
+    """Estimate of every coefficient against the samples seen, with its standard uncertainty where it has one."""
+    history = cast("dict[str, Array]", cal.history)
+    samples = history["sample"]
+    panels = []
+    for coefficient in cal.coefficients:
+        values = history.get(coefficient.key)
+        if values is None:
+            continue
+        _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+        quantity = coefficient.name
+        if coefficient.name == "scale_factor":
+            quantity, unit, scale = "scale_factor, from the result", "ppm", 1e6 / coefficient.value
+            values = values - coefficient.value
+        curve = Series(samples, values * scale, name="estimate", role="model")
+        band: tuple[Series, ...] = ()
+        if f"u({coefficient.key})" in history:
+            half = history[f"u({coefficient.key})"]
+            low, high = (values - half) * scale, (values + half) * scale
+            band = (Series(samples, low, upper=high, name="standard uncertainty", mark="band", role="muted"),)
+        limits = _settled(values * scale)
+        axis = Axis(quantity, pretty_unit(unit) or "1", limits=limits)
+        panels.append(Panel(Axis("samples seen", "1", log=True), axis, (*band, curve), title=coefficient.key))
+    return Figure(
+        key="convergence",
+        title="Estimates while the record comes in.",
+        panels=tuple(panels),
+        caption="The last point is the result. The scale is that of the second half of the curve: what happens "
+        "before may lie outside. Good: curves that settle inside their shrinking band.",
+        columns=2,
+        height=2.0,
+    )
+
+
+def _settled(values: Array) -> tuple[float, float]:
+    """Limits that show the second half of a history, with some room."""
+    late = values[values.size // 4 :]
+    low, high = float(late.min()), float(late.max())
+    room = 0.5 * (high - low) or abs(high) * 1e-6 or 1e-12
+    return low - room, high + room
 
 
 def scale_factor(cal: Calibration) -> float:
@@ -77,20 +140,18 @@ def _with_gaps(x: Array, y: Array, residuals: Residuals) -> tuple[Array, Array]:
     return np.concatenate(pieces_x), np.concatenate(pieces_y)
 
 
-def residual_figure(residuals: Residuals) -> Figure:
-    """Residual angle against time, before and after."""
+def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec")) -> Figure:
+    """Residual (``quantity``: what and in which unit) against time, before and after."""
     t = elapsed_time(residuals)
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
     panels = []
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
         x, y = _with_gaps(t / scale, np.asarray(values) / ARCSEC, residuals)
         series = Series(x, y, name=title.lower(), role="before" if role == "before" else "after")
-        panels.append(
-            Panel(Axis("elapsed time", unit), Axis("residual angle", "arcsec"), (series,), title=title)
-        )
+        panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
     return Figure(
         key="residual-time",
-        title="Residual angle against time.",
+        title=f"{quantity[0].capitalize()} against time.",
         panels=tuple(panels),
         caption="Before: measured angle less the nominal model without cross-coupling. After: less the fitted "
         "model. The scales differ. Good: a band of noise around zero, without waves, steps or trends.",
@@ -266,13 +327,14 @@ def segment_figure(cal: Calibration) -> Figure:
     labels = tuple(f"segment {cal.segments[row].label}" for row in rows)
     before = np.array([segment.rms_before for segment in cal.segments])[rows] / ARCSEC
     after = np.array([segment.rms for segment in cal.segments])[rows] / ARCSEC
+    quantity, unit = residual_quantity(cal)
     return Figure(
         key="segment-rms",
         title="Residual of each segment.",
         panels=(
             Panel(
                 Axis("mean specific force along the input axis", "g"),
-                Axis("residual angle, rms", "arcsec", log=True),
+                Axis(f"{quantity}, rms", unit, log=True),
                 (
                     Series(a_x[rows], before, name="before", mark="points", role="before", text=labels),
                     Series(a_x[rows], after, name="after", mark="points", role="after", text=labels),

@@ -181,6 +181,12 @@ def _budget_row(source: dict[str, Any], coefficients: list[Coefficient]) -> tupl
     return (str(source.get("source", "")), str(source.get("type", "")), entered, *cells)
 
 
+def residual_quantity(cal: Calibration) -> tuple[str, str]:
+    """What the residuals are, and their unit in reports: an angle, or a rate for a log of rates."""
+    rate = cal.diagnostics.get("residual_kind") == "rate"
+    return ("residual rate", "arcsec/s") if rate else ("residual angle", "arcsec")
+
+
 def segment_table(cal: Calibration) -> Table:
     """One row per segment; of very many the ones with the largest residuals."""
     shown = list(cal.segments)
@@ -189,6 +195,7 @@ def segment_table(cal: Calibration) -> Table:
         worst = sorted(range(len(shown)), key=lambda row: -shown[row].rms)[:_SHOWN_SEGMENTS]
         shown = [shown[row] for row in sorted(worst)]
         notes = (f"The {_SHOWN_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
+    unit = residual_quantity(cal)[1]
     phases = {c.segment: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
     columns = [
@@ -197,9 +204,9 @@ def segment_table(cal: Calibration) -> Table:
         Column("Duration", "s"),
         Column("Mean a_x", "g"),
         Column("Turns", "rev"),
-        Column("rms before", "arcsec"),
-        Column("rms after", "arcsec"),
-        Column("Largest after", "arcsec"),
+        Column("rms before", unit),
+        Column("rms after", unit),
+        Column("Largest after", unit),
     ]
     rows: list[tuple[str | Cell, ...]] = []
     for segment in shown:

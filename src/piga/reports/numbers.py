@@ -66,6 +66,7 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     number, spread = Decimal(repr(float(value))), Decimal(repr(float(uncertainty)))
     place = _place(spread, digits)
     number = number.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN)
+    number = number if number else abs(number)
     spread = spread.quantize(Decimal(1).scaleb(place), ROUND_HALF_EVEN)
     leading = max(number.adjusted() if number else place, spread.adjusted())
     exponent = 0 if _is_plain(leading, place) else leading
