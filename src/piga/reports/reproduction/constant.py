@@ -123,7 +123,16 @@ def _example_cases(example: Example) -> list[Case]:
         else f"printed to {example.digit:g} deg/s: half of that digit"
     )
     cases = [
-        Case(f"{name}.ideal", source, "ideal rate K a_x", "deg/s", example.ideal, ideal, 0.5 * example.digit, digits)
+        Case(
+            f"{name}.ideal",
+            source,
+            "ideal rate K a_x",
+            "deg/s",
+            example.ideal,
+            ideal,
+            0.5 * example.digit,
+            digits,
+        )
     ]
     at = int(np.argmax(np.abs(found.published - found.integrated[1])))
     cases.append(
@@ -231,7 +240,9 @@ def period() -> Chapter:
 
 def _frequency_cases() -> list[Case]:
     running = EXAMPLES[3]
-    turned = closed_form(INSTRUMENT, np.array([0.0, float(revolution_period(INSTRUMENT, *running.force))]), *running.force)
+    turned = closed_form(
+        INSTRUMENT, np.array([0.0, float(revolution_period(INSTRUMENT, *running.force))]), *running.force
+    )
     excess = float(turned[0][1] - turned[0][0] - 2.0 * math.pi)
     cases = [
         Case(
@@ -251,15 +262,33 @@ def _frequency_cases() -> list[Case]:
         note = "an infinite period is a frequency of zero exactly: no tolerance"
         source = f"[Wei2020] example {example.number}"
         cases.append(
-            Case(name, source, "revolutions per second (the textbook period is infinite)", "1/s", 0.0, turns, 0.0, note)
+            Case(
+                name,
+                source,
+                "revolutions per second (the textbook period is infinite)",
+                "1/s",
+                0.0,
+                turns,
+                0.0,
+                note,
+            )
         )
     locked = EXAMPLES[2]
-    square = (INSTRUMENT.scale_factor**2) * (locked.force[0] ** 2 - float(dead_zone(INSTRUMENT, *locked.force[1:])[1]) ** 2)
-    note = (
-        "no number is published: the square under the root is negative, so that the textbook period has no real value"
+    square = (INSTRUMENT.scale_factor**2) * (
+        locked.force[0] ** 2 - float(dead_zone(INSTRUMENT, *locked.force[1:])[1]) ** 2
     )
+    note = "no number is published: the square under the root is negative, so that the textbook period has no real value"
     cases.append(
-        Case("period.example-3", "[Wei2020] example 3", "K^2 (a_x^2 - a_t^2 tan^2(beta))", "rad^2/s^2", None, square, None, note)
+        Case(
+            "period.example-3",
+            "[Wei2020] example 3",
+            "K^2 (a_x^2 - a_t^2 tan^2(beta))",
+            "rad^2/s^2",
+            None,
+            square,
+            None,
+            note,
+        )
     )
     return cases
 
@@ -292,7 +321,16 @@ def _rest_cases() -> list[Case]:
     time_constant = float(locking_time(INSTRUMENT, *EXAMPLES[2].force))
     note = "not published; the time in which the rate falls by e, 1/(K sqrt(b^2 - a^2)), instead of a period"
     cases.append(
-        Case("period.locking-time", "[Wei2020] example 3", "time constant of the locking", "s", None, time_constant, None, note)
+        Case(
+            "period.locking-time",
+            "[Wei2020] example 3",
+            "time constant of the locking",
+            "s",
+            None,
+            time_constant,
+            None,
+            note,
+        )
     )
     return cases
 
@@ -316,9 +354,14 @@ def _rest_figure() -> Figure:
         Series(a_x[::20] / G0, measured, "period of the motion", "points", "before"),
         Series(a_x / G0, ideal, "ideal: 2 pi / (K a_x)", role="reference", dashed=True),
     )
-    left = Panel(Axis("time", "s"), Axis("outer-gimbal angle", "deg"), (*rests, *curves), "No revolution: regimes 1-3")
+    left = Panel(
+        Axis("time", "s"), Axis("outer-gimbal angle", "deg"), (*rests, *curves), "No revolution: regimes 1-3"
+    )
     panel = Panel(
-        Axis("specific force a_x", "g", log=True), Axis("time of a revolution", "s", log=True), right, "Revolving: regime 4"
+        Axis("specific force a_x", "g", log=True),
+        Axis("time of a revolution", "s", log=True),
+        right,
+        "Revolving: regime 4",
     )
     return Figure(
         "period-and-rest",

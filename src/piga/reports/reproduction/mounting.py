@@ -73,7 +73,10 @@ def _revolving_skew(load: float) -> float:
     while high - low > 1e-3:
         skew = 0.5 * (low + high)
         angle = skew * ARCSEC
-        turned = closed_form(INSTRUMENT, 5e4, load * math.sin(angle), load * math.cos(angle), 0.0)[0] - INSTRUMENT.alpha0
+        turned = (
+            closed_form(INSTRUMENT, 5e4, load * math.sin(angle), load * math.cos(angle), 0.0)[0]
+            - INSTRUMENT.alpha0
+        )
         low, high = (low, skew) if turned > 2.0 * math.pi else (skew, high)
     return 0.5 * (low + high)
 
@@ -88,10 +91,14 @@ def _figure(load: float) -> Figure:
         name = f"beta = {seconds:g} arcsec"
         rates.append(Series(_SKEWS / ARCSEC, share, name, role=role))
         running = share > 0.0
-        missing.append(Series(_SKEWS[running] / ARCSEC, np.maximum(1.0 - share[running], 1e-9), name, role=role))
+        missing.append(
+            Series(_SKEWS[running] / ARCSEC, np.maximum(1.0 - share[running], 1e-9), name, role=role)
+        )
     x = Axis("skew of the input axis against the load's normal plane", "arcsec", log=True)
     left = Panel(x, Axis("mean rate over K a_x", "1"), tuple(rates), "Locked below beta")
-    right = Panel(x, Axis("missing share of the mean rate", "1", log=True), tuple(missing), "What skew alone leaves")
+    right = Panel(
+        x, Axis("missing share of the mean rate", "1", log=True), tuple(missing), "What skew alone leaves"
+    )
     return Figure(
         "mounting-skew",
         "How far to skew the instrument",

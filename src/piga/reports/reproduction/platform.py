@@ -49,16 +49,24 @@ def table() -> Chapter:
         "case turns. Published for 10 arcmin at eta0 = 0; ours from the exact geometry of both nulled pick-offs, without a "
         "small-angle step."
     )
-    return Chapter("redundancy-angle", "The redundancy-angle table", source, text, tuple(cases), (_table_figure(),))
+    return Chapter(
+        "redundancy-angle", "The redundancy-angle table", source, text, tuple(cases), (_table_figure(),)
+    )
 
 
 def _table_case(eta: float, source: str) -> Case:
     formula = 10.0 * math.tan(math.radians(eta))
     published = 0.1746 if eta == 1.0 else formula
-    printed = "printed to 0.0001': half of that digit" if eta == 1.0 else "the table's formula 10' tan(eta), half of its last digit 0.0001'"
+    printed = (
+        "printed to 0.0001': half of that digit"
+        if eta == 1.0
+        else "the table's formula 10' tan(eta), half of its last digit 0.0001'"
+    )
     tolerance = 5e-5
     computed = pole_amplitude(_MISALIGNMENT, math.radians(eta)) / ARCMIN
-    neglected = f"; the exact geometry differs by second-order terms, (m1/2)^2 = {0.25 * _MISALIGNMENT**2:.1e} of it"
+    neglected = (
+        f"; the exact geometry differs by second-order terms, (m1/2)^2 = {0.25 * _MISALIGNMENT**2:.1e} of it"
+    )
     return Case(f"redundancy-angle.eta-{eta:.0f}", source, f"amplitude about the polar axis at eta = {eta:.0f} deg", "arcmin",
                 published, computed, tolerance, printed + neglected)  # fmt: skip
 
@@ -129,7 +137,12 @@ def coupling() -> Chapter:
     """Drift of the triad from the drifts of two gyros: the relations against the geometry of two momenta."""
     source = "[He2014] drift-coupling relations"
     eta = math.radians(5.0)
-    drift = {"w1x": 0.013 * _HOUR_RATE, "w1y": -0.007 * _HOUR_RATE, "w2y": 0.01 * _HOUR_RATE, "w2z": 0.02 * _HOUR_RATE}
+    drift = {
+        "w1x": 0.013 * _HOUR_RATE,
+        "w1y": -0.007 * _HOUR_RATE,
+        "w2y": 0.01 * _HOUR_RATE,
+        "w2z": 0.02 * _HOUR_RATE,
+    }
     relation = published_coupling(eta, **drift)
     geometry = momentum_coupling(eta, **drift)
     cases = [

@@ -129,8 +129,19 @@ def _constant_cases() -> list[Case]:
     source = "[Wei2024] eq. 12-18, constant input 2.06 g"
     reason = "the publication does not show this run: the wrong solution to which its recursion converges"
     return [
-        Case("recursion.constant-tan_beta", source, "tan(beta) by the published recursion", "1", None, tan_beta, None, reason),
-        Case("recursion.constant-phi", source, "phi by the published recursion", "rad", None, phi, None, reason),
+        Case(
+            "recursion.constant-tan_beta",
+            source,
+            "tan(beta) by the published recursion",
+            "1",
+            None,
+            tan_beta,
+            None,
+            reason,
+        ),
+        Case(
+            "recursion.constant-phi", source, "phi by the published recursion", "rad", None, phi, None, reason
+        ),
         Case(
             "recursion.constant-own",
             source + ", our estimator",
@@ -198,7 +209,9 @@ def compensation() -> Chapter:
         "exact one, a_x = alpha'/K - tan(beta) (a_Y sin(alpha) - a_Z cos(alpha)), which takes the measured angle."
     )
     source = "[Wei2024] eq. 19-21"
-    largest = {k: float(np.abs(v).max()) for k, v in (("b", before), ("m", model), ("f", formula), ("e", exact))}
+    largest = {
+        k: float(np.abs(v).max()) for k, v in (("b", before), ("m", model), ("f", formula), ("e", exact))
+    }
     cases = (
         Case(
             "compensation.before",
@@ -268,8 +281,22 @@ def _compensation_figure(a_x: Array, before: Array, model: Array, formula: Array
     t = record("ramp").t
     rows = (
         (before, 1.0, "g", "before", "before", "Before"),
-        (model, 1e3, "mg", "published, phase from the input", "warning", "Published: phase predicted from the input"),
-        (formula, 1e3, "mg", "published, phi = 0.802 rad", "z", "Published: phase from the output, phi = 0.802 rad"),
+        (
+            model,
+            1e3,
+            "mg",
+            "published, phase from the input",
+            "warning",
+            "Published: phase predicted from the input",
+        ),
+        (
+            formula,
+            1e3,
+            "mg",
+            "published, phi = 0.802 rad",
+            "z",
+            "Published: phase from the output, phi = 0.802 rad",
+        ),
         (exact, 1e15, "1e-15 g", "exact", "after", "Exact: measured angle, linear estimator"),
     )
     panels = tuple(
@@ -277,7 +304,7 @@ def _compensation_figure(a_x: Array, before: Array, model: Array, formula: Array
         for y, scale, unit, _, role, title in rows
     )
     return Figure(
-        "compensation",
+        "compensation-errors",
         "What compensation leaves of the error",
         panels,
         "Four scales: g, thousandths of g twice, and 1e-15 g. The published compensation takes the error from 0.05 g to "

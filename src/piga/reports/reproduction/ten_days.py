@@ -72,7 +72,8 @@ def _gyro(phase: float, waves: tuple[float, float], *, wobble: bool) -> Gyro:
         return Gyro(4.0 * ARCMIN)
     sizes = (0.25 * ARCMIN, 0.05 * ARCMIN)
     harmonics = tuple(
-        Harmonic(k + 2, size, math.radians(angle)) for k, (size, angle) in enumerate(zip(sizes, waves, strict=True))
+        Harmonic(k + 2, size, math.radians(angle))
+        for k, (size, angle) in enumerate(zip(sizes, waves, strict=True))
     )
     return Gyro(4.0 * ARCMIN, math.radians(phase), harmonics)
 
@@ -116,9 +117,13 @@ def chapter() -> Chapter:
     )
     figures = (
         _named(lines_figure(comparison), "ten-days-lines"),
-        _named(published_figure(comparison), "ten-days-end", "Errors around the end of day ten, models A and B"),
+        _named(
+            published_figure(comparison), "ten-days-end", "Errors around the end of day ten, models A and B"
+        ),
     )
-    return Chapter("ten-days", "Ten days with models A and B", "[He2014] simulation", text, tuple(cases), figures)
+    return Chapter(
+        "ten-days", "Ten days with models A and B", "[He2014] simulation", text, tuple(cases), figures
+    )
 
 
 def _channel_cases(c: Published, left: float, followed: float) -> list[Case]:
@@ -136,7 +141,16 @@ def _channel_cases(c: Published, left: float, followed: float) -> list[Case]:
     ]  # fmt: skip
     if c.channel == "east_velocity":
         cases.append(
-            Case(f"{name}-A", "[He2014] simulation, model A", f"{c.label}, day ten", c.unit, c.simulated, a, half, printed)
+            Case(
+                f"{name}-A",
+                "[He2014] simulation, model A",
+                f"{c.label}, day ten",
+                c.unit,
+                c.simulated,
+                a,
+                half,
+                printed,
+            )
         )
     else:
         cases.append(

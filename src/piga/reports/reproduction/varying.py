@@ -13,7 +13,14 @@ from piga.instrument import propagate_function, published_closed_form
 from piga.instrument.published import Case as FormNumber
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.reproduction.case import Case, Chapter
-from piga.reports.reproduction.publication import INSTRUMENT, RAMP_TOP, TRANSVERSE, model_phase, raw_error, record
+from piga.reports.reproduction.publication import (
+    INSTRUMENT,
+    RAMP_TOP,
+    TRANSVERSE,
+    model_phase,
+    raw_error,
+    record,
+)
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -59,7 +66,9 @@ def solved(form: Form) -> tuple[Array, Array, Array]:
     t = np.linspace(0.0, DURATION, 1201)
     force = G0 * np.array(form.force)
     _, per_second = published_closed_form(form.number, INSTRUMENT, swung(t), *(float(v) for v in force))
-    alpha = propagate_function(INSTRUMENT, t, lambda s: np.outer(swing(s), force), tolerance=1e-12, vectorized=True)
+    alpha = propagate_function(
+        INSTRUMENT, t, lambda s: np.outer(swing(s), force), tolerance=1e-12, vectorized=True
+    )
     a_x, a_Y, a_Z = np.outer(force, swing(t))
     coupling = INSTRUMENT.tan_beta * (a_Y * np.sin(alpha) - a_Z * np.cos(alpha))
     return t, per_second * swing(t), INSTRUMENT.scale_factor * (a_x + coupling)
@@ -93,7 +102,9 @@ def forms() -> Chapter:
         height=2.4,
     )
     source = "[Wei2024] eq. 5-11"
-    return Chapter("closed-forms", "The four forms with time-varying input", source, text, tuple(cases), (figure,))
+    return Chapter(
+        "closed-forms", "The four forms with time-varying input", source, text, tuple(cases), (figure,)
+    )
 
 
 def _form_panel(form: Form, t: Array, published: Array, exact: Array) -> Panel:
