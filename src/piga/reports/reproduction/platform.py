@@ -250,7 +250,7 @@ def _coupling_figure(drift: dict[str, float]) -> Figure:
         curves.append(Series(dots, points, f"{label}, two momenta", "points", role))  # type: ignore[arg-type]
     panel = Panel(Axis("redundancy angle eta", "deg"), Axis("drift", "deg/h"), tuple(curves))
     return Figure(
-        "drift-coupling",
+        "drift-coupling-rates",
         "Drift of the triad by redundancy angle",
         (panel,),
         "Lines: published relations. Points: the triad built on two drifting momenta.",
