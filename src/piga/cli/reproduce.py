@@ -72,9 +72,7 @@ def _write(found: Reproduction, folder: Path, *, quiet: bool) -> None:
     with progress("drawing", len(found.figures)) as advance:
         for figure in found.figures:
             for kind in ("svg", "png"):
-                write_by_rename(
-                    pictures / f"{figure.key}.{kind}", partial(write_figure, figure)
-                )
+                write_by_rename(pictures / f"{figure.key}.{kind}", partial(write_figure, figure))
             advance(1)
     if not quiet:
         say(f"wrote {folder}/reproduction.html and {len(found.figures)} figures (SVG, PNG) in {pictures}")

@@ -20,7 +20,7 @@ from piga.instrument import (
     revolution_period,
 )
 from piga.instrument.published import Case as FormNumber
-from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.reproduction.case import Case, Chapter
 from piga.reports.reproduction.publication import INSTRUMENT, TRANSVERSE, in_g
 from piga.units import G0
@@ -31,6 +31,8 @@ DURATION = 100.0
 _STEP = 0.05
 _LATE = 1e4
 _DOTS = 40
+_FLOOR = 1e-16
+_ROLES: tuple[Role, ...] = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Solved:
 @cache
 def solved(example: Example) -> Solved:
     """The product's closed form, its propagator for records, SciPy's DOP853, and the published form."""
-    t = np.arange(round(DURATION / _STEP) + 1) * _STEP
+    t = np.linspace(0.0, DURATION, round(DURATION / _STEP) + 1)
     f = np.tile(np.array(example.force), (t.size, 1))
     sampled = propagate(INSTRUMENT, t, f, with_rate=True)
     closed = closed_form(INSTRUMENT, t, *example.force)
@@ -207,21 +209,21 @@ def _agreement_figure() -> Figure:
     panels = []
     for example in EXAMPLES:
         found = solved(example)
-        series = tuple(
-            Series(found.t[1:], np.maximum(np.abs(one - found.integrated[0])[1:], 1e-16), name, role=role)
-            for one, name, role in (
-                (found.closed[0], "closed form", "after"),
-                (found.sampled[0], "propagator", "before"),
-            )
+        every = slice(1, None, 4)
+        left = np.abs(found.closed[0] - found.integrated[0])[every]
+        right = np.abs(found.closed[0] - found.sampled[0])[every]
+        series = (
+            Series(found.t[every], np.maximum(left, _FLOOR), "closed form less integration", role="before"),
+            Series(found.t[every], np.maximum(right, _FLOOR), "closed form less propagator", role="after"),
         )
-        title = f"{example.number}  {example.regime}"
-        axis = Axis("difference in angle", "rad", log=True, limits=(1e-16, 1e-10))
-        panels.append(Panel(Axis("time", "s"), axis, series, title))  # type: ignore[arg-type]
+        axis = Axis("difference in angle", "rad", log=True, limits=(_FLOOR, 1e-9))
+        panels.append(Panel(Axis("time", "s"), axis, series, f"{example.number}  {example.regime}"))
     return Figure(
         "constant-input-agreement",
-        "Closed form and propagator against an independent integrator",
+        "Three solutions of the same motion",
         tuple(panels),
-        "What is left is the integrator's own error: closed form and propagator lie on each other.",
+        "The independent integrator errs by up to 1e-10 rad, closed form and propagator differ from each other by "
+        "rounding only. Differences below 1e-16 rad are drawn there.",
         columns=2,
         height=2.1,
     )
@@ -338,9 +340,9 @@ def _rest_cases() -> list[Case]:
 def _rest_figure() -> Figure:
     t = np.linspace(0.0, 600.0, 1201)
     curves, rests = [], []
-    for example, role in zip(EXAMPLES[:3], ("x", "y", "z"), strict=True):
+    for example, role in zip(EXAMPLES[:3], _ROLES, strict=True):
         alpha = np.degrees(closed_form(INSTRUMENT, t, *example.force)[0])
-        curves.append(Series(t, alpha, f"{example.number} {example.regime}", role=role))  # type: ignore[arg-type]
+        curves.append(Series(t, alpha, f"{example.number} {example.regime}", role=role))
         rest = math.degrees(float(fixed_points(INSTRUMENT, *example.force)[0])) % 360.0
         rests.append(Series([0.0, 600.0], [rest, rest], "where it rests", role="muted", dashed=True))
     border = float(dead_zone(INSTRUMENT, *EXAMPLES[2].force[1:])[1])

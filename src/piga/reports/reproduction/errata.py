@@ -217,9 +217,7 @@ def _square_figure() -> Figure:
 def _phase_figure() -> Figure:
     t, walk, predicted = phase_walk()
     residual = model_residual(record("ramp"), published_calibration("ramp"))
-    envelope = (
-        1e3 * TRANSVERSE * INSTRUMENT.tan_beta * RAMP_TOP * t / t[-1] * np.abs(_smooth(model_phase_error()))
-    )
+    envelope = 1e3 * TRANSVERSE * INSTRUMENT.tan_beta * RAMP_TOP * t / t[-1] * np.abs(model_phase_error())
     upper = Panel(
         Axis("time", "s"),
         Axis("phase error", "mrad"),
@@ -232,21 +230,15 @@ def _phase_figure() -> Figure:
         Axis("time", "s"),
         Axis("residual", "mg"),
         (
-            Series(t, -envelope, "5 a_x tan(beta) times the phase error", "band", "muted", upper=envelope),
-            Series(t, 1e3 * residual, "left by the published calibration", role="after"),
+            Series(t, -envelope, "bound by the phase error", "band", "muted", upper=envelope),
+            Series(t, 1e3 * residual, "left by the calibration", role="after"),
         ),
     )
     return Figure(
         "errata-phase",
         "The phase of the published model drifts",
         (upper, lower),
-        "Above: the predicted phase runs ahead of the gimbal by K V r^2/2. Below: the fit splits the difference, so that the "
-        "residual vanishes where the fitted phase is right and grows to both sides.",
+        "Above: the predicted phase runs ahead of the gimbal by K V r^2/2, with a ripple of r each revolution. Below: what the "
+        "published calibration leaves stays within its phase error times 5 a_x tan(beta).",
         height=2.3,
     )
-
-
-def _smooth(values: np.ndarray) -> np.ndarray:
-    from scipy.ndimage import uniform_filter1d
-
-    return uniform_filter1d(values, 601)

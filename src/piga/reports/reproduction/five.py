@@ -162,7 +162,8 @@ def _success_cases() -> list[Case]:
     return [
         Case("five-coefficients.successes-published", source, f"noisy records solved by the published recursion, of {_TRIALS}", "1",
              None, float(old), None, reason),
-        Case("five-coefficients.successes", source + ", our estimator", f"noisy records solved by the linear estimator, of {_TRIALS}", "1",
+        Case("five-coefficients.successes", source + ", our estimator", f"noisy records solved by the linear estimator, of {_TRIALS}",
+             "1",
              None, float(new), None, reason),
     ]  # fmt: skip
 
@@ -230,11 +231,11 @@ def _fit_figure() -> Figure:
         )
         panels.append(Panel(Axis("time", "s"), Axis("error of the indication", "mg"), series))
     for left, role, title in (
-        (old, "before", "left by the published method"),
-        (fit, "after", "left by the linear estimator"),
+        (old, "before", "Left by the published method"),
+        (fit, "after", "Left by the linear estimator"),
     ):
-        series = (Series(t, 1e3 * (error - left), title, role=role),)  # type: ignore[assignment, arg-type]
-        panels.append(Panel(Axis("time", "s"), Axis(title, "mg"), series))
+        series = (Series(t, 1e3 * (error - left), role=role),)  # type: ignore[assignment, arg-type]
+        panels.append(Panel(Axis("time", "s"), Axis("residual", "mg"), series, title))
     return Figure(
         "five-fit",
         "Fit of the five coefficients",
@@ -246,15 +247,20 @@ def _fit_figure() -> Figure:
     )
 
 
-_SCALES = (("tan_beta", 1e3, "tan(beta)", "1e-3"), ("phi", 180.0 / math.pi, "phi", "deg"), ("k0", 1e3, "k0", "mg"),
-           ("k1", 1e3, "k1", "1e-3"), ("k2", 1e3, "k2", "mg/g^2"))  # fmt: skip
+_SHOWN = (
+    ("tan_beta", 1e3, Axis("tan(beta)", "1e-3", limits=(0.0, 0.7))),
+    ("phi", 180.0 / math.pi, Axis("phi", "deg", limits=(0.0, 40.0))),
+    ("k0", 1e3, Axis("k0", "mg", limits=(-4.0, 4.0))),
+    ("k1", 1e3, Axis("k1", "1e-3", limits=(-10.0, 10.0))),
+    ("k2", 1e3, Axis("k2", "mg/g^2", limits=(-2.0, 4.0))),
+)
 
 
 def _history_figure() -> Figure:
     t = real_record().t
     ours, old = own().history or {}, published(real=True).history or {}
     panels = []
-    for name, scale, quantity, unit in _SCALES:
+    for name, scale, axis in _SHOWN:
         when = t[ours["sample"].astype(int) - 1]
         good = when > 20.0
         value, half = scale * ours[name][good], 2.0 * scale * ours[f"u({name})"][good]
@@ -270,7 +276,7 @@ def _history_figure() -> Figure:
             ),
             Series(when[good], value, "linear estimator", role="after"),
         )
-        panels.append(Panel(Axis("time", "s"), Axis(quantity, unit), series))
+        panels.append(Panel(Axis("time", "s"), axis, series))
     return Figure(
         "five-history",
         "The five coefficients as the record comes in",

@@ -94,7 +94,7 @@ def _figure(load: float) -> Figure:
         missing.append(
             Series(_SKEWS[running] / ARCSEC, np.maximum(1.0 - share[running], 1e-9), name, role=role)
         )
-    x = Axis("skew of the input axis against the load's normal plane", "arcsec", log=True)
+    x = Axis("skew of the input axis", "arcsec", log=True)
     left = Panel(x, Axis("mean rate over K a_x", "1"), tuple(rates), "Locked below beta")
     right = Panel(
         x, Axis("missing share of the mean rate", "1", log=True), tuple(missing), "What skew alone leaves"

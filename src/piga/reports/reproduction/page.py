@@ -8,26 +8,15 @@ from piga.reports.reproduction.case import Case, Chapter, Verdict
 from piga.reports.reproduction.run import Reproduction
 
 TONES: dict[Verdict, Tone] = {"pass": "good", "fail": "bad", "info": "quiet"}
-SOURCES = (
-    (
-        "Wei2020",
-        "Z. Wei, patent application, Gyro accelerometer output determination method caused by constant acceleration, 2021.",
-    ),
-    (
-        "Wei2024",
-        "Z. Wei, R. Gao, A Calibration and Compensation Method for PIGA's Cross Coupling Error, Missiles and Space Vehicles 47(5), "
-        "56-63, 2024, doi:10.7654/j.issn.2097-1974.20240509.",
-    ),
-    (
-        "He2014",
-        "Q. He, Z. Gao, Q. Wu, Accurate compensation for case rolling misalignment angle in space-stable systems, Journal of Chinese "
-        "Inertial Technology 22(5), 572-575, 2014, doi:10.13695/j.cnki.12-1222/o3.2014.05.003.",
-    ),
-    (
-        "Gao2012",
-        "Z. Gao, Inertial Navigation System Technology (in Chinese), Tsinghua University Press, 2012, pp. 321-322.",
-    ),
-)
+SOURCES = {
+    "Wei2020": "Z. Wei, patent application, Gyro accelerometer output determination method caused by constant acceleration, "
+    "filed 2020-12-11, published 2021-03-30.",
+    "Wei2024": "Z. Wei, R. Gao, A Calibration and Compensation Method for PIGA's Cross Coupling Error, Missiles and Space "
+    "Vehicles 47(5), 56-63, 2024, doi:10.7654/j.issn.2097-1974.20240509.",
+    "He2014": "Q. He, Z. Gao, Q. Wu, Accurate compensation for case rolling misalignment angle in space-stable systems, "
+    "Journal of Chinese Inertial Technology 22(5), 572-575, 2014, doi:10.13695/j.cnki.12-1222/o3.2014.05.003.",
+    "Gao2012": "Z. Gao, Inertial Navigation System Technology (in Chinese), Tsinghua University Press, 2012, pp. 321-322.",
+}
 """Publications in the order of the chapters."""
 
 
@@ -105,7 +94,7 @@ def _notes(chapter: Chapter) -> Table:
 
 
 def _sources() -> Section:
-    rows = tuple((f"[{key}]", text) for key, text in SOURCES)
+    rows = tuple((f"[{key}]", text) for key, text in SOURCES.items())
     table = Table((Column("key", align="text"), Column("publication", align="text")), rows)
     return Section("Sources", "sources", (table,))
 
@@ -145,5 +134,6 @@ def text_lines(found: Reproduction) -> list[tuple[Verdict | None, str]]:
 def summary(found: Reproduction) -> str:
     """One line: how many agree."""
     passed = sum(case.verdict == "pass" for case in found.cases)
-    open_cases = sum(case.verdict == "info" for case in found.cases)
-    return f"{len(found.cases)} cases: {passed} agree, {len(found.failed)} do not, {open_cases} without a comparable published number"
+    unjudged = sum(case.verdict == "info" for case in found.cases)
+    judged = f"{len(found.cases)} cases: {passed} agree, {len(found.failed)} do not"
+    return f"{judged}, {unjudged} without a comparable published number"

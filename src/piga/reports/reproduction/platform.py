@@ -108,7 +108,7 @@ def _table_figure() -> Figure:
     x = Axis("redundancy angle eta", "deg")
     left = Panel(
         x,
-        Axis("amplitude about the polar axis", "arcmin"),
+        Axis("turn about the polar axis", "arcmin"),
         (
             Series(eta, formula, "published relation", role="reference", dashed=True),
             Series(dots, exact, "exact geometry", "points", "after"),
@@ -117,7 +117,7 @@ def _table_figure() -> Figure:
     per = GRAVITY_OF_TABLE * ARCMIN / CASE_RATE * speed
     right = Panel(
         x,
-        Axis("east velocity amplitude, L = 40 deg", "m/s"),
+        Axis("east velocity", "m/s"),
         (
             Series(eta, 0.222 * speed * formula, "published relation", role="reference", dashed=True),
             Series(eta, per * formula, "with g = 9.8 m/s^2", role="after"),
@@ -127,7 +127,7 @@ def _table_figure() -> Figure:
         "redundancy-table",
         "What a misalignment of 10 arcmin does, by redundancy angle",
         (left, right),
-        "Left: the publication's relation and the exact geometry agree. Right: its velocities lie 2 % high, as g was taken as 10.",
+        "Left: the publication's relation and the exact geometry agree. Right: at a latitude of 40 deg; its velocities lie 2 % high, as g was taken as 10.",
         columns=2,
         height=2.8,
     )
@@ -246,8 +246,8 @@ def _coupling_figure(drift: dict[str, float]) -> Figure:
     for name, label, role in (("w_Gz", "w_Gz", "x"), ("w_G2x", "w_G2x", "z"), ("eta_rate", "eta'", "y")):
         line = [published_coupling(math.radians(e), **drift)[name] / _HOUR_RATE for e in eta]
         points = [momentum_coupling(math.radians(e), **drift)[name] / _HOUR_RATE for e in dots]
-        curves.append(Series(eta, line, f"{label}, published relation", role=role))  # type: ignore[arg-type]
-        curves.append(Series(dots, points, f"{label}, two momenta", "points", role))  # type: ignore[arg-type]
+        curves.append(Series(eta, line, f"{label}, relation", role=role))  # type: ignore[arg-type]
+        curves.append(Series(dots, points, f"{label}, momenta", "points", role))  # type: ignore[arg-type]
     panel = Panel(Axis("redundancy angle eta", "deg"), Axis("drift", "deg/h"), tuple(curves))
     return Figure(
         "drift-coupling-rates",

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.instrument import propagate
 from piga.records import Calibration
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.reproduction.case import Case, Chapter
@@ -15,6 +16,7 @@ from piga.reports.reproduction.publication import (
     INSTRUMENT,
     RAMP_TOP,
     TRANSVERSE,
+    Profile,
     closed_form_phase,
     compensated_error,
     model_phase,
@@ -25,11 +27,11 @@ from piga.reports.reproduction.publication import (
     raw_state,
     record,
 )
-from piga.units import G0
 
 Array = NDArray[np.float64]
 
 PUBLISHED_TAN_BETA, PUBLISHED_PHASE = 4.848e-3, 0.802
+_LATE = 20.0
 _RATIO = TRANSVERSE * INSTRUMENT.tan_beta
 
 
@@ -155,23 +157,31 @@ def _constant_cases() -> list[Case]:
     ]
 
 
-def _history_panels(profile: str, tan_limits: tuple[float, float] | None, late: float) -> tuple[Panel, ...]:
-    published, own = (f(profile) for f in (published_calibration, own_calibration))  # type: ignore[operator]
-    t = record("ramp").t
-    true = {"tan_beta": INSTRUMENT.tan_beta, "phi": INSTRUMENT.alpha0}
+def _history_panels(profile: Profile) -> tuple[Panel, ...]:
+    """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
+    t = record(profile).t
+    found = (
+        (published_calibration(profile), "published recursion", "before"),
+        (own_calibration(profile), "linear estimator, no first guess", "after"),
+    )
+    rows = (
+        ("tan_beta", 1e3, Axis("tan(beta)", "1e-3"), INSTRUMENT.tan_beta, PUBLISHED_TAN_BETA),
+        ("phi", 1.0, Axis("phi", "rad"), INSTRUMENT.alpha0, PUBLISHED_PHASE),
+    )
     panels = []
-    for name, scale, quantity, unit in (("tan_beta", 1e3, "tan(beta)", "1e-3"), ("phi", 1.0, "phi", "rad")):
-        series = [Series([0.0, t[-1]], [scale * true[name]] * 2, "true", role="reference", dashed=True)]
-        for found, label, role, least in (
-            (published, "published recursion", "before", 0.0),
-            (own, "linear estimator, no first guess", "after", late),
-        ):
-            history = found.history or {}
-            when = t[history["sample"].astype(int) - 1]
-            shown = when >= least
-            series.append(Series(when[shown], scale * history[name][shown], label, role=role))  # type: ignore[arg-type]
-        limits = tan_limits if name == "tan_beta" else None
-        panels.append(Panel(Axis("time", "s"), Axis(quantity, unit, limits=limits), tuple(series)))
+    for name, scale, axis, true, printed in rows:
+        for begin in (0.0, _LATE):
+            series = [
+                Series([begin, t[-1]], [scale * true] * 2, "true", role="reference", dashed=True),
+                Series([begin, t[-1]], [scale * printed] * 2, "published result", role="warning", dashed=True),
+            ]
+            for calibration, label, role in found:
+                history = calibration.history or {}
+                when = t[history["sample"].astype(int) - 1]
+                shown = when >= begin
+                series.append(Series(when[shown], scale * history[name][shown], label, role=role))  # type: ignore[arg-type]
+            title = "Whole run" if begin == 0.0 else f"From {_LATE:g} s on"
+            panels.append(Panel(Axis("time", "s"), axis, tuple(series), title if name == "tan_beta" else ""))
     return tuple(panels)
 
 
@@ -179,9 +189,10 @@ def _history_figure() -> Figure:
     return Figure(
         "recursion-history",
         "Recursive calibration: history of the estimates",
-        _history_panels("ramp", None, 0.0),
-        "The published recursion needs half of the run and settles on a phase 0.0013 rad off; the linear estimator is at the "
-        "truth as soon as there are more samples than unknowns (noiseless data).",
+        _history_panels("ramp"),
+        "The published recursion settles within 20 s and its phase then drifts away from the truth; the linear estimator is at "
+        "the truth as soon as there are more samples than unknowns (noiseless data).",
+        columns=2,
         height=2.3,
     )
 
@@ -190,9 +201,10 @@ def _constant_figure() -> Figure:
     return Figure(
         "recursion-constant",
         "The wrong convergence from a constant input",
-        _history_panels("constant", None, 0.0),
-        "a_x = 2.06 g throughout: the recursion ends at a negative tan(beta) and half a turn away in phase, and what it "
-        "returns has about half the true size. The linear estimator has one optimum.",
+        _history_panels("constant"),
+        "a_x = 2.06 g throughout: the recursion ends at a negative tan(beta) of about half the true size, more than half a turn "
+        "away in phase, and stays there. The linear estimator has one optimum.",
+        columns=2,
         height=2.3,
     )
 
@@ -266,7 +278,7 @@ def compensation() -> Chapter:
             "noiseless data and an exact model: rounding of the rate (1e-16 of 2 g) and of the calibration is left",
         ),
     )
-    figure = _compensation_figure(log.f[:, 0] / G0, before, model, formula, exact)
+    figure = _compensation_figure(before, model, formula, exact)
     return Chapter("compensation", "Compensation", source, text, cases, (figure,))
 
 
@@ -276,18 +288,17 @@ def with_phase(found: Calibration, phi: float) -> Calibration:
     return replace(found, coefficients=changed, phase_source="output")
 
 
-def _compensation_figure(a_x: Array, before: Array, model: Array, formula: Array, exact: Array) -> Figure:
-    del a_x
+def _compensation_figure(before: Array, model: Array, formula: Array, exact: Array) -> Figure:
     t = record("ramp").t
     rows = (
-        (before, 1.0, "g", "before", "before", "Before"),
+        (before, 1.0, "g", "before", "Before"),
         (
             model,
             1e3,
             "mg",
             "published, phase from the input",
             "warning",
-            "Published: phase predicted from the input",
+            "Published, phase from the input",
         ),
         (
             formula,
@@ -295,19 +306,20 @@ def _compensation_figure(a_x: Array, before: Array, model: Array, formula: Array
             "mg",
             "published, phi = 0.802 rad",
             "z",
-            "Published: phase from the output, phi = 0.802 rad",
+            "Published, phase from the output",
         ),
-        (exact, 1e15, "1e-15 g", "exact", "after", "Exact: measured angle, linear estimator"),
+        (exact, 1e15, "1e-15 g", "after", "Exact"),
     )
     panels = tuple(
         Panel(Axis("time", "s"), Axis("error", unit), (Series(t, scale * y, role=role),), title)  # type: ignore[arg-type]
-        for y, scale, unit, _, role, title in rows
+        for y, scale, unit, role, title in rows
     )
     return Figure(
         "compensation-errors",
         "What compensation leaves of the error",
         panels,
-        "Four scales: g, thousandths of g twice, and 1e-15 g. The published compensation takes the error from 0.05 g to "
+        "Four scales: g, mg twice, and 1e-15 g. Above right the phase is the integral of K a_x, below left that of the output "
+        "plus the printed 0.802 rad. The published compensation takes the error from 0.05 g to "
         f"1 or 2 mg at {RAMP_TOP:g} g; the exact one to rounding.",
         columns=2,
         height=2.3,
@@ -316,8 +328,6 @@ def _compensation_figure(a_x: Array, before: Array, model: Array, formula: Array
 
 def phase_walk() -> tuple[Array, Array, Array]:
     """Time [s], phase of the published model less the true one [rad] from the ramp, and K V r^2/2 [rad]."""
-    from piga.instrument import propagate
-
     log = record("ramp")
     alpha = propagate(INSTRUMENT, log.t, log.f)
     predicted = model_phase(log)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.reports.figure import Figure
+from piga.reports.figure import Figure, Series
 from piga.reports.platform_figures import lines_figure, published_figure
 from piga.reports.reproduction.case import Case, Chapter
 from piga.reports.reproduction.platform import ARCMIN, CASE_RATE, GRAVITY_OF_TABLE
@@ -116,7 +116,7 @@ def chapter() -> Chapter:
         "B (followed). Amplitudes at the case-rotation period, fitted over the last two hours."
     )
     figures = (
-        _named(lines_figure(comparison), "ten-days-lines"),
+        _with_published(_named(lines_figure(comparison), "ten-days-lines")),
         _named(
             published_figure(comparison), "ten-days-end", "Errors around the end of day ten, models A and B"
         ),
@@ -162,7 +162,7 @@ def _channel_cases(c: Published, left: float, followed: float) -> list[Case]:
 
 
 def _first_day(comparison: Comparison) -> Case:
-    day = [float(comparison.models[m].lines.amplitude["east_velocity"][0]) for m in ("A", "B")]  # type: ignore[index]
+    day = [float(comparison.models[m].lines.amplitude["east_velocity"][0]) for m in ("A", "B")]
     return Case(
         "ten-days.first-day",
         "[He2014] simulation",
@@ -179,7 +179,7 @@ def wobble() -> Chapter:
     """With wobbling rotation axes B removes only a part of what A leaves; C removes the wobble."""
     comparison = compared(wobble=True)
     amplitude = {m: float(r.lines.amplitude["east_velocity"][-1]) for m, r in comparison.models.items()}
-    removed = {m: 100.0 * (1.0 - amplitude[m] / amplitude["A"]) for m in ("B", "C")}  # type: ignore[index]
+    removed = {m: 100.0 * (1.0 - amplitude[m] / amplitude["A"]) for m in ("B", "C")}
     source = "[He2014] ten-day test"
     cases = (
         Case(
@@ -223,6 +223,22 @@ def wobble() -> Chapter:
         _named(published_figure(comparison), "wobble-end", "Errors around the end of day ten with wobble"),
     )
     return Chapter("wobble", "Wobbling rotation axes", source, text, cases, figures)
+
+
+def _with_published(figure: Figure) -> Figure:
+    """The lines per day with the published amplitudes of day ten."""
+    printed = {c.label: c for c in CHANNELS}
+    panels = []
+    for panel in figure.panels:
+        known = printed.get(panel.y.quantity.removesuffix(" line"))
+        added: tuple[Series, ...] = ()
+        if known is not None:
+            added = (
+                Series([_DAYS], [known.simulated], "published simulation, model A", "points", "warning"),
+                Series([_DAYS], [known.theory], "published theory, model A", "points", "model"),
+            )
+        panels.append(replace(panel, series=(*panel.series, *added)))
+    return replace(figure, panels=tuple(panels))
 
 
 def _named(figure: Figure, key: str, title: str | None = None) -> Figure:
