@@ -44,7 +44,7 @@ def profile(t: Array) -> Array:
 @cache
 def real_record() -> Run:
     """Output angle of the exact motion of an instrument with these errors, with noise."""
-    t = np.arange(round(_END / _STEP) + 1) * _STEP
+    t = np.linspace(0.0, _END, round(_END / _STEP) + 1)
     model = ErrorModel(k0=TRUTH["k0"] * G0, k1=TRUTH["k1"], k2=TRUTH["k2"] / G0)
     alpha = propagate(_INSTRUMENT, t, profile(t), error_model=model)
     stream = np.random.default_rng(_SEED)
@@ -154,18 +154,26 @@ def _cases(name: str) -> list[Case]:
 
 def _success_cases() -> list[Case]:
     old, new = noisy_successes()
-    source = "[Wei2024] eq. 22-24"
     reason = (
         f"not published: {_TRIALS} noisy records of the published model itself, random walk {_WALK:g} rad/sqrt(s); "
         "all five coefficients found, within half of the printed digit (published) or four standard uncertainties (ours)"
     )
     return [
-        Case("five-coefficients.successes-published", source, f"noisy records solved by the published recursion, of {_TRIALS}", "1",
-             None, float(old), None, reason),
-        Case("five-coefficients.successes", source + ", our estimator", f"noisy records solved by the linear estimator, of {_TRIALS}",
-             "1",
-             None, float(new), None, reason),
-    ]  # fmt: skip
+        Case(
+            f"five-coefficients.successes{suffix}",
+            f"[Wei2024] eq. 22-24{whose}",
+            f"noisy records solved by the {method}, of {_TRIALS}",
+            "1",
+            None,
+            float(count),
+            None,
+            reason,
+        )
+        for suffix, whose, method, count in (
+            ("-published", "", "published recursion", old),
+            ("", ", our estimator", "linear estimator", new),
+        )
+    ]
 
 
 def _indicated_error(run: Run, every: int = 10) -> tuple[Array, Array, Array]:

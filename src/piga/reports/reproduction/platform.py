@@ -57,11 +57,8 @@ def table() -> Chapter:
 def _table_case(eta: float, source: str) -> Case:
     formula = 10.0 * math.tan(math.radians(eta))
     published = 0.1746 if eta == 1.0 else formula
-    printed = (
-        "printed to 0.0001': half of that digit"
-        if eta == 1.0
-        else "the table's formula 10' tan(eta), half of its last digit 0.0001'"
-    )
+    printed = "printed to" if eta == 1.0 else "the table's formula 10' tan(eta), to its last digit"
+    printed += " 0.0001': half of that digit"
     tolerance = 5e-5
     computed = pole_amplitude(_MISALIGNMENT, math.radians(eta)) / ARCMIN
     neglected = (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from piga.instrument import propagate
 from piga.records import Calibration
-from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.reproduction.case import Case, Chapter
 from piga.reports.reproduction.publication import (
     INSTRUMENT,
@@ -160,7 +160,7 @@ def _constant_cases() -> list[Case]:
 def _history_panels(profile: Profile) -> tuple[Panel, ...]:
     """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
     t = record(profile).t
-    found = (
+    found: tuple[tuple[Calibration, str, Role], ...] = (
         (published_calibration(profile), "published recursion", "before"),
         (own_calibration(profile), "linear estimator, no first guess", "after"),
     )
@@ -179,7 +179,7 @@ def _history_panels(profile: Profile) -> tuple[Panel, ...]:
                 history = calibration.history or {}
                 when = t[history["sample"].astype(int) - 1]
                 shown = when >= begin
-                series.append(Series(when[shown], scale * history[name][shown], label, role=role))  # type: ignore[arg-type]
+                series.append(Series(when[shown], scale * history[name][shown], label, role=role))
             title = "Whole run" if begin == 0.0 else f"From {_LATE:g} s on"
             panels.append(Panel(Axis("time", "s"), axis, tuple(series), title if name == "tan_beta" else ""))
     return tuple(panels)
@@ -290,28 +290,14 @@ def with_phase(found: Calibration, phi: float) -> Calibration:
 
 def _compensation_figure(before: Array, model: Array, formula: Array, exact: Array) -> Figure:
     t = record("ramp").t
-    rows = (
+    rows: tuple[tuple[Array, float, str, Role, str], ...] = (
         (before, 1.0, "g", "before", "Before"),
-        (
-            model,
-            1e3,
-            "mg",
-            "published, phase from the input",
-            "warning",
-            "Published, phase from the input",
-        ),
-        (
-            formula,
-            1e3,
-            "mg",
-            "published, phi = 0.802 rad",
-            "z",
-            "Published, phase from the output",
-        ),
+        (model, 1e3, "mg", "warning", "Published, phase from the input"),
+        (formula, 1e3, "mg", "z", "Published, phase from the output"),
         (exact, 1e15, "1e-15 g", "after", "Exact"),
     )
     panels = tuple(
-        Panel(Axis("time", "s"), Axis("error", unit), (Series(t, scale * y, role=role),), title)  # type: ignore[arg-type]
+        Panel(Axis("time", "s"), Axis("error", unit), (Series(t, scale * y, role=role),), title)
         for y, scale, unit, role, title in rows
     )
     return Figure(
