@@ -236,7 +236,7 @@ def period() -> Chapter:
         "gimbal revolves. Revolutions per second, 1/T, are compared where T is infinite."
     )
     cases = (*_frequency_cases(), *_rest_cases())
-    source = "[Wei2020], [Gao2012] period"
+    source = "[Wei2020] period"
     return Chapter("period", "The textbook period, and where it fails", source, text, cases, (_rest_figure(),))
 
 
@@ -249,7 +249,7 @@ def _frequency_cases() -> list[Case]:
     cases = [
         Case(
             "period.example-4",
-            "[Gao2012], [Wei2020] example 4",
+            "[Wei2020] example 4",
             "turn of the gimbal in one textbook period, less a revolution",
             "rad",
             0.0,

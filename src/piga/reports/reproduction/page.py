@@ -15,7 +15,6 @@ SOURCES = {
     "Vehicles 47(5), 56-63, 2024, doi:10.7654/j.issn.2097-1974.20240509.",
     "He2014": "Q. He, Z. Gao, Q. Wu, Accurate compensation for case rolling misalignment angle in space-stable systems, "
     "Journal of Chinese Inertial Technology 22(5), 572-575, 2014, doi:10.13695/j.cnki.12-1222/o3.2014.05.003.",
-    "Gao2012": "Z. Gao, Inertial Navigation System Technology (in Chinese), Tsinghua University Press, 2012, pp. 321-322.",
 }
 """Publications in the order of the chapters."""
 
@@ -23,6 +22,11 @@ SOURCES = {
 def number(value: float | None, digits: int = 6) -> str:
     """A number as the tables print it; a dash where there is none."""
     return "–" if value is None else significant(value, digits)
+
+
+def short_id(case: Case) -> str:
+    """Name of the case without that of its chapter."""
+    return case.id.partition(".")[2]
 
 
 def difference(case: Case) -> str:
@@ -60,6 +64,7 @@ def _section(chapter: Chapter) -> Section:
 
 def _numbers(chapter: Chapter) -> Table:
     columns = (
+        Column("case", align="text"),
         Column("quantity", align="text"),
         Column("published"),
         Column("computed"),
@@ -70,6 +75,7 @@ def _numbers(chapter: Chapter) -> Table:
     )
     rows = tuple(
         (
+            short_id(case),
             case.quantity,
             printed(number(case.published)),
             printed(number(case.computed)),
@@ -89,7 +95,7 @@ def _notes(chapter: Chapter) -> Table:
         Column("source", align="text"),
         Column("why this tolerance, or none", align="text"),
     )
-    rows = tuple((case.id, case.source, case.note) for case in chapter.cases)
+    rows = tuple((short_id(case), case.source, case.note) for case in chapter.cases)
     return Table(columns, rows, "Sources and tolerances.")
 
 

@@ -124,7 +124,8 @@ def _table_figure() -> Figure:
         "redundancy-table",
         "What a misalignment of 10 arcmin does, by redundancy angle",
         (left, right),
-        "Left: the publication's relation and the exact geometry agree. Right: at a latitude of 40 deg; its velocities lie 2 % high, as g was taken as 10.",
+        "Left: the publication's relation and the exact geometry agree. Right: at a latitude of 40 deg; "
+        "its velocities lie 2 % high, as g was taken as 10.",
         columns=2,
         height=2.8,
     )

@@ -226,7 +226,7 @@ def wobble() -> Chapter:
 
 
 def _with_published(figure: Figure) -> Figure:
-    """The lines per day with the published amplitudes of day ten."""
+    """The lines per day on linear axes, with the published amplitudes of day ten."""
     printed = {c.label: c for c in CHANNELS}
     panels = []
     for panel in figure.panels:
@@ -237,7 +237,7 @@ def _with_published(figure: Figure) -> Figure:
                 Series([_DAYS], [known.simulated], "published simulation, model A", "points", "warning"),
                 Series([_DAYS], [known.theory], "published theory, model A", "points", "model"),
             )
-        panels.append(replace(panel, series=(*panel.series, *added)))
+        panels.append(replace(panel, y=replace(panel.y, log=False), series=(*panel.series, *added)))
     return replace(figure, panels=tuple(panels))
 
 
