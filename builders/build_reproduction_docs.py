@@ -90,15 +90,20 @@ def reproduction_page(found: Reproduction) -> list[str]:
 
 def errata_page(found: Reproduction) -> list[str]:
     (chapter,) = [chapter for chapter in found.chapters if chapter.id == "errata"]
-    text = "What the publications got wrong, from the same run as [the reproduction](reproduction.md) (`piga reproduce --only errata`)."
+    text = (
+        "What the publications got wrong, from the same run as [the reproduction](reproduction.md); "
+        "`piga reproduce --only errata` runs this part."
+    )
     return [*head("Errata of the publications", text), *chapter_lines(chapter), *sources()]
 
 
 def write_compact(figure: Figure, path: Path) -> None:
-    """SVG with coordinates to a hundredth of a point."""
+    """SVG with coordinates to a tenth of a point, without line breaks in paths."""
     write_figure(figure, path)
-    attribute = re.compile(r' (?:d|x|y|transform|points)="[^"]*"')
-    text = attribute.sub(lambda m: re.sub(r"(\.\d\d)\d+", r"\1", m.group(0)), path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    text = re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d)\d+", r"\1", m.group(0)), text)
+    text = re.sub(r"\s*\n(?=[MLCQz\"])", "", text)
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     path.write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -185,6 +185,7 @@ def _rate_figure() -> Figure:
     for example in EXAMPLES:
         found = solved(example)
         shown = found.t <= (20.0 if example.number == 4 else DURATION)
+        shown &= np.arange(found.t.size) % 5 == 0
         t, ideal = found.t[shown], math.degrees(INSTRUMENT.scale_factor * example.force[0])
         dots = slice(None, None, max(1, t.size // _DOTS))
         series = (
@@ -209,7 +210,7 @@ def _agreement_figure() -> Figure:
     panels = []
     for example in EXAMPLES:
         found = solved(example)
-        every = slice(1, None, 4)
+        every = slice(1, None, 8)
         left = np.abs(found.closed[0] - found.integrated[0])[every]
         right = np.abs(found.closed[0] - found.sampled[0])[every]
         series = (
