@@ -15,7 +15,7 @@ from piga.reports.palette import GRID, INK, LIGHT, SOFT
 from piga.reports.static import rows_and_columns, series_key, shares_x
 
 _PIXELS_PER_INCH = 96
-_GAP_X, _GAP_Y = 0.11, 0.11
+_GAP_X, _GAP_Y, _GAP_TITLED = 0.11, 0.11, 0.22
 _DIGITS = 6
 
 
@@ -152,9 +152,15 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
     return spec
 
 
-def _domains(rows: int, columns: int, index: int) -> tuple[list[float], list[float]]:
+def _row_gap(figure: Figure) -> float:
+    """Share of the height between rows: more where axis labels and panel titles meet there."""
+    titled = any(panel.title for panel in figure.panels[rows_and_columns(figure)[1] :])
+    return _GAP_TITLED if titled and not shares_x(figure) else _GAP_Y
+
+
+def _domains(rows: int, columns: int, index: int, gap: float = _GAP_Y) -> tuple[list[float], list[float]]:
     row, column = divmod(index, columns)
-    gap_x, gap_y = (_GAP_X if columns > 1 else 0.0), (_GAP_Y if rows > 1 else 0.0)
+    gap_x, gap_y = (_GAP_X if columns > 1 else 0.0), (gap if rows > 1 else 0.0)
     wide, tall = (1.0 - gap_x * (columns - 1)) / columns, (1.0 - gap_y * (rows - 1)) / rows
     left, top = column * (wide + gap_x), 1.0 - row * (tall + gap_y)
     return [round(left, 4), round(left + wide, 4)], [round(max(top - tall, 0.0), 4), round(top, 4)]
@@ -173,10 +179,12 @@ def _layout(figure: Figure) -> dict[str, Any]:
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "xanchor": "left", "yanchor": "bottom"},
         "annotations": [],
     }
+    gap = _row_gap(figure)
     for index, panel in enumerate(figure.panels):
-        _place_panel(layout, figure, index, _domains(rows, columns, index))
+        domains = _domains(rows, columns, index, gap)
+        _place_panel(layout, figure, index, domains)
         if panel.title:
-            layout["annotations"].append(_panel_title(panel.title, _domains(rows, columns, index)))
+            layout["annotations"].append(_panel_title(panel.title, domains))
             layout["margin"]["t"] = 70
             layout["legend"]["y"] = 1.09
     return layout

@@ -1,0 +1,126 @@
+"""docs/reproduction.md, docs/errata.md and their figures: run ``python builders/build_reproduction_docs.py``.
+
+Everything on both pages comes from one run of ``piga.reports.reproduction``.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from piga.reports.figure import Figure
+from piga.reports.reproduction import Chapter, Reproduction, reproduce
+from piga.reports.reproduction.page import SOURCES, difference, number, short_id, summary
+from piga.reports.static import write_figure
+
+DOCS = Path(__file__).parents[1] / "docs"
+FIGURES = "figures/reproduction"
+
+
+def escaped(text: str) -> str:
+    return re.sub(r"([|*_<>\[\]])", r"\\\1", text)
+
+
+def table(heads: tuple[str, ...], rows: list[tuple[str, ...]], right: range) -> list[str]:
+    rule = ["---:" if k in right else "---" for k in range(len(heads))]
+    return ["| " + " | ".join(row) + " |" for row in (heads, tuple(rule), *rows)] + [""]
+
+
+def figure_lines(figure: Figure) -> list[str]:
+    return [
+        f"![{figure.title}]({FIGURES}/{figure.key}.svg)",
+        "",
+        f"**{escaped(figure.title)}.** {escaped(figure.caption)}",
+        "",
+    ]
+
+
+def chapter_lines(chapter: Chapter) -> list[str]:
+    lines = [f"## {escaped(chapter.title)}", "", f"{escaped(chapter.source)}. {escaped(chapter.text)}", ""]
+    for figure in chapter.figures:
+        lines += figure_lines(figure)
+    numbers = [
+        (
+            f"`{short_id(case)}`",
+            escaped(case.quantity),
+            number(case.published),
+            number(case.computed),
+            difference(case),
+            number(case.tolerance, 2),
+            escaped(case.unit),
+            case.verdict,
+        )
+        for case in chapter.cases
+    ]
+    heads = ("case", "quantity", "published", "computed", "difference", "tolerance", "unit", "verdict")
+    lines += table(heads, numbers, range(2, 6))
+    notes = [(f"`{short_id(case)}`", escaped(case.source), escaped(case.note)) for case in chapter.cases]
+    return lines + table(("case", "source", "why this tolerance, or none"), notes, range(0))
+
+
+def head(title: str, text: str) -> list[str]:
+    return [
+        f"# {title}",
+        "",
+        text,
+        "",
+        "<!-- Made by builders/build_reproduction_docs.py; do not edit. -->",
+        "",
+    ]
+
+
+def sources() -> list[str]:
+    return ["## Sources", "", *(f"- \\[{key}\\] {escaped(text)}" for key, text in SOURCES.items()), ""]
+
+
+def reproduction_page(found: Reproduction) -> list[str]:
+    text = (
+        f"`piga reproduce --out DIR` runs every published case and sets it beside ours: {summary(found)}. "
+        "`--only ID` runs one chapter, `--json` prints the cases; the command ends with exit code 1 if a case disagrees. "
+        "A tolerance is physical: printed digits, stated rounding, reading accuracy of a figure. Errata stand on "
+        "[their own page](errata.md)."
+    )
+    lines = head("The published cases, reproduced", text)
+    for chapter in found.chapters:
+        if chapter.id != "errata":
+            lines += chapter_lines(chapter)
+    return lines + sources()
+
+
+def errata_page(found: Reproduction) -> list[str]:
+    (chapter,) = [chapter for chapter in found.chapters if chapter.id == "errata"]
+    text = (
+        "What the publications got wrong, from the same run as [the reproduction](reproduction.md); "
+        "`piga reproduce --only errata` runs this part."
+    )
+    return [*head("Errata of the publications", text), *chapter_lines(chapter), *sources()]
+
+
+def write_compact(figure: Figure, path: Path) -> None:
+    """SVG with coordinates to a tenth of a point, without line breaks in paths."""
+    write_figure(figure, path)
+    text = path.read_text(encoding="utf-8")
+    text = re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d)\d+", r"\1", m.group(0)), text)
+    text = re.sub(r"\s*\n(?=[MLCQz\"])", "", text)
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def main() -> None:
+    found = reproduce()
+    folder = DOCS / FIGURES
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.svg"):
+        old.unlink()
+    for figure in found.figures:
+        write_compact(figure, folder / f"{figure.key}.svg")
+    for name, lines in (("reproduction.md", reproduction_page(found)), ("errata.md", errata_page(found))):
+        (DOCS / name).write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8", newline="\n")
+    size = sum(path.stat().st_size for path in folder.glob("*.svg"))
+    print(f"{summary(found)}; {len(found.figures)} figures, {size / 1e6:.2f} MB")
+    sys.exit(1 if found.failed else 0)
+
+
+if __name__ == "__main__":
+    main()
