@@ -305,7 +305,7 @@ def test_given_noise_levels_are_used() -> None:
     given = replace(run, estimation=EstimationTable(angle_rms="5e-5 rad", angle_random_walk="0 rad/sqrt(s)"))
     found, used = piga.calibrate(run, TERMS), piga.calibrate(given, TERMS)
     assert used.angle_rms == 5e-5
-    assert used["k0"].std == pytest.approx(2.0 * found["k0"].std, rel=0.05)
+    assert used["k0"].std == pytest.approx(2.0 * found["k0"].std, rel=0.2)
     assert found.angle_rms == pytest.approx(2.5e-5, rel=0.03)
 
 

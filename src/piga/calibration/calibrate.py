@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from piga.calibration.identifiability import (
     refuse_if_confounded,
     refuse_useless,
 )
-from piga.calibration.noise import Noise, find_noise, starting_noise
+from piga.calibration.noise import Information, Noise, find_noise, starting_noise
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.reduction import Reduction
@@ -37,6 +37,11 @@ Array = NDArray[np.float64]
 
 MAX_REFITS = 4
 """Fits at most: the noise levels settle after two or three."""
+SMALL = 200_000
+"""Records up to this many increments get the restricted likelihood; in longer ones the few parameters take
+no noticeable part of the slow noise."""
+RATIOS = np.linspace(-9.0, 3.0, 9)
+"""Points of ``log10(q h/r)`` at which the restricted likelihood's information term is computed."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +124,16 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
     given = _given_noise(request)
     steps = np.diff(run.t)[~run.begins[1:]]
     noise = given or starting_noise(run.resolution, float(np.median(steps)))
+    information = None
     for refit in range(MAX_REFITS):
         summaries = reduce_segments(design, mode, noise)
         examination = examine(design, summaries, per_segment)
         refuse_if_confounded(examination)
         solution = solve(design, summaries, groups)
         refined = design.with_scale_factor(_scale_factor(design, solution))
-        found = given or _noise_of(design, solution, mode, noise if refit else None)
+        if refit == 0 and given is None:
+            information = _information(design, mode, groups, float(np.median(steps)))
+        found = given or _noise_of(design, solution, mode, noise if refit else None, information)
         settled = refined is design and (mode != "increments" or found.close_to(noise, float(np.median(steps))))
         if settled:
             noise = noise if mode == "increments" else found
@@ -149,7 +157,32 @@ def _scale_factor(design: Design, solution: Solution) -> float:
     return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
 
 
-def _noise_of(design: Design, solution: Solution, mode: str, near: Noise | None = None) -> Noise:
+def _information(design: Design, mode: str, groups: tuple[int, ...], step: float) -> Information | None:
+    """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``, for records that are small enough to need it."""
+    if mode != "increments" or design.rows > SMALL:
+        return None
+    from scipy.interpolate import CubicSpline
+
+    values = []
+    for ratio in RATIOS:
+        noise = Noise(1.0, 10.0**ratio / step)
+        values.append(-_log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
+    return cast("Information", CubicSpline(RATIOS, values, bc_type="natural"))
+
+
+def _log_determinant(solution: Solution) -> float:
+    """Of the covariance, its rows and columns scaled to one first."""
+    std = np.sqrt(np.diag(solution.covariance))
+    return float(np.linalg.slogdet(solution.covariance / np.outer(std, std))[1] + 2.0 * np.log(std).sum())
+
+
+def _noise_of(
+    design: Design,
+    solution: Solution,
+    mode: str,
+    near: Noise | None = None,
+    information: Information | None = None,
+) -> Noise:
     d, h = residual_increments(design, solution.values)
     parameters = len(solution.amplitudes) + len(solution.phases)
     if mode == "samples":
@@ -157,7 +190,7 @@ def _noise_of(design: Design, solution: Solution, mode: str, near: Noise | None 
         step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
         return Noise(0.0, variance * step)
     scale = float(np.abs(design.run.output).max())
-    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near)
+    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
 
 
 def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]) -> Array:

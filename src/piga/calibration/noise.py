@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from piga._kernels.whitening import LANES, likelihoods
 
 Array = NDArray[np.float64]
+Information = Callable[[Array], Array]
+"""``log|X' V^-1 X|`` (up to a constant) as a function of ``log10(q h/r)``."""
 
 LOWEST, HIGHEST = -10.0, 4.0
 """Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
@@ -50,16 +53,26 @@ def starting_noise(resolution: float, step: float) -> Noise:
     return Noise(white, 0.01 * white / step)
 
 
-def find_noise(d: Array, h: Array, parameters: int, floor: float, near: Noise | None = None) -> Noise:
+def find_noise(
+    d: Array,
+    h: Array,
+    parameters: int,
+    floor: float,
+    near: Noise | None = None,
+    information: Information | None = None,
+) -> Noise:
     """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
 
-    Maximises the likelihood of the first-order moving average (``estimation.md``) concentrated over its
-    scale, on a grid of the ratio q/r refined ``REFINEMENTS`` times; the scale is made unbiased with
-    ``parameters`` fitted. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the
-    search to a decade around levels found before.
+    Maximises the restricted likelihood of the first-order moving average (``estimation.md``) concentrated
+    over its scale, on a grid of the ratio kappa = q/r refined ``REFINEMENTS`` times:
+    ``(n - m) log S + sum log v + log|X' V^-1 X|`` with m ``parameters`` fitted. The last term, what the fit
+    itself took out of the slow noise, is ``information`` of ``log10(kappa h)``; without it the fit's part is
+    left out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
+    around levels found before.
     """
     formed = h > 0.0
     count = int(np.count_nonzero(formed))
+    freedom = max(count - parameters, 1)
     step = float(np.median(h[formed]))
     low, high, passes = LOWEST, HIGHEST, REFINEMENTS
     if near is not None and near.white > 0.0 and near.walk > 0.0:
@@ -69,12 +82,14 @@ def find_noise(d: Array, h: Array, parameters: int, floor: float, near: Noise | 
     for _ in range(passes):
         grid = np.linspace(low, high, LANES)
         log, square = _sums(d, h, 10.0**grid / step)
-        objective = count * np.log(np.maximum(square, 1e-300) / count) + log
+        objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log
+        if information is not None:
+            objective = objective + information(grid)
         best = _minimum(grid, objective)
         spacing = (high - low) / (LANES - 1)
         low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
     ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
-    white = float(_sums(d, h, np.full(LANES, ratio))[1][0]) / max(count - parameters, 1)
+    white = float(_sums(d, h, np.full(LANES, ratio))[1][0]) / freedom
     white = max(white, floor**2 / (1.0 + ratio * step))
     return Noise(white, ratio * white)
 
