@@ -43,7 +43,7 @@ else:
     from numba.extending import intrinsic
 
     @intrinsic
-    def prefetch(_context, array, index):
+    def prefetch(_context, array, _index):
         """Ask the memory for the element at a flat ``index``, which may lie beyond the end; never waits."""
 
         def generate(context, builder, signature, arguments):
