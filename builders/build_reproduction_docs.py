@@ -39,7 +39,10 @@ def figure_lines(figure: Figure) -> list[str]:
 
 
 def chapter_lines(chapter: Chapter) -> list[str]:
-    lines = [f"## {escaped(chapter.title)}", "", f"{escaped(chapter.source)}. {escaped(chapter.text)}", ""]
+    title = (
+        chapter.title if chapter.id == "errata" else f"{chapter.source[1:].partition(']')[0]}: {chapter.title}"
+    )
+    lines = [f"## {escaped(title)}", "", f"{escaped(chapter.source)}. {escaped(chapter.text)}", ""]
     for figure in chapter.figures:
         lines += figure_lines(figure)
     numbers = [
@@ -111,6 +114,8 @@ def write_compact(figure: Figure, path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     text = re.sub(r' (?:d|x|y)="[^"]*"', shortened, text)
     text = re.sub(r"\s*\n(?=[MLCQz\"])", "", text)
+    text = re.sub(r"\n\s+<", "\n<", text).replace("DejaVuSans-Bold-", "b").replace("DejaVuSans-", "f")
+    text = re.sub(r"<!--.*?-->\n?", "", text, flags=re.DOTALL)
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     path.write_text(text, encoding="utf-8", newline="\n")
 

@@ -57,9 +57,9 @@ def _entries(value: dict[str, float]) -> list[str]:
         ),
         (
             "3. Phase. The published calibration predicts the phase as the integral of K a_x. The gimbal runs slower, by "
-            f"K V r^2/2: on the run of this page phi settles {abs(value['errata.phase-shift']):.4f} rad off and a residual of "
-            f"{1e3 * value['errata.phase-residual']:.2f} mg stays, which no choice of tan(beta) and phi removes. The measured "
-            "angle as phase leaves rounding."
+            f"K V r^2/2: on the run of this page phi settles {abs(value['errata.phase-shift']):.4f} rad below C - asin(r) and a "
+            f"residual of {1e3 * value['errata.phase-residual']:.2f} mg stays, which no choice of tan(beta) and phi "
+            "removes. The measured angle as phase leaves rounding."
         ),
         (
             f"4. Degrees. The phase printed as 0.802 degrees is in radians ({value['errata.degrees']:.1f} deg). Taken as degrees "
