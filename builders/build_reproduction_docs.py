@@ -16,6 +16,8 @@ from piga.reports.static import write_figure
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = "figures/reproduction"
+LONG = 1500
+"""Letters of a path from which on it is a curve."""
 
 
 def escaped(text: str) -> str:
@@ -37,7 +39,10 @@ def figure_lines(figure: Figure) -> list[str]:
 
 
 def chapter_lines(chapter: Chapter) -> list[str]:
-    lines = [f"## {escaped(chapter.title)}", "", f"{escaped(chapter.source)}. {escaped(chapter.text)}", ""]
+    title = (
+        chapter.title if chapter.id == "errata" else f"{chapter.source[1:].partition(']')[0]}: {chapter.title}"
+    )
+    lines = [f"## {escaped(title)}", "", f"{escaped(chapter.source)}. {escaped(chapter.text)}", ""]
     for figure in chapter.figures:
         lines += figure_lines(figure)
     numbers = [
@@ -97,12 +102,20 @@ def errata_page(found: Reproduction) -> list[str]:
     return [*head("Errata of the publications", text), *chapter_lines(chapter), *sources()]
 
 
+def shortened(attribute: re.Match[str]) -> str:
+    """Long curves to a tenth of a point; markers and letters, whose shape would suffer, to a hundredth."""
+    keep = 1 if len(attribute.group(0)) > LONG else 2
+    return re.sub(rf"(\.\d{{{keep}}})\d+", r"\1", attribute.group(0))
+
+
 def write_compact(figure: Figure, path: Path) -> None:
-    """SVG with coordinates to a tenth of a point, without line breaks in paths."""
+    """SVG with short coordinates, without line breaks in paths."""
     write_figure(figure, path)
     text = path.read_text(encoding="utf-8")
-    text = re.sub(r' (?:d|x|y)="[^"]*"', lambda m: re.sub(r"(\.\d)\d+", r"\1", m.group(0)), text)
+    text = re.sub(r' (?:d|x|y)="[^"]*"', shortened, text)
     text = re.sub(r"\s*\n(?=[MLCQz\"])", "", text)
+    text = re.sub(r"\n\s+<", "\n<", text).replace("DejaVuSans-Bold-", "b").replace("DejaVuSans-", "f")
+    text = re.sub(r"<!--.*?-->\n?", "", text, flags=re.DOTALL)
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     path.write_text(text, encoding="utf-8", newline="\n")
 

@@ -47,20 +47,30 @@ def _entries(value: dict[str, float]) -> list[str]:
     """The errata in words, with the numbers of this run."""
     wrong = [value[f"errata.sign-{k}"] for k in (2, 3, 4)]
     return [
-        f"1. Sign. The forms 2 to 4 of [Wei2024] carry |r| where the signed r belongs, and form 2 is not mirrored: for a_x < 0 the "
-        f"rate is wrong by {min(wrong):.3f} to {max(wrong):.3f} rad/s.",
-        "2. Square. In the inversion of form 2 (critical input) the square of (p - 1)/(p + 1) is lost. On the rate: "
-        f"{value['errata.square']:.4f} rad/s at the start, twice what the equation of motion gives.",
-        "3. Phase. The published calibration predicts the phase as the integral of K a_x. The gimbal runs slower, by "
-        f"K V r^2/2: on the run of this page phi settles {abs(value['errata.phase-shift']):.4f} rad off and a residual of "
-        f"{1e3 * value['errata.phase-residual']:.2f} mg stays, which no choice of tan(beta) and phi removes. The measured angle as "
-        "phase leaves rounding.",
-        f"4. Degrees. The phase printed as 0.802 degrees is in radians ({value['errata.degrees']:.1f} deg). Taken as degrees it "
-        f"leaves {value['errata.degrees-effect']:.3f} g of the 0.05 g.",
+        (
+            f"1. Sign. The forms 2 to 4 of [Wei2024] carry |r| where the signed r belongs, and form 2 is not mirrored: for a_x < 0 "
+            f"the rate is wrong by {min(wrong):.3f} to {max(wrong):.3f} rad/s."
+        ),
+        (
+            "2. Square. In the inversion of form 2 (critical input) the square of (p - 1)/(p + 1) is lost. On the rate: "
+            f"{value['errata.square']:.4f} rad/s at the start, twice what the equation of motion gives."
+        ),
+        (
+            "3. Phase. The published calibration predicts the phase as the integral of K a_x. The gimbal runs slower, by "
+            f"K V r^2/2: on the run of this page phi settles {abs(value['errata.phase-shift']):.4f} rad below C - asin(r) and a "
+            f"residual of {1e3 * value['errata.phase-residual']:.2f} mg stays, which no choice of tan(beta) and phi "
+            "removes. The measured angle as phase leaves rounding."
+        ),
+        (
+            f"4. Degrees. The phase printed as 0.802 degrees is in radians ({value['errata.degrees']:.1f} deg). Taken as degrees "
+            f"it leaves {value['errata.degrees-effect']:.3f} g of the 0.05 g."
+        ),
         f"5. g. The 0.222 m/s of the table of [He2014] is g/w_c with g taken as 10 m/s^2: {value['errata.gravity']:.1f} % high.",
-        "6. Heading and roll. The simulated lines of [He2014] (0.13', 0.16') lie "
-        f"{value['errata.heading-published']:.0f} % and {value['errata.roll-published']:.0f} % above its own formula; ours lie "
-        f"{value['errata.heading-ours']:.1f} % above it.",
+        (
+            "6. Heading and roll. The simulated lines of [He2014] (0.13', 0.16') lie "
+            f"{value['errata.heading-published']:.0f} % and {value['errata.roll-published']:.0f} % above its own formula; ours lie "
+            f"{value['errata.heading-ours']:.1f} % above it."
+        ),
     ]
 
 
@@ -123,7 +133,8 @@ def _square_cases() -> list[Case]:
     return [
         Case("errata.square", source, "rate at t = 0 with 1 + m for 1 + m^2, m = (p - 1)/(p + 1)", "rad/s", None,
              float(without[0]), None,
-             f"{_WRONG}; the square is lost in the inversion, shown here on the rate: the equation of motion itself gives K (a_x + b sin(alpha0)) = {first:.6f} rad/s at the start"),
+             f"{_WRONG}; the square is lost in the inversion, shown here on the rate. "
+            f"The equation of motion itself gives K (a_x + b sin(alpha0)) = {first:.6f} rad/s at the start"),
         Case("errata.square-corrected", source + ", square restored", "largest error of the rate with the square", "rad/s",
              0.0, float(np.abs(with_square - exact).max()), 1e-14, "exact with the square: rounding"),
     ]  # fmt: skip

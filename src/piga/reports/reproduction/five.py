@@ -266,7 +266,9 @@ _SHOWN = (
 
 def _history_figure() -> Figure:
     t = real_record().t
-    ours, old = own().history or {}, published(real=True).history or {}
+    ours, old = (
+        {k: v[::2] for k, v in (found.history or {}).items()} for found in (own(), published(real=True))
+    )
     panels = []
     for name, scale, axis in _SHOWN:
         when = t[ours["sample"].astype(int) - 1]

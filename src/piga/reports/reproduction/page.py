@@ -59,7 +59,9 @@ def _section(chapter: Chapter) -> Section:
     blocks: list[Block] = [Text(f"{chapter.source}. {chapter.text}", lead=True)]
     blocks += [FigureBlock(figure) for figure in chapter.figures]
     blocks += [_numbers(chapter), _notes(chapter)]
-    return Section(f"{chapter.title}", chapter.id, tuple(blocks))
+    publication = chapter.source[1:].partition("]")[0]
+    title = chapter.title if chapter.id == "errata" else f"{publication}: {chapter.title}"
+    return Section(title, chapter.id, tuple(blocks))
 
 
 def _numbers(chapter: Chapter) -> Table:

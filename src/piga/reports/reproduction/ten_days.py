@@ -238,7 +238,11 @@ def _with_published(figure: Figure) -> Figure:
                 Series([_DAYS], [known.theory], "published theory, model A", "points", "model"),
             )
         panels.append(replace(panel, y=replace(panel.y, log=False), series=(*panel.series, *added)))
-    return replace(figure, panels=tuple(panels))
+    caption = (
+        "Amplitude fitted over each day, so that a day's point stands for its middle; the published amplitudes belong to the end "
+        "of day ten. Model A grows with the redundancy angle as the theory says; model B follows it."
+    )
+    return replace(figure, panels=tuple(panels), caption=caption)
 
 
 def _named(figure: Figure, key: str, title: str | None = None) -> Figure:
