@@ -125,10 +125,16 @@ def _axes(skew: float, clocks: Array) -> Array:
 
 
 def _ratios(u: Array, axes: Array, tangent: float) -> Array:
-    """``|u_x|/(u_t tan(beta))`` per row and axis; infinite where nothing acts across."""
-    along = np.abs(u @ axes)
+    """``|u_x|/(u_t tan(beta))`` per row and axis; infinite where nothing acts across.
+
+    Where ``u_x`` has changed its sign since the row before, the profile went through the lock zone: 0.
+    """
+    signed = u @ axes
+    along = np.abs(signed)
     across = np.sqrt(np.maximum(np.sum(u * u, axis=1)[:, None] - along**2, 0.0)) * tangent
-    return np.divide(along, across, out=np.full(along.shape, np.inf), where=across > 0.0)
+    ratios = np.divide(along, across, out=np.full(along.shape, np.inf), where=across > 0.0)
+    ratios[1:][signed[1:] * signed[:-1] < 0.0] = 0.0
+    return ratios
 
 
 def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float) -> tuple[Array, Array]:
@@ -137,9 +143,9 @@ def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float
     for k, skew in enumerate(skews):
         axes = _axes(float(skew), clocks)
         for start in range(0, u.shape[0], CHUNK):
-            ratios = _ratios(u[start : start + CHUNK], axes, tangent)
+            ratios = _ratios(u[max(start - 1, 0) : start + CHUNK], axes, tangent)
             margins[k] = np.minimum(margins[k], ratios.min(axis=0))
-            inside[k] += np.count_nonzero(ratios < limit, axis=0)
+            inside[k] += np.count_nonzero(ratios[-min(CHUNK, u.shape[0] - start) :] < limit, axis=0)
     return margins, inside / u.shape[0]
 
 

@@ -149,6 +149,10 @@ def plan_test(request: PlanRequest) -> Plan:
     standard = tuple(
         predict(request, name, visits) for name, visits in _standard(request, usable, request.duration)
     )
+    if not standard:
+        raise CalibrationError(
+            "[plan] duration is too short for every standard plan", remedy="give it more time"
+        )
     best, value = _best(search, criterion, mixture, standard)
     shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
     bound = float(criterion.values(mixture.information * (request.duration + request.move)))
@@ -220,7 +224,7 @@ def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
 def _standard(
     request: PlanRequest, usable: tuple[Candidate, ...], duration: float
 ) -> list[tuple[str, tuple[Visit, ...]]]:
-    """Standard plans of a duration: evenly spaced positions; without a dividing head equal time on all."""
+    """Standard plans that fit a duration: evenly spaced positions; without a dividing head equal time on all."""
     head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
     if head is None:
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
@@ -231,10 +235,6 @@ def _standard(
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
             found.append((name, tuple(Visit(c, dwell) for c in chosen)))
-    if not found:
-        raise CalibrationError(
-            "[plan] duration is too short for every standard plan", remedy="give it more time"
-        )
     return found
 
 
@@ -254,14 +254,15 @@ def _whole_samples(request: PlanRequest, dwell: float) -> float:
 def _best(
     search: _Search, criterion: Criterion, mixture: Mixture, standard: tuple[Prediction, ...]
 ) -> tuple[Prediction, float]:
-    """The best test for the wanted duration; a standard plan where none is better."""
+    """The best test for the wanted duration; a standard plan that keeps the margin where none is better."""
     request = search.request
     visits = _search_visits(search, criterion, mixture, request.duration, standard)
     found = predict(request, "planned", visits)
     value = _value(search, criterion, found)
     for prediction in standard:
         other = _value(search, criterion, prediction)
-        if other < value:
+        safe = all(visit.candidate.margin >= request.settings.margin for visit in prediction.visits)
+        if safe and other < value:
             found, value = replace(prediction, name="planned"), other
     if not math.isfinite(value):
         raise IdentifiabilityError(found.refusal, remedy="give the test more time, or leave a term out")
@@ -325,10 +326,11 @@ def _stretched(
     rows = []
     for factor in STRETCHES:
         duration = factor * search.request.duration
-        if duration < search.request.minimum_dwell:
+        standard = _standard(search.request, search.usable, duration)
+        if duration < search.request.minimum_dwell or not standard:
             continue
         visits = _search_visits(search, criterion, mixture, duration)
-        name, usual = _standard(search.request, search.usable, duration)[-1]
+        name, usual = standard[-1]
         pair = (predict(search.request, "planned", visits), predict(search.request, name, usual))
         rows.append((duration, *pair))
     return tuple(rows)
