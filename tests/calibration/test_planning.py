@@ -156,6 +156,16 @@ def test_bias_and_scale_factor_alone_need_up_and_down(tmp_path):
 
 
 @pytest.mark.only_compiled
+def test_one_coefficient_alone_keeps_the_others_determined(tmp_path):
+    """Only the scale factor counts: nearly all time at +-1 g, the rest makes the other terms estimable."""
+    plan = plan_test(request(tmp_path, plan='coefficients = ["scale_factor"]', duration=1800))
+    assert plan.efficiency > 0.8
+    assert np.all(np.isfinite([plan.best.std(name) for name in plan.names]))
+    upright = sum(v.dwell for v in plan.best.visits if v.candidate.label in ("0 deg", "180 deg"))
+    assert upright > 0.8 * plan.best.recorded
+
+
+@pytest.mark.only_compiled
 def test_lock_zone_is_left_out_with_the_reason(tmp_path):
     plan = plan_test(request(tmp_path, plan="margin = 700.0"))
     reasons = {item.candidate.label: item.reason for item in plan.excluded}

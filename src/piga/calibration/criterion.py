@@ -11,7 +11,7 @@ equals the number r of parameters.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +27,37 @@ MIXED = 1e-6
 """Share of the equal mixture in every candidate: keeps the mixture regular where the optimum is not."""
 RIDGE = 1e-13
 """Information added to each scaled parameter: a singular plan gets a finite, useless value."""
+GUARD = 0.02
+"""Share of the D-criterion of all parameters in a guarded criterion."""
 LARGEST_POWER = 64.0
 """Power that stands for the largest of the variances: within r^(1/64) of it."""
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """What is minimised: ``rows`` (r, m) of interest in scaled parameters; ``power`` 0 is D."""
+    """What is minimised: ``rows`` (r, m) of interest in scaled parameters; ``power`` 0 is D.
+
+    ``guard`` is the share of the D-criterion of all parameters mixed in: it keeps those parameters
+    determined that are not of interest.
+    """
 
     rows: Array
     power: float
+    guard: float = 0.0
+
+    def guarded(self) -> Criterion:
+        """With the guard where the rows leave parameters out."""
+        left_out = self.rows.shape[0] < self.rows.shape[1]
+        return replace(self, guard=GUARD) if left_out else self
+
+    def _all(self) -> Criterion:
+        return Criterion(np.eye(self.rows.shape[1]), 0.0)
 
     def values(self, information: Array) -> Array:
         """Criterion of information matrices (..., m, m) in scaled parameters."""
+        if self.guard:
+            own = replace(self, guard=0.0).values(information)
+            return (1.0 - self.guard) * own + self.guard * self._all().values(information)
         m = information.shape[-1]
         covariance = np.linalg.inv(information + RIDGE * np.eye(m))
         reduced = self.rows @ covariance @ self.rows.T
@@ -52,6 +70,9 @@ class Criterion:
 
     def sensitivity(self, information: Array) -> Array:
         """``S`` with derivative ``-tr(S dM)``, (m, m)."""
+        if self.guard:
+            own = replace(self, guard=0.0).sensitivity(information)
+            return (1.0 - self.guard) * own + self.guard * self._all().sensitivity(information)
         m = information.shape[-1]
         covariance = np.linalg.inv(information + RIDGE * np.eye(m))
         crossed = covariance @ self.rows.T

@@ -146,6 +146,7 @@ def plan_test(request: PlanRequest) -> Plan:
     search = _prepare(request, usable)
     criterion = search.criterion(request.settings.criterion)
     mixture = best_mixture(search.per_second(), criterion)
+    begin = best_mixture(search.per_second(), criterion.guarded())
     standard = tuple(
         predict(request, name, visits) for name, visits in _standard(request, usable, request.duration)
     )
@@ -153,7 +154,7 @@ def plan_test(request: PlanRequest) -> Plan:
         raise CalibrationError(
             "[plan] duration is too short for every standard plan", remedy="give it more time"
         )
-    best, value = _best(search, criterion, mixture, standard)
+    best, value = _best(search, criterion, begin, standard)
     shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
     bound = float(criterion.values(mixture.information * (request.duration + request.move)))
     count = criterion.rows.shape[0] if criterion.power == 0.0 else 1
@@ -168,7 +169,7 @@ def plan_test(request: PlanRequest) -> Plan:
         math.exp(min(0.0, bound - value)),
         best,
         standard,
-        _stretched(search, criterion, mixture),
+        _stretched(search, criterion, begin),
         _cheapest(search, best) if request.wanted else None,
     )
 
@@ -286,7 +287,7 @@ def _search_visits(
     starts: tuple[Prediction, ...] = (),
 ) -> tuple[Visit, ...]:
     """Exchange search from the mixture and from those standard plans that lie on the candidates."""
-    limits, steps = search.limits(duration), search.tables.shape[1]
+    limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
     begun = [start_of(mixture, steps, limits)]
     angles = {c.label: k for k, c in enumerate(search.usable)}
     for prediction in starts:
@@ -353,9 +354,10 @@ def _cheapest(search: _Search, best: Prediction) -> Cheapest:
     criterion = search.criterion("wanted")
     mixture = best_mixture(search.per_second(), criterion)
     bound = math.exp(mixture.value) - request.move
+    begin = best_mixture(search.per_second(), criterion.guarded())
     duration = max(bound, request.minimum_dwell)
     for _ in range(ATTEMPTS):
-        visits = _search_visits(search, criterion, mixture, duration)
+        visits = _search_visits(search, criterion, begin, duration)
         plan = predict(request, "cheapest", visits)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:

@@ -131,9 +131,21 @@ def _uncertainty_table(plan: Plan) -> Table:
             tone: Tone = "quiet" if math.isinf(ratio) else "good" if ratio > 1.0 else "doubtful"
             cells.append(Cell(short(ratio), tone))
         rows.append(tuple(cells))
-    refusals = tuple(f"{p.name}: {p.refusal}." for p in plan.standard if p.refusal)
+    refusals = tuple(f"{p.name}: {p.refusal}." for p in plan.standard if p.refusal) + _locked_notes(plan)
     caption = "Predicted standard uncertainties; standard plans in the same total time, as multiples of the plan's Type A."
     return Table(tuple(columns), tuple(rows), caption, refusals)
+
+
+def _locked_notes(plan: Plan) -> tuple[str, ...]:
+    """Which standard plans visit positions that this plan leaves out."""
+    notes = []
+    for prediction in plan.standard:
+        near = [
+            v.candidate.label for v in prediction.visits if v.candidate.margin < plan.request.settings.margin
+        ]
+        if near:
+            notes.append(f"{prediction.name}: in or near the lock zone at {', '.join(near)}.")
+    return tuple(notes)
 
 
 def _cheapest_blocks(plan: Plan) -> tuple[Block, ...]:
