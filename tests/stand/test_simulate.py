@@ -47,7 +47,9 @@ pytestmark = pytest.mark.compiled
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENARIOS = [
-    path for path in sorted(EXAMPLES.glob("*.toml")) if "\n[stand]" in path.read_text(encoding="utf-8")
+    path
+    for path in sorted(EXAMPLES.glob("*.toml"))
+    if "\n[stand]" in path.read_text(encoding="utf-8") and not path.name.startswith("plan-")
 ]
 SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0, 2.0, 4.0), dwell=20.0, move=5.0)

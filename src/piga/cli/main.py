@@ -13,6 +13,7 @@ from piga.cli.calibrate import calibrate, check
 from piga.cli.common import note
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
+from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
 from piga.errors import PigaError
@@ -43,7 +44,7 @@ def _options(
     pass
 
 
-for command in (demo, check, calibrate, compensate, simulate, reproduce):
+for command in (demo, check, calibrate, compensate, simulate, plan, reproduce):
     app.command()(command)
 app.add_typer(platform.app)
 

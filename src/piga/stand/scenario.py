@@ -51,7 +51,17 @@ def read_scenario(path: str | Path) -> Scenario:
         For an unknown key, a missing one, a wrong unit or an implausible value; names file and key.
     """
     path = Path(path)
-    table = read_toml(path, ScenarioTable)
+    return scenario_of(path, read_toml(path, ScenarioTable))
+
+
+def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
+    """The scenario of a table that was read from ``path``.
+
+    Raises
+    ------
+    RunFileError
+        As :func:`read_scenario`.
+    """
     try:
         scenario = Scenario(
             path,

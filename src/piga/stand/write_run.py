@@ -82,7 +82,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
     comment = (
         f"# Simulated by piga {__version__} from {scenario.path.name}, model {test.model}, seed {test.seed}.\n"
     )
-    return comment + "\n".join(_toml_table(name, table) for name, table in tables.items() if table)
+    return comment + "\n".join(toml_table(name, table) for name, table in tables.items() if table)
 
 
 def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
@@ -97,8 +97,16 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
 
 def _stand(scenario: Scenario) -> dict[str, Any]:
     """The stand as the scenario gives it: the budget of the calibration uses it."""
-    table = msgspec.to_builtins(scenario.table.stand)
-    return {key: value for key, value in table.items() if value is not None}
+    return given_values(msgspec.to_builtins(scenario.table.stand))
+
+
+def given_values(value: Any) -> Any:
+    """Nested tables without the keys that are not given (TOML has no null)."""
+    if isinstance(value, dict):
+        return {key: given_values(item) for key, item in value.items() if item is not None}
+    if isinstance(value, (list, tuple)):
+        return [given_values(item) for item in value]
+    return value
 
 
 def _uncertainty(scenario: Scenario) -> dict[str, Any]:
@@ -107,7 +115,8 @@ def _uncertainty(scenario: Scenario) -> dict[str, Any]:
     return drawn | scenario.table.uncertainty
 
 
-def _toml_table(name: str, table: dict[str, Any]) -> str:
+def toml_table(name: str, table: dict[str, Any]) -> str:
+    """A table of a TOML file with its header; inner tables are written inline."""
     return f"[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
 
 

@@ -1,0 +1,168 @@
+"""Optimal design: what makes one information matrix better than another, and the best mixture.
+
+With ``C = M^-1`` the covariance and ``L`` the rows of interest, all criteria are logarithms of
+homogeneous convex functions of ``M`` ([Pukelsheim2006] ch. 5 and 6): D ``log det(L C L')/r``;
+power means ``(1/p) log mean((L C L')_ii^p)``, with p = 1 the A-criterion, r = 1 the c-criterion, and
+large p the largest entry. Each has the derivative ``-tr(S dM)`` with ``tr(S M) = 1``, so the general
+equivalence theorem [KieferWolfowitz1960] reads: a mixture is optimal if and only if no candidate has
+``tr(S A_j) > 1``; for D this is the statement that the largest directional derivative ``r tr(S A_j)``
+equals the number r of parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+GAP = 1e-6
+"""Largest directional derivative, less its value at the optimum, that ends the search."""
+ROUNDS = 60
+MIXED = 1e-6
+"""Share of the equal mixture in every candidate: keeps the mixture regular where the optimum is not."""
+RIDGE = 1e-13
+"""Information added to each scaled parameter: a singular plan gets a finite, useless value."""
+GUARD = 0.02
+"""Share of the D-criterion of all parameters in a guarded criterion."""
+LARGEST_POWER = 64.0
+"""Power that stands for the largest of the variances: within r^(1/64) of it."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """What is minimised: ``rows`` (r, m) of interest in scaled parameters; ``power`` 0 is D.
+
+    ``guard`` is the share of the D-criterion of all parameters mixed in: it keeps those parameters
+    determined that are not of interest.
+    """
+
+    rows: Array
+    power: float
+    guard: float = 0.0
+
+    def guarded(self) -> Criterion:
+        """With the guard where the rows leave parameters out."""
+        left_out = self.rows.shape[0] < self.rows.shape[1]
+        return replace(self, guard=GUARD) if left_out else self
+
+    def _all(self) -> Criterion:
+        return Criterion(np.eye(self.rows.shape[1]), 0.0)
+
+    def values(self, information: Array) -> Array:
+        """Criterion of information matrices (..., m, m) in scaled parameters."""
+        if self.guard:
+            own = replace(self, guard=0.0).values(information)
+            return (1.0 - self.guard) * own + self.guard * self._all().values(information)
+        m = information.shape[-1]
+        covariance = np.linalg.inv(information + RIDGE * np.eye(m))
+        reduced = self.rows @ covariance @ self.rows.T
+        if self.power == 0.0:
+            return np.linalg.slogdet(reduced)[1] / self.rows.shape[0]
+        variances = np.maximum(np.diagonal(reduced, axis1=-2, axis2=-1), 1e-300)
+        logs = self.power * np.log(variances)
+        top = logs.max(axis=-1, keepdims=True)
+        return (top[..., 0] + np.log(np.mean(np.exp(logs - top), axis=-1))) / self.power
+
+    def sensitivity(self, information: Array) -> Array:
+        """``S`` with derivative ``-tr(S dM)``, (m, m)."""
+        if self.guard:
+            own = replace(self, guard=0.0).sensitivity(information)
+            return (1.0 - self.guard) * own + self.guard * self._all().sensitivity(information)
+        m = information.shape[-1]
+        covariance = np.linalg.inv(information + RIDGE * np.eye(m))
+        crossed = covariance @ self.rows.T
+        reduced = self.rows @ crossed
+        if self.power == 0.0:
+            return crossed @ np.linalg.inv(reduced) @ crossed.T / self.rows.shape[0]
+        variances = np.diag(reduced)
+        shares = (variances / variances.max()) ** self.power
+        return (crossed * (shares / shares.sum() / variances)) @ crossed.T
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """The best mixture: ``weights`` (n,) that sum to 1, ``information`` (m, m), criterion ``value``.
+
+    ``derivatives`` (n,) are ``tr(S A_j)``, at most ``1 + gap``: the certificate of the optimum.
+    """
+
+    weights: Array
+    information: Array
+    value: float
+    derivatives: Array
+
+    @property
+    def gap(self) -> float:
+        """By how much the certificate is missed: the criterion is at most this above the optimum."""
+        return float(self.derivatives.max()) - 1.0
+
+
+def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:
+    """Optimal weights for candidate information matrices (n, m, m) per unit of cost, scaled parameters.
+
+    The convex problem is solved on a few candidates (sequential quadratic programming, SciPy), those with
+    the largest directional derivative are added, and so on: the certificate is over all of them.
+
+    Raises
+    ------
+    CalibrationError
+        If the certificate is not reached.
+    """
+    matrices = (1.0 - MIXED) * candidates + MIXED * candidates.mean(axis=0)
+    active = np.unique(np.argmax(np.einsum("njj->nj", matrices), axis=0))
+    derivatives = _derivatives(matrices, criterion, matrices.mean(axis=0))
+    active = np.union1d(active, np.argsort(-derivatives)[:30])
+    weights = np.full(active.size, 1.0 / active.size)
+    for _ in range(ROUNDS):
+        weights = _solve(matrices[active], criterion, weights)
+        total = np.tensordot(weights, matrices[active], 1)
+        derivatives = _derivatives(matrices, criterion, total)
+        if derivatives.max() - 1.0 < GAP:
+            break
+        keep = weights > 1e-12
+        new = np.setdiff1d(np.argsort(-derivatives)[:10], active[keep])
+        share = 1e-3 if new.size else 0.0
+        active = np.concatenate([active[keep], new])
+        weights = np.concatenate([(1.0 - share) * weights[keep], np.full(new.size, share / max(new.size, 1))])
+        weights /= weights.sum()
+    if derivatives.max() - 1.0 > 1e3 * GAP:
+        raise CalibrationError(
+            f"the allocation of time did not converge (directional derivative {derivatives.max() - 1.0:.2g} too large)",
+            remedy="use fewer candidates, or criterion 'D'",
+        )
+    full = np.zeros(matrices.shape[0])
+    full[active] = weights
+    return Mixture(full, total, float(criterion.values(total)), derivatives)
+
+
+def _derivatives(matrices: Array, criterion: Criterion, information: Array) -> Array:
+    return np.einsum("ij,nji->n", criterion.sensitivity(information), matrices)
+
+
+def _solve(matrices: Array, criterion: Criterion, start: Array) -> Array:
+    """Weights on a few candidates."""
+    from scipy.optimize import minimize
+
+    def value(weights: Array) -> float:
+        return float(criterion.values(np.tensordot(weights, matrices, 1)))
+
+    def slope(weights: Array) -> Array:
+        return -_derivatives(matrices, criterion, np.tensordot(weights, matrices, 1))
+
+    found = minimize(
+        value,
+        start,
+        jac=slope,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * start.size,
+        constraints={"type": "eq", "fun": lambda w: w.sum() - 1.0, "jac": np.ones_like},
+        options={"ftol": 1e-14, "maxiter": 300},
+    )
+    weights = np.maximum(found.x, 0.0)
+    weights = weights / weights.sum()
+    return weights if value(weights) <= value(start) else start

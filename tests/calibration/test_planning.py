@@ -1,0 +1,372 @@
+"""Planning: the optimum is one, the prediction is what happens, and what cannot be planned is refused."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import piga
+from piga.calibration.candidates import coefficient_names, find_candidates, information_tables
+from piga.calibration.criterion import Criterion, best_mixture
+from piga.calibration.mounting import plan_mounting
+from piga.calibration.plan_export import plan_document, scenario_text
+from piga.calibration.plan_file import read_plan
+from piga.calibration.planning import plan_test
+from piga.calibration.prediction import Visit, predict
+from piga.cli.main import app
+from piga.errors import CalibrationError, IdentifiabilityError, RunFileError
+from piga.reports.page import page_html
+from piga.reports.planning import plan_page, plan_text
+from piga.stand import read_scenario, run_scenario
+from tests.calibration.planning_cases import request
+
+pytestmark = pytest.mark.compiled
+EXAMPLE = Path(__file__).parents[2] / "examples" / "plan-dividing-head.toml"
+REPEATS = 100
+
+
+def regression(points: np.ndarray, degree: int) -> np.ndarray:
+    """Information matrices of polynomial regression."""
+    rows = points[:, None] ** np.arange(degree + 1)
+    return rows[:, :, None] * rows[:, None, :]
+
+
+@pytest.mark.parametrize(
+    ("degree", "support"), [(1, [-1, 1]), (2, [-1, 0, 1]), (3, [-1, -(5**-0.5), 5**-0.5, 1])]
+)
+def test_d_optimum_of_polynomial_regression(degree, support):
+    """Known optima [Fedorov1972] table 2.1: equal weights at the zeros of (1 - x^2) P'_d(x)."""
+    points = np.union1d(np.linspace(-1.0, 1.0, 201), support)
+    found = best_mixture(regression(points, degree), Criterion(np.eye(degree + 1), 0.0))
+    assert (degree + 1) * found.derivatives.max() == pytest.approx(degree + 1, rel=1e-5)
+    for x in support:
+        near = np.abs(points - x) < 0.03
+        assert found.weights[near].sum() == pytest.approx(1.0 / (degree + 1), abs=2e-3)
+
+
+def test_c_and_a_optima_of_a_line():
+    """Slope of a line: half at either end. A-optimum for (1, x) on [-1, 1]: the same."""
+    points = np.linspace(-1.0, 1.0, 21)
+    for criterion in (Criterion(np.array([[0.0, 1.0]]), 1.0), Criterion(np.eye(2), 1.0)):
+        found = best_mixture(regression(points, 1), criterion)
+        assert found.weights[[0, -1]] == pytest.approx([0.5, 0.5], abs=1e-4)
+        assert found.gap < 1e-5
+
+
+def test_a_optimum_of_the_quadratic():
+    """A-optimal quadratic regression puts 1/4, 1/2, 1/4 at -1, 0, 1 [Pukelsheim2006] 9.8."""
+    found = best_mixture(regression(np.linspace(-1.0, 1.0, 41), 2), Criterion(np.eye(3), 1.0))
+    assert found.weights[[0, 20, 40]] == pytest.approx([0.25, 0.5, 0.25], abs=1e-3)
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 10**6), power=st.sampled_from([0.0, 1.0, 64.0]))
+def test_certificate_of_random_problems(seed, power):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(40, 3, 4))
+    matrices = rows.swapaxes(1, 2) @ rows
+    criterion = Criterion(np.eye(4), power)
+    found = best_mixture(matrices, criterion)
+    assert found.gap < 1e-4
+    for _ in range(20):
+        assert criterion.values(np.tensordot(rng.dirichlet(np.ones(40)), matrices, 1)) >= found.value - 1e-4
+
+
+def test_slope_of_the_criterion_is_its_derivative():
+    rng = np.random.default_rng(3)
+    a, b = (x @ x.T for x in rng.normal(size=(2, 4, 6)))
+    for power in (0.0, 1.0, 64.0):
+        criterion = Criterion(rng.normal(size=(3, 4)), power)
+        numeric = (criterion.values(a + 1e-6 * b) - criterion.values(a - 1e-6 * b)) / 2e-6
+        assert -np.sum(criterion.sensitivity(a) * b) == pytest.approx(numeric, rel=1e-5)
+        assert np.sum(criterion.sensitivity(a) * a) == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("phase", ["shared", "per-segment"])
+@pytest.mark.parametrize("noise", [{"walk": 1e-5}, {"walk": 1e-6, "white": 1e-4}])
+def test_tables_agree_with_the_estimator(tmp_path, phase, noise):
+    """Summed information of visits is the inverse of the covariance that the calibration reports."""
+    wish = request(
+        tmp_path, phase=phase, plan='longest_dwell = "60 s"', terms='"scale_factor", "tan_beta", "k0"', **noise
+    )
+    places = find_candidates(wish)[::2]
+    tables = information_tables(wish, places)
+    found = predict(wish, "x", tuple(Visit(c, 60.0) for c in places))
+    std = np.sqrt(np.diag(np.linalg.inv(tables[:, -1].sum(axis=0))))
+    for name, value in zip(coefficient_names(wish), std, strict=True):
+        assert found.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("criterion", ["D", "A", "c", "wanted"])
+def test_no_standard_plan_is_better(tmp_path, criterion):
+    extra = 'combination = { k0 = 1.0 }\nwanted = { k0 = "1 ug", m_Y = "1 urad" }'
+    plan = plan_test(request(tmp_path, plan=f'criterion = "{criterion}"\n{extra}'))
+    chosen = {"c": ("k0",), "wanted": ("k0", "m_Y")}.get(criterion, plan.names)
+    for other in plan.standard:
+        if other.refusal:
+            continue
+        ratios = np.array([plan.best.std(name) / other.std(name) for name in chosen])
+        if criterion == "wanted":
+            sizes = [max(p.std("k0") / 1e-6, p.std("m_Y") / 1e-6) for p in (plan.best, other)]
+            assert sizes[0] <= 1.02 * sizes[1]
+        elif criterion == "c":
+            assert ratios[0] <= 1.0 + 1e-9
+        elif criterion == "D":
+            own, usual = (np.linalg.slogdet(p.covariance)[1] for p in (plan.best, other))
+            assert own <= usual + 1e-9
+        else:
+            assert ratios.max() < 1.5
+    assert plan.largest_derivative == pytest.approx(6.0 if criterion == "D" else 1.0, abs=1e-4)
+    assert plan.best.duration <= 720.0 + 1e-9
+    assert 0.5 < plan.efficiency <= 1.0
+
+
+def test_every_position_of_a_circle_is_as_good():
+    """For 1, cos x, sin x the D-optimum is not one plan: no position adds more than another."""
+    x = np.arange(12) * np.pi / 6.0
+    rows = np.column_stack([np.ones(12), np.cos(x), np.sin(x)])
+    found = best_mixture(rows[:, :, None] * rows[:, None, :], Criterion(np.eye(3), 0.0))
+    assert found.derivatives == pytest.approx(np.ones(12), abs=1e-4)
+    assert found.information == pytest.approx(np.diag([1.0, 0.5, 0.5]), abs=1e-3)
+
+
+def test_mirrored_positions_earn_alike(tmp_path):
+    """Half a turn of the head changes the sign of the force: the same information but for the signs."""
+    wish = request(tmp_path, terms='"scale_factor", "k0", "m_Y"', plan='longest_dwell = "60 s"')
+    tables = information_tables(wish, find_candidates(wish))[:, -1]
+    signs = np.array([-1.0, 1.0, -1.0])
+    for k in (0, 1, 2, 4):
+        scale = np.sqrt(np.outer(np.diag(tables[k]), np.diag(tables[k])))
+        assert np.abs(tables[k + 6] * np.outer(signs, signs) - tables[k]).max() < 2e-3 * scale.max()
+
+
+@pytest.mark.only_compiled
+def test_bias_and_scale_factor_alone_need_up_and_down(tmp_path):
+    """K and k0 from +-1 g: half the time each, as every textbook says."""
+    plan = plan_test(request(tmp_path, terms='"scale_factor", "k0"', plan='longest_dwell = "400 s"'))
+    assert {visit.candidate.label for visit in plan.best.visits} == {"0 deg", "180 deg"}
+    dwells = [visit.dwell for visit in plan.best.visits]
+    assert dwells[0] == pytest.approx(dwells[1], rel=0.03)
+
+
+@pytest.mark.only_compiled
+def test_one_coefficient_alone_keeps_the_others_determined(tmp_path):
+    """Only the scale factor counts: nearly all time at +-1 g, the rest makes the other terms estimable."""
+    plan = plan_test(request(tmp_path, plan='coefficients = ["scale_factor"]', duration=1800))
+    assert plan.efficiency > 0.8
+    assert np.all(np.isfinite([plan.best.std(name) for name in plan.names]))
+    upright = sum(v.dwell for v in plan.best.visits if v.candidate.label in ("0 deg", "180 deg"))
+    assert upright > 0.8 * plan.best.recorded
+
+
+@pytest.mark.only_compiled
+def test_lock_zone_is_left_out_with_the_reason(tmp_path):
+    plan = plan_test(request(tmp_path, plan="margin = 700.0"))
+    reasons = {item.candidate.label: item.reason for item in plan.excluded}
+    assert set(reasons) == {"60 deg", "90 deg", "120 deg", "240 deg", "270 deg", "300 deg"}
+    assert reasons["90 deg"].startswith("locked")
+    assert reasons["60 deg"].startswith("within 700 times the lock zone")
+    assert not set(reasons) & {visit.candidate.label for visit in plan.best.visits}
+
+
+@pytest.mark.only_compiled
+def test_cheapest_duration_goes_with_the_inverse_square(tmp_path):
+    bounds, durations = [], []
+    for u in (0.4, 0.2):
+        wish = request(
+            tmp_path,
+            terms='"scale_factor", "k0"',
+            plan=f'wanted = {{ k0 = "{u} ug" }}\nmove = "0.5 s"\nlongest_dwell = "60 s"',
+        )
+        plan = plan_test(wish)
+        assert plan.cheapest.plan.std("k0") <= u * 1e-6
+        bounds.append(plan.cheapest.bound)
+        durations.append(plan.cheapest.plan.duration)
+        assert durations[-1] >= bounds[-1]
+    assert bounds[1] / bounds[0] == pytest.approx(4.0, rel=0.01)
+    assert durations[1] / durations[0] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.only_compiled
+def test_floor_of_the_stand_is_said(tmp_path):
+    wish = request(
+        tmp_path,
+        plan='wanted = { scale_factor = "1e-9 rad/s/g" }',
+        more='[uncertainty]\nreference_scale = "1 ppm"',
+    )
+    plan = plan_test(wish)
+    assert plan.cheapest.plan is None
+    assert "the stand alone adds" in plan.cheapest.refusal
+    assert plan.best.combined("scale_factor") == pytest.approx(
+        math.hypot(plan.best.std("scale_factor"), 0.8884e-6), rel=1e-3
+    )
+
+
+@pytest.mark.only_compiled
+def test_whole_revolutions(tmp_path):
+    plan = plan_test(request(tmp_path, whole="true", rate=10))
+    turns = [visit.dwell / visit.candidate.revolution for visit in plan.best.visits]
+    for visit, turn in zip(plan.best.visits, turns, strict=True):
+        assert abs(turn - round(turn)) * visit.candidate.revolution <= 0.1 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"plan": 'wanted = { k3 = "1 ug/g^3" }'}, "wanted: 'k3' is not estimated"),
+        ({"plan": 'criterion = "c"'}, "criterion 'c' needs combination"),
+        ({"plan": 'dwell = "3 s"'}, "unknown key 'dwell'"),
+        ({"plan": 'longest_dwell = "3 s"'}, "longest_dwell is below minimum_dwell"),
+        ({"terms": '"scale_factor", "k0_t"'}, "'k0_t' depends on when"),
+        ({"duration": "-5"}, "duration: -5 s is not positive"),
+    ],
+)
+def test_wrong_plan_files_are_refused(tmp_path, changes, words):
+    with pytest.raises(RunFileError, match=words.replace("(", r"\(")) as caught:
+        request(tmp_path, **changes)
+    assert "plan.toml" in str(caught.value)
+
+
+def test_what_cannot_be_planned_is_refused(tmp_path):
+    with pytest.raises(IdentifiabilityError, match="this plan cannot separate k0, k2, k_YY"):
+        plan_test(request(tmp_path, terms='"scale_factor", "k0", "k2", "k_YY"'))
+    with pytest.raises(CalibrationError, match="no noise"):
+        plan_test(request(tmp_path, walk=0))
+    with pytest.raises(CalibrationError, match="lock zone"):
+        plan_test(request(tmp_path, plan="margin = 1e9", positions="30:60:10 deg"))
+    with pytest.raises(CalibrationError, match="duration is below minimum_dwell"):
+        plan_test(request(tmp_path, duration=10))
+
+
+@pytest.mark.only_compiled
+def test_levels_of_a_centrifuge_and_a_head_together(tmp_path):
+    text = request(tmp_path, terms='"scale_factor", "k0", "k2", "k_YY"').path.read_text(encoding="utf-8")
+    first, rest = text.split("[stand]")
+    parts = '[stand]\nkind = "composite"\npause = "60 s"\n'
+    parts += '[[stand.parts]]\nkind = "dividing-head"\nlatitude = "40 deg"\npositions = "0:360:60 deg"\n'
+    parts += '[[stand.parts]]\nkind = "centrifuge"\nlatitude = "40 deg"\nlevels = ["2 g", "5 g"]\ncounter_rotating = true\n'
+    path = tmp_path / "both.toml"
+    path.write_text(first.replace("2 Hz", "20 Hz") + parts + rest[rest.index("[model]") :], encoding="utf-8")
+    plan = plan_test(read_plan(path))
+    labels = [visit.candidate.label for visit in plan.best.visits]
+    assert any("deg" in label for label in labels)
+    assert any(label.endswith("g") and "deg" not in label for label in labels)
+    assert all(prediction.refusal for prediction in plan.standard)
+
+
+PROFILE = """
+[mounting]
+skew = "0:91:5 deg"
+[mounting.profile]
+kind = "dividing-head"
+latitude = "40 deg"
+positions = [POSITIONS]
+dwell = "5 s"
+move = "5 s"
+"""
+
+
+def mounting_request(folder: Path, positions: str):
+    return request(folder, more=PROFILE.replace("POSITIONS", positions), plan='wanted = { k0 = "2 ug" }')
+
+
+def test_mounting_skew(tmp_path):
+    """A force that swings from 0 to 80 deg: least angle to the axis is largest with the axis at 40 deg."""
+    found = plan_mounting(mounting_request(tmp_path, '"0 deg", "80 deg"'))
+    assert math.degrees(found.skew) == pytest.approx(40.0)
+    assert math.degrees(found.clock) == pytest.approx(180.0)
+    tangent = math.tan(200.0 / 206264.806)
+    assert found.margin == pytest.approx(1.0 / (math.tan(math.radians(40.0)) * tangent), rel=0.01)
+    assert not (found.unskewed_history < 1.0).any()
+
+
+def test_mounting_sees_a_passage_between_rows(tmp_path):
+    """The force turns through 180 deg and back: every axis in its plane is passed through."""
+    found = plan_mounting(mounting_request(tmp_path, '"0 deg", "180 deg"'))
+    assert found.margins[0].max() == 0.0
+    assert plan_mounting(request(tmp_path)) is None
+
+
+@pytest.mark.only_compiled
+def test_prediction_is_what_repeats_show(tmp_path):
+    """Spread of the estimates over simulated repeats of the exported scenario."""
+    check_repeats(
+        tmp_path,
+        request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4),
+        REPEATS,
+        0.30 if REPEATS >= 100 else 0.6,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", ["shared", "per-segment"])
+def test_prediction_within_ten_percent_of_a_thousand_repeats(tmp_path, phase):
+    check_repeats(
+        tmp_path, request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4, phase=phase), 1000, 0.10
+    )
+
+
+def check_repeats(folder, wish, repeats, band):
+    plan = plan_test(wish)
+    path = folder / "scenario.toml"
+    path.write_text(scenario_text(plan), encoding="utf-8")
+    scenario = read_scenario(path)
+    assert run_scenario(scenario).log.labels == tuple(f"{k}.0" for k in range(len(plan.best.visits)))
+    values = []
+    for seed in range(repeats):
+        log = run_scenario(scenario, seed=seed).log
+        run = piga.Run.from_arrays(
+            log.t,
+            log.output,
+            log.reference,
+            scale_factor="0.8884 rad/s/g",
+            base_rate=log.base_rate,
+            segment=log.segment,
+        )
+        found = piga.calibrate(run, terms=list(wish.model.terms), phase=wish.model.phase)
+        values.append([found[name].value for name in plan.names if name != "phi"])
+    spread = np.std(values, axis=0, ddof=1)
+    for name, s in zip([n for n in plan.names if n != "phi"], spread, strict=True):
+        assert s / plan.best.std(name) == pytest.approx(1.0, abs=band), name
+
+
+@pytest.mark.only_compiled
+def test_page_text_and_document(tmp_path):
+    wish = mounting_request(tmp_path, '"0 deg", "80 deg"')
+    plan, mounting = plan_test(wish), plan_mounting(wish)
+    html = page_html(plan_page(plan, mounting))
+    for words in ("Planned test of plan-test", "Distance from the lock zone", "Skew of the instrument"):
+        assert words in html
+    text = plan_text(plan, mounting)
+    assert "left out 90 deg: locked" in text
+    document = plan_document(plan, mounting)
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["mounting"]["skew_deg"] == pytest.approx(40.0)
+
+
+@pytest.mark.only_compiled
+def test_command(tmp_path):
+    path = request(tmp_path).path
+    result = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "out"), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["schema"] == "piga.plan/1"
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["plan.json", "report.html", "scenario.toml"]
+    assert read_scenario(tmp_path / "out" / "scenario.toml").stand.segments()
+
+
+@pytest.mark.only_compiled
+def test_shipped_example_beats_the_24_positions_by_a_quarter():
+    plan = plan_test(read_plan(EXAMPLE))
+    usual = plan.standard[-1]
+    assert usual.name == "24 positions"
+    assert usual.duration == pytest.approx(2130.0)
+    assert plan.best.duration <= usual.duration
+    ratios = {name: plan.best.std(name) / usual.std(name) for name in plan.names}
+    assert max(ratios.values()) < 0.85
+    assert np.exp(np.mean(np.log(list(ratios.values())))) < 0.75
