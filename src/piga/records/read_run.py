@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.calibration import Event, Quality
+from piga.records.container import SUFFIXES, read_container
 from piga.records.counter import unwrap
 from piga.records.parquet_reader import read_parquet
 from piga.records.run import Run
@@ -66,6 +67,8 @@ def read_record(path: str | Path, stand_reference: StandReference) -> Run:
 
 
 def _sha256(path: Path) -> str:
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: is no regular file", remedy="name the data file in [data] file")
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -95,7 +98,17 @@ def _read_table(path: Path, run_file: RunFile) -> RawTable:
         )
     if kind in (".parquet", ".pq"):
         return read_parquet(path, tuple(numeric), data.segment)
-    raise DataError(f"{path}: files of kind '{kind}' are not read", remedy="give .csv, .csv.gz or .parquet")
+    if kind in SUFFIXES:
+        return read_container(path, kind, tuple(numeric), data.segment, data.sheet)
+    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
+        raise DataError(
+            f"{path}: files of kind '{kind}' are not read",
+            remedy="open it in the spreadsheet program and save it as .xlsx or .csv",
+        )
+    raise DataError(
+        f"{path}: files of kind '{kind}' are not read",
+        remedy=f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",
+    )
 
 
 @dataclass

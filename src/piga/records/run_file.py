@@ -73,6 +73,7 @@ class DataTable(Table, frozen=True):
     delimiter: str | None = None
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
+    sheet: str | None = None
 
 
 class ModelTable(Table, frozen=True):

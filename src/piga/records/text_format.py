@@ -84,11 +84,11 @@ def find_format(text: str, path: Path, encoding: str, separator: str | None, dec
             f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
             remedy="add a header row with the column names",
         )
-    _check_names(names, path, header_at + 1)
-    names, units = _units_in_names(names)
+    check_names(names, path, header_at + 1)
+    names, units = units_in_names(names)
     skip = header_at + 1
     body = [(i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip()]
-    if body and _is_units_row(body[0][1].split(separator)):
+    if body and is_units_row(body[0][1].split(separator)):
         row_units = [cell.strip().strip('"').strip("[]()（） ") for cell in body[0][1].split(separator)]
         units.update({n: u for n, u in zip(names, row_units, strict=False) if u})
         skip, body = body[0][0] + 1, body[1:]
@@ -114,7 +114,8 @@ def _find_separator(header: str, sample: list[str]) -> str:
     return present[0] if present else ","
 
 
-def _check_names(names: tuple[str, ...], path: Path, row: int) -> None:
+def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
+    """Refuse too many columns and names that stand more than once."""
     if len(names) > MAX_COLUMNS:
         raise DataError(
             f"{path}: {len(names)} columns, at most {MAX_COLUMNS} are read", remedy="export fewer columns"
@@ -130,7 +131,7 @@ def _check_names(names: tuple[str, ...], path: Path, row: int) -> None:
 _NAME_WITH_UNIT = re.compile(r"^(.*\S)\s*[\[(（]\s*([^\])）]+?)\s*[\])）]$")
 
 
-def _units_in_names(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, str]]:
+def units_in_names(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, str]]:
     """Split ``fx [g]`` into name and unit where the bracket holds a unit that is known."""
     plain, units = [], {}
     for name in names:
@@ -151,7 +152,7 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def _is_units_row(cells: list[str]) -> bool:
+def is_units_row(cells: list[str]) -> bool:
     """True when no cell is a number and at least one is a unit: a units row below the header."""
     stripped = [cell.strip().strip('"').strip() for cell in cells]
     if any(_NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell) or cell in MISSING[1:] for cell in stripped):
