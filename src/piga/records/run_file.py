@@ -52,6 +52,13 @@ class OutputColumn(Table, frozen=True):
     wraps_at: Quantity | None = None
 
 
+class SequenceColumn(Table, frozen=True):
+    """A sample number that grows by one; ``wraps_at`` when it begins again at zero."""
+
+    column: str
+    wraps_at: int | None = None
+
+
 class Columns(Table, frozen=True):
     """Three columns X0, Y0, Z0 with one unit."""
 
@@ -74,6 +81,20 @@ class DataTable(Table, frozen=True):
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
     sheet: str | None = None
+    missing: tuple[str, ...] = ()
+    damaged_rows: Literal["refuse", "mask"] = "refuse"
+    range: dict[str, tuple[float, float]] | None = None
+    sequence: SequenceColumn | None = None
+
+    def number_columns(self) -> list[str]:
+        """Names of the number columns, each once, in the order they are read."""
+        names = [self.output.column]
+        names += [self.time.column] if self.time else []
+        names += [self.temperature.column] if self.temperature else []
+        for group in (self.reference, self.base_rate):
+            names += group.columns if group else []
+        names += [self.sequence.column] if self.sequence else []
+        return list(dict.fromkeys(names))
 
 
 class ModelTable(Table, frozen=True):
@@ -162,6 +183,7 @@ def read_run_file(path: str | Path) -> RunFile:
         _check_units(run_file)
         _check_output(run_file)
         _check_reference(run_file)
+        _check_faults(run_file)
         check_terms(run_file.model.terms, where="[model] terms")
     except (UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
@@ -241,6 +263,34 @@ def _check_output(run_file: RunFile) -> None:
         raise RunFileError("[data] sample_rate: must be positive", remedy="e.g. '100 Hz'")
     if data.decimal is not None and data.decimal == data.delimiter:
         raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")
+
+
+def _check_faults(run_file: RunFile) -> None:
+    data = run_file.data
+    for name, (low, high) in (data.range or {}).items():
+        if name not in data.number_columns():
+            raise RunFileError(
+                f"[data] range: '{name}' is no column that is used",
+                remedy=f"columns are: {', '.join(data.number_columns())}",
+            )
+        if not low < high:
+            raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
+    if data.sequence is not None and data.sequence.wraps_at is not None and data.sequence.wraps_at < 2:
+        raise RunFileError("[data] sequence: wraps_at must be 2 or more", remedy="e.g. 65536")
+    for word in data.missing:
+        if _is_a_number(word):
+            raise RunFileError(
+                f"[data] missing: '{word}' is a number",
+                remedy="a number cannot mark a missing value: use range",
+            )
+
+
+def _is_a_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return word.strip().lower() not in ("nan", "inf", "-inf")
 
 
 def _check_reference(run_file: RunFile) -> None:

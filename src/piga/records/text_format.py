@@ -19,6 +19,7 @@ MAX_COLUMNS = 4096
 SEPARATORS = ";\t,|"
 _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
 _NUMBER_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
+_THOUSANDS = re.compile(r"^[-+]?[1-9]\d{0,2},\d{3}$")
 MISSING = ("", "nan", "NaN", "NAN", "na", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "-", "--", "---")
 """Cells read as a missing value: masked and counted, never used."""
 INFINITE = ("inf", "Inf", "INF", "-inf", "-Inf", "-INF", "+inf", "OVER", "OVL", "overflow")
@@ -173,5 +174,10 @@ def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, 
         raise DataError(
             f"{path}: from row {row}: both '{comma[0]}' and '{point[0]}' occur, the decimal mark is ambiguous",
             remedy="add [data] decimal = ',' or decimal = '.'",
+        )
+    if comma and all(_THOUSANDS.match(cell) for cell in comma):
+        raise DataError(
+            f"{path}: from row {row}: '{comma[0]}' can be a decimal comma or a thousands separator",
+            remedy="add [data] decimal = ',', or decimal = '.' and remove the thousands separators",
         )
     return "," if comma else "."
