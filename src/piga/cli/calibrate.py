@@ -1,64 +1,19 @@
-"""``piga calibrate`` and ``piga check``."""
+"""``piga calibrate``."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from piga.cli.common import note, output_directory, print_json, progress, say, write_by_rename
 
 if TYPE_CHECKING:
-    from piga.records import Calibration, Run
+    from piga.records import Calibration
 
 RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
-
-
-def check(run: RunFileArgument, as_json: JsonOption = False) -> None:
-    """Read a recorded test and show what is found in it; nothing is calibrated."""
-    from piga.stand import read_run
-
-    with progress("reading"):
-        record = read_run(run)
-    document = _quality_document(record)
-    if as_json:
-        print_json(document)
-        return
-    say(f"{run}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used")
-    say(
-        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz"
-    )
-    say(f"  reference  |f| {document['force_g'][0]:.6g} to {document['force_g'][1]:.6g} g")
-    say(
-        f"  phase      {'kept through the whole record' if document['phase_kept'] else 'lost between segments'}"
-    )
-    if not record.quality.events:
-        say("  findings   none")
-    for event in record.quality.events:
-        row = "" if event.first_row is None else f", first at row {event.first_row}"
-        say(f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}")
-
-
-def _quality_document(record: Run) -> dict[str, Any]:
-    import msgspec
-    import numpy as np
-
-    from piga.units import G0
-
-    size = np.linalg.norm(record.f, axis=1) / G0
-    steps = np.diff(record.t)[~record.begins[1:]]
-    return {
-        "serial": record.serial,
-        "quality": msgspec.to_builtins(record.quality),
-        "segments": list(record.labels),
-        "duration_s": record.duration,
-        "rate_hz": float(1.0 / np.median(steps)),
-        "force_g": [float(size.min()), float(size.max())],
-        "phase_kept": len(set(record.phase_group)) == 1,
-        "input_sha256": record.input_sha256,
-    }
 
 
 def calibrate(

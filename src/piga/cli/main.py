@@ -9,7 +9,8 @@ import typer
 
 from piga._version import __version__
 from piga.cli import platform
-from piga.cli.calibrate import calibrate, check
+from piga.cli.calibrate import calibrate
+from piga.cli.check import check, convert
 from piga.cli.common import note
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
@@ -44,7 +45,7 @@ def _options(
     pass
 
 
-for command in (demo, check, calibrate, compensate, simulate, plan, reproduce):
+for command in (demo, check, convert, calibrate, compensate, simulate, plan, reproduce):
     app.command()(command)
 app.add_typer(platform.app)
 

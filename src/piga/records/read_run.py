@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,20 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, RunFileError
 from piga.records.calibration import Event, Quality
+from piga.records.container import SUFFIXES, read_container
 from piga.records.counter import unwrap
 from piga.records.parquet_reader import read_parquet
 from piga.records.run import Run
 from piga.records.run_file import RunFile, read_run_file
+from piga.records.signal_checks import (
+    beyond_limits,
+    mistaken_rate,
+    mistaken_unit,
+    resets_inside,
+    sequence_breaks,
+    stopped_output,
+    stuck_extremes,
+)
 from piga.records.table import RawTable
 from piga.records.text_reader import read_text
 from piga.records.time_base import TimeBase, examine_time
@@ -62,6 +72,7 @@ def read_record(path: str | Path, stand_reference: StandReference, *, need_refer
         )
     data_path = path.parent / run_file.data.file
     digest = _sha256(data_path)
+    _check_sidecar(data_path, digest)
     table = _read_table(data_path, run_file)
     run = _Assembly(run_file, table, stand_reference).run(path)
     if _sha256(data_path) != digest:
@@ -73,6 +84,8 @@ def read_record(path: str | Path, stand_reference: StandReference, *, need_refer
 
 
 def _sha256(path: Path) -> str:
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: is no regular file", remedy="name the data file in [data] file")
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -82,13 +95,22 @@ def _sha256(path: Path) -> str:
         ) from None
 
 
+def _check_sidecar(path: Path, digest: str) -> None:
+    """Compare with ``FILE.sha256`` where the logger wrote one."""
+    sidecar = path.with_name(path.name + ".sha256")
+    if not sidecar.is_file():
+        return
+    words = sidecar.read_bytes()[:4096].decode("ascii", errors="replace").split()
+    if not words or words[0].lower() != digest:
+        raise DataError(
+            f"{path}: its SHA-256 is not the one in {sidecar.name}",
+            remedy="the file was damaged or changed: copy it again",
+        )
+
+
 def _read_table(path: Path, run_file: RunFile) -> RawTable:
     data = run_file.data
-    numeric = [data.output.column]
-    numeric += [data.time.column] if data.time else []
-    numeric += [data.temperature.column] if data.temperature else []
-    for group in (data.reference, data.base_rate):
-        numeric += group.columns if group else []
+    numeric = data.number_columns()
     suffixes = [suffix.lower() for suffix in path.suffixes]
     kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else (suffixes[-1:] or [""])[0]
     if kind in TEXT_SUFFIXES:
@@ -99,10 +121,22 @@ def _read_table(path: Path, run_file: RunFile) -> RawTable:
             separator=data.delimiter,
             decimal=data.decimal,
             encoding=data.encoding,
+            missing=data.missing,
+            mask_damaged=data.damaged_rows == "mask",
         )
     if kind in (".parquet", ".pq"):
         return read_parquet(path, tuple(numeric), data.segment)
-    raise DataError(f"{path}: files of kind '{kind}' are not read", remedy="give .csv, .csv.gz or .parquet")
+    if kind in SUFFIXES:
+        return read_container(path, kind, tuple(numeric), data.segment, data.sheet)
+    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
+        raise DataError(
+            f"{path}: files of kind '{kind}' are not read",
+            remedy="open it in the spreadsheet program and save it as .xlsx or .csv",
+        )
+    raise DataError(
+        f"{path}: files of kind '{kind}' are not read",
+        remedy=f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",
+    )
 
 
 @dataclass
@@ -121,14 +155,22 @@ class _Assembly:
         columns = {name: table.numbers[name] for name in table.numbers}
         usable = np.isfinite(np.column_stack([columns[name] for name in columns])).all(axis=1) & (segment >= 0)
         self._check_masked(usable, events, rows)
+        events += stuck_extremes(columns, rows)
+        saturated, found = beyond_limits(columns, data.range or {}, rows)
+        events += found
+        usable &= ~saturated
+        self._check_masked(usable, events, rows)
         t = self._time(rows)
         others = [np.asarray(column, dtype=float) for column in columns.values()]
         base = examine_time(t, segment, usable, others, rows)
         events += base.events
+        base = self._with_sequence(base, rows, events)
         keep = base.keep
         self._check_enough(base, path)
         f, base_rate = self._reference(path, t[keep], segment[keep], labels, keep)
         output, lost, resolution = self._output(keep, base, f[:, 0], rows[keep], events)
+        lost = lost | self._reset_between(t[keep], output, base, f, segment[keep], rows[keep], events)
+        self._check_plausible(t[keep], output, f, base, resolution, rows[keep], events)
         segment, labels, groups = _split_lost(segment[keep], labels, lost, events, rows[keep])
         return Run(
             serial=self.run_file.instrument.serial,
@@ -182,9 +224,22 @@ class _Assembly:
                 f"{self.table.path}: no row has all needed values", remedy="check the columns in [data]"
             )
         listed = sum(event.count for event in events if event.kind == "missing-value")
+        listed += sum(
+            event.count for event in events if event.kind in ("saturated", "no-segment", "not-finite")
+        )
         bad = int((~usable).sum())
         if bad and not listed:
             events.append(Event("not-finite", bad, int(rows[np.argmin(usable)]), "the row is not used"))
+
+    def _with_sequence(self, base: TimeBase, rows: NDArray[np.int64], events: list[Event]) -> TimeBase:
+        """The time base with a new stretch wherever the sample number does not follow."""
+        column = self.run_file.data.sequence
+        if column is None:
+            return base
+        number = self.table.numbers[column.column][base.keep]
+        breaks, found = sequence_breaks(number, column.wraps_at, rows[base.keep])
+        events += found
+        return replace(base, begins=base.begins | breaks)
 
     def _time(self, rows: NDArray[np.int64]) -> Array:
         data = self.run_file.data
@@ -255,11 +310,14 @@ class _Assembly:
         resolution = factor if output.kind == "counts" else 0.0
         if span is None:
             self._check_unwrapped(reading * factor, base, a_x, rows)
+            self._check_resets(reading, span, factor, base, a_x, rows)
             return reading * factor, nothing, resolution
         self._check_span(reading, span, factor, base, a_x, rows)
         found = unwrap(reading, span, base.begins)
         if found.wraps:
             events.append(Event("counter-roll-over", found.wraps, None, "unwrapped"))
+        self._check_resets(reading, span, factor, base, a_x, rows)
+        self._check_unwrapped(found.value * factor, base, a_x, rows)
         keeps_phase = span % revolution == 0.0
         return found.value * factor, nothing if keeps_phase else found.lost, resolution
 
@@ -281,6 +339,77 @@ class _Assembly:
             * float(np.abs(a_x).max())
             * base.nominal
         )
+
+    def _check_resets(
+        self,
+        reading: Array,
+        span: float | None,
+        factor: float,
+        base: TimeBase,
+        a_x: Array,
+        rows: NDArray[np.int64],
+    ) -> None:
+        """Refuse a counter that went back to zero inside a stretch: that is neither roll-over nor motion."""
+        if self.run_file.data.output.kind != "counts":
+            return
+        step = np.diff(reading, prepend=reading[0])
+        step = step if span is None else step - span * np.round(step / span)
+        step[base.begins] = 0.0
+        found = resets_inside(step, reading, self._largest_step(base, a_x) / factor)
+        if found.size:
+            name = self.run_file.data.output.column
+            listed = "; ".join(
+                f"row {rows[k]}, column '{name}': the counter goes to {reading[k]:.17g}, by {step[k]:+.0f} counts"
+                for k in found[:100]
+            )
+            raise DataError(
+                f"{self.table.path}: {listed}: it was reset there",
+                remedy="start a new segment there (a segment column) and use phase = 'per-segment'",
+            )
+
+    def _reset_between(
+        self, t: Array, psi: Array, base: TimeBase, f: Array, segment: NDArray[np.int32], rows: NDArray[np.int64],
+        events: list[Event],
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Stretches that begin with a counter that cannot have come from the reading before: phase lost.
+
+        Between segments the case may have been turned once about the input axis as well.
+        """
+        lost = np.zeros(psi.size, dtype=bool)
+        output, bits = self.run_file.data.output, self.run_file.instrument.counter_bits
+        if output.kind != "counts" or bits is not None:
+            return lost
+        step, interval = np.diff(psi), np.diff(t)
+        scale = to_si(self.run_file.instrument.scale_factor, "rad/s/g")
+        force = float(np.linalg.norm(f, axis=1).max())
+        slack = np.where(np.diff(segment) == 0, 0.2, 7.0)
+        allowed = (1.5 * scale * force + 1e-3) * interval + slack
+        lost[1:] = base.begins[1:] & (interval > 0.0) & (np.abs(step) > allowed)
+        if lost.any():
+            first = int(rows[int(np.argmax(lost))])
+            events.append(
+                Event("counter-reset", int(lost.sum()), first, "between two stretches; the phase is new")
+            )
+        return lost
+
+    def _check_plausible(
+        self, t: Array, output: Array, f: Array, base: TimeBase, resolution: float, rows: NDArray[np.int64],
+        events: list[Event],
+    ) -> None:  # fmt: skip
+        """Units that are probably mistaken, and an output that does not turn: reported, nothing is changed."""
+        step = np.diff(t, prepend=t[0])
+        step[base.begins] = 0.0
+        scale = to_si(self.run_file.instrument.scale_factor, "rad/s/g")
+        first = int(rows[0])
+        if self.run_file.data.reference is not None:
+            events += mistaken_unit(f, first)
+        if self.run_file.data.output.kind == "rate":
+            events += mistaken_rate(f, output, scale, first)
+            return
+        inside = step > 0.0
+        rate = np.diff(output, prepend=output[0])[inside] / step[inside]
+        events += mistaken_rate(f[inside], rate, scale, first)
+        events += stopped_output(output, step, f[:, 0], scale / (resolution or 1e-3), rows)
 
     def _check_span(
         self, reading: Array, span: float, factor: float, base: TimeBase, a_x: Array, rows: NDArray[np.int64]

@@ -19,6 +19,7 @@ MAX_COLUMNS = 4096
 SEPARATORS = ";\t,|"
 _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
 _NUMBER_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
+_THOUSANDS = re.compile(r"^[-+]?[1-9]\d{0,2},\d{3}$")
 MISSING = ("", "nan", "NaN", "NAN", "na", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "-", "--", "---")
 """Cells read as a missing value: masked and counted, never used."""
 INFINITE = ("inf", "Inf", "INF", "-inf", "-Inf", "-INF", "+inf", "OVER", "OVL", "overflow")
@@ -84,11 +85,11 @@ def find_format(text: str, path: Path, encoding: str, separator: str | None, dec
             f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
             remedy="add a header row with the column names",
         )
-    _check_names(names, path, header_at + 1)
-    names, units = _units_in_names(names)
+    check_names(names, path, header_at + 1)
+    names, units = units_in_names(names)
     skip = header_at + 1
     body = [(i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip()]
-    if body and _is_units_row(body[0][1].split(separator)):
+    if body and is_units_row(body[0][1].split(separator)):
         row_units = [cell.strip().strip('"').strip("[]()（） ") for cell in body[0][1].split(separator)]
         units.update({n: u for n, u in zip(names, row_units, strict=False) if u})
         skip, body = body[0][0] + 1, body[1:]
@@ -114,7 +115,8 @@ def _find_separator(header: str, sample: list[str]) -> str:
     return present[0] if present else ","
 
 
-def _check_names(names: tuple[str, ...], path: Path, row: int) -> None:
+def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
+    """Refuse too many columns and names that stand more than once."""
     if len(names) > MAX_COLUMNS:
         raise DataError(
             f"{path}: {len(names)} columns, at most {MAX_COLUMNS} are read", remedy="export fewer columns"
@@ -130,7 +132,7 @@ def _check_names(names: tuple[str, ...], path: Path, row: int) -> None:
 _NAME_WITH_UNIT = re.compile(r"^(.*\S)\s*[\[(（]\s*([^\])）]+?)\s*[\])）]$")
 
 
-def _units_in_names(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, str]]:
+def units_in_names(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, str]]:
     """Split ``fx [g]`` into name and unit where the bracket holds a unit that is known."""
     plain, units = [], {}
     for name in names:
@@ -151,7 +153,7 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def _is_units_row(cells: list[str]) -> bool:
+def is_units_row(cells: list[str]) -> bool:
     """True when no cell is a number and at least one is a unit: a units row below the header."""
     stripped = [cell.strip().strip('"').strip() for cell in cells]
     if any(_NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell) or cell in MISSING[1:] for cell in stripped):
@@ -172,5 +174,10 @@ def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, 
         raise DataError(
             f"{path}: from row {row}: both '{comma[0]}' and '{point[0]}' occur, the decimal mark is ambiguous",
             remedy="add [data] decimal = ',' or decimal = '.'",
+        )
+    if comma and all(_THOUSANDS.match(cell) for cell in comma):
+        raise DataError(
+            f"{path}: from row {row}: '{comma[0]}' can be a decimal comma or a thousands separator",
+            remedy="add [data] decimal = ',', or decimal = '.' and remove the thousands separators",
         )
     return "," if comma else "."

@@ -11,15 +11,13 @@ import numpy as np
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.table import RawTable, column_letter
+from piga.records.table import RawTable
+from piga.records.text_faults import Faults, find_faults
 from piga.records.text_format import INFINITE, MISSING, SNIFF_BYTES, TextFormat, find_encoding, find_format
 
 MAX_EXPANSION = 200
 """Largest ratio of unpacked to packed size accepted for .gz files."""
 _SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
-
-MAX_LISTED = 10
-"""Bad rows listed in one message."""
 
 
 def read_text(
@@ -30,6 +28,8 @@ def read_text(
     separator: str | None = None,
     decimal: str | None = None,
     encoding: str | None = None,
+    missing: tuple[str, ...] = (),
+    mask_damaged: bool = False,
 ) -> RawTable:
     """Read the named columns of a text file.
 
@@ -41,14 +41,16 @@ def read_text(
         Names of the number columns and of the segment column.
     separator, decimal, encoding:
         From the run file; None means found from the file.
+    missing:
+        Words that stand for a missing value, besides the usual ones.
+    mask_damaged:
+        Leave damaged rows out and count them by kind, instead of refusing the file.
 
     Raises
     ------
     DataError
         With file, row, column, the offending text and the remedy.
     """
-    import pyarrow as pa
-
     raw = _read_bytes(path)
     if not raw.strip():
         raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
@@ -59,7 +61,9 @@ def read_text(
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     if encoding != "utf-8":
         events.append(Event("encoding", 1, 1, f"read as {encoding}"))
-    _refuse_nul(raw, path)
+    _refuse_utf16(raw, path)
+    if b"\n" not in raw:
+        raw = raw.replace(b"\r", b"\n")
     raw, cut = _without_partial_line(raw)
     raw = _SPACES_ONLY.sub(b"\n", raw)
     head = raw[:SNIFF_BYTES].decode("utf-8", errors="replace")
@@ -70,13 +74,14 @@ def read_text(
         last = raw.count(b"\n") + 1
         events.append(Event("truncated-last-line", 1, last, f"row {last} has no line end: not used"))
     _check_columns(form, numeric, label, path)
-    table = _parse(pa.py_buffer(raw), form, numeric, label, path, raw)
-    numbers, labels, found = _to_numpy(table, numeric, label, form)
+    raw, table = _parse_or_mask(raw, form, numeric, label, path, missing, mask_damaged, events)
     rows = table.num_rows
     if rows == 0:
         raise DataError(f"{path}: a header but no complete data row", remedy="check that the logger wrote data")
-    units = {name: unit for name, unit in form.units.items() if name in numeric}
     row_numbers = _row_numbers(raw, form, events)
+    file_rows = np.arange(form.skip + 1, form.skip + rows + 1) if row_numbers is None else row_numbers
+    numbers, labels, found = _to_numpy(table, numeric, label, file_rows)
+    units = {name: unit for name, unit in form.units.items() if name in numeric}
     return RawTable(path, numbers, labels, rows, form.skip + 1, units, (*events, *found), row_numbers)
 
 
@@ -84,8 +89,11 @@ def _row_numbers(raw: bytes, form: TextFormat, events: list[Event]) -> np.ndarra
     """File rows of the data rows when blank lines stand between them; None when there are none."""
     if b"\n\n" not in raw and b"\n\r\n" not in raw:
         return None
-    rows = np.array([row for row, _ in _lines(raw, form.skip)], dtype=np.int64)
-    blank = int(rows[-1] - form.skip - rows.size)
+    lines = raw.split(b"\n")
+    filled = (row for row, line in enumerate(lines, start=1) if row > form.skip and line.strip())
+    rows = np.fromiter(filled, dtype=np.int64)
+    left_out = sum(event.count for event in events if event.detail == "the row is not used")
+    blank = int(rows[-1] - form.skip - rows.size - left_out) if rows.size else 0
     if blank:
         events.append(Event("blank-line", blank, None, "skipped"))
     return rows
@@ -120,13 +128,13 @@ def _decode(raw: bytes, encoding: str, path: Path) -> str:
         ) from None
 
 
-def _refuse_nul(raw: bytes, path: Path) -> None:
-    at = raw.find(b"\0")
-    if at >= 0:
-        row = raw[:at].count(b"\n") + 1
+def _refuse_utf16(raw: bytes, path: Path) -> None:
+    """Text with a NUL in every second byte is UTF-16 without its mark."""
+    head = raw[:256]
+    if 0.8 * len(head) < 2 * max(head[::2].count(0), head[1::2].count(0)) and len(head) > 8:
         raise DataError(
-            f"{path}: row {row}: {raw.count(0)} NUL bytes from byte {at} (the logger lost power?)",
-            remedy="delete the damaged rows and keep the rest, or export again",
+            f"{path}: row 1: {head.count(0)} NUL bytes in the first {len(head)}: UTF-16 without a byte-order mark?",
+            remedy="add [data] encoding = 'utf-16-le' (or 'utf-16-be'), or export again",
         )
 
 
@@ -140,21 +148,53 @@ def _without_partial_line(raw: bytes) -> tuple[bytes, bool]:
 
 def _check_columns(form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path) -> None:
     wanted = [*numeric, *([label] if label else [])]
-    missing = [name for name in wanted if name not in form.names]
+    missing = list(dict.fromkeys(name for name in wanted if name not in form.names))
     if missing:
+        listed = ", ".join(f"'{name}'" for name in missing)
         raise DataError(
-            f"{path}: row {form.skip}: no column '{missing[0]}'; the columns are: {', '.join(form.names)}",
+            f"{path}: row {form.skip}: no column {listed}; the columns are: {', '.join(form.names)}",
             remedy="correct the column name in [data], or [data] delimiter if the columns are not split",
         )
 
 
+def _parse_or_mask(
+    raw: bytes, form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path,
+    missing: tuple[str, ...], mask: bool, events: list[Event],
+) -> tuple[bytes, Any]:  # fmt: skip
+    """The table; when rows are damaged, the error that lists them, or the table without them."""
+    table, complaint = _parse(raw, form, numeric, label, missing)
+    if table is not None:
+        return raw, table
+    faults = find_faults(raw, form, numeric, missing)
+    if not faults.total:
+        raise DataError(f"{path}: {complaint}", remedy="check the file's rows and separators")
+    if not mask:
+        raise faults.error(path)
+    raw = _blanked(raw, faults)
+    events += faults.events()
+    table, complaint = _parse(raw, form, numeric, label, missing)
+    if table is None:
+        raise DataError(f"{path}: {complaint}", remedy="check the file's rows and separators")
+    return raw, table
+
+
+def _blanked(raw: bytes, faults: Faults) -> bytes:
+    """The text with the damaged rows empty, so that the others keep their numbers."""
+    lines = raw.split(b"\n")
+    for row in faults.rows:
+        lines[row - 1] = b""
+    return b"\n".join(lines)
+
+
 def _parse(
-    buffer: Any, form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path, raw: bytes
-) -> Any:
-    """Tokenize with PyArrow; on any complaint find the exact place with :func:`_locate`."""
+    raw: bytes, form: TextFormat, numeric: tuple[str, ...], label: str | None, missing: tuple[str, ...]
+) -> tuple[Any, str]:
+    """Tokenize with PyArrow: the table, or None and the complaint."""
     import pyarrow as pa
     from pyarrow import csv
 
+    if b"\0" in raw:
+        return None, "NUL bytes"
     types = dict.fromkeys(numeric, pa.float64())
     if label is not None:
         types[label] = pa.string()
@@ -166,7 +206,7 @@ def _parse(
 
     try:
         table = csv.read_csv(
-            pa.BufferReader(buffer),
+            pa.BufferReader(pa.py_buffer(raw)),
             read_options=csv.ReadOptions(
                 column_names=list(form.names), skip_rows=form.skip, block_size=1 << 22
             ),
@@ -174,75 +214,20 @@ def _parse(
             convert_options=csv.ConvertOptions(
                 include_columns=list(types),
                 column_types=types,
-                null_values=[*MISSING, *INFINITE],
+                null_values=[*MISSING, *INFINITE, *missing],
                 decimal_point=form.decimal,
                 strings_can_be_null=False,
             ),
         )
     except pa.ArrowInvalid as error:
-        raise _locate(raw, form, numeric, path) or DataError(
-            f"{path}: {str(error).splitlines()[0]}", remedy="check the file's rows and separators"
-        ) from None
+        return None, str(error).splitlines()[0]
     if bad:
-        raise _locate(raw, form, numeric, path) or DataError(
-            f"{path}: {len(bad)} rows do not have {len(form.names)} cells", remedy="repair or delete them"
-        )
-    return table
-
-
-def _lines(raw: bytes, skip: int) -> list[tuple[int, str]]:
-    text = raw.decode("utf-8", errors="replace").split("\n")
-    return [(i + 1, line.rstrip("\r")) for i, line in enumerate(text) if i >= skip and line.strip()]
-
-
-def _locate(raw: bytes, form: TextFormat, numeric: tuple[str, ...], path: Path) -> DataError | None:
-    """First offending cells, in words: slow, used only when something is wrong already."""
-    found: list[str] = []
-    hint = ""
-    total = 0
-    for row, line in _lines(raw, form.skip):
-        cells = line.split(form.separator)
-        if len(cells) != len(form.names):
-            total += 1
-            found.append(f"row {row} has {len(cells)} cells, the header has {len(form.names)}")
-            if form.separator == "," and len(cells) > len(form.names):
-                hint = "; commas as decimal marks need another separator"
-            continue
-        for name in numeric:
-            column = form.names.index(name)
-            cell = cells[column].strip().strip('"').strip()
-            if cell in MISSING or cell in INFINITE or _is_number(cell, form.decimal):
-                continue
-            total += 1
-            found.append(f"row {row}, column '{name}' ({column_letter(column)}): '{cell[:40]}' is not a number")
-            hint = _cell_hint(cell, form) or hint
-    if not found:
-        return None
-    shown = "; ".join(found[:MAX_LISTED])
-    more = f"; and {total - MAX_LISTED} more" if total > MAX_LISTED else ""
-    return DataError(f"{path}: {shown}{more}", remedy=f"repair or delete these rows{hint}")
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    if not cell.isascii() or "_" in cell:
-        return False
-    try:
-        float(cell.replace(decimal, ".") if decimal != "." else cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _cell_hint(cell: str, form: TextFormat) -> str:
-    if not cell.isascii() and cell.strip().replace(".", "").isdecimal():
-        return "; write the digits as plain 0-9 (these are full-width)"
-    if "," in cell and "," not in (form.separator, form.decimal):
-        return "; is ',' a decimal mark ([data] decimal = ',') or a thousands separator (remove it)?"
-    return ""
+        return None, f"{len(bad)} rows do not have {len(form.names)} cells"
+    return table, ""
 
 
 def _to_numpy(
-    table: Any, numeric: tuple[str, ...], label: str | None, form: TextFormat
+    table: Any, numeric: tuple[str, ...], label: str | None, rows: np.ndarray
 ) -> tuple[dict[str, Any], dict[str, Any], list[Event]]:
     """Columns as NumPy arrays; counts the cells that were missing or out of range."""
     events: list[Event] = []
@@ -252,7 +237,7 @@ def _to_numpy(
         if column.null_count:
             values = column.to_numpy(zero_copy_only=False)
             first = int(np.flatnonzero(np.isnan(values))[0])
-            events.append(Event("missing-value", column.null_count, first + form.skip + 1, f"column '{name}'"))
+            events.append(Event("missing-value", column.null_count, int(rows[first]), f"column '{name}'"))
             numbers[name] = values
         else:
             numbers[name] = column.to_numpy()

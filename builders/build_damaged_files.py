@@ -1,0 +1,287 @@
+"""Damaged data files with the outcome each must have: ``python builders/build_damaged_files.py DIR``.
+
+The clean log rests along X0: counts ``round(10179 t)`` of a counter with 72000 counts per revolution, 20 Hz,
+reference (1, 0.1, 0) g. Each case damages it in one way of the fault catalogue and says what is to happen:
+``error`` (with row and column where ``cell`` is set), ``mask`` or ``repair`` (with events and their counts).
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import random
+import sys
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+HEADER = "t,n,fx,fy,fz"
+ROWS = 40
+RUN = """\
+[instrument]
+serial = "D-1"
+scale_factor = "0.8884 rad/s/g"
+counts_per_revolution = 72000
+{instrument}
+[data]
+file = "{file}"
+time = {{ column = "{t}", unit = "s" }}
+output = {{ column = "{n}", kind = "counts" }}
+reference = {{ columns = ["fx", "fy", "fz"], unit = "g" }}
+{data}
+[model]
+terms = ["scale_factor", "k0"]
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One damaged file. ``place``: the error names row (and column) where one exists; ``n`` used rows else."""
+
+    name: str
+    content: bytes
+    outcome: str
+    message: str = ""
+    events: dict[str, int] = field(default_factory=dict)
+    used: int = ROWS
+    place: bool = False
+    file: str = "run.csv"
+    data: str = ""
+    instrument: str = ""
+    t: str = "t"
+    n: str = "n"
+    sidecar: str = ""
+
+    def write(self, folder: Path) -> Path:
+        """Write data and run file; returns the run file."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / self.file).write_bytes(self.content)
+        if self.sidecar:
+            (folder / (self.file + ".sha256")).write_text(self.sidecar)
+        run = folder / "run.toml"
+        text = RUN.format(file=self.file, instrument=self.instrument, data=self.data, t=self.t, n=self.n)
+        run.write_text(text, encoding="utf-8")
+        return run
+
+
+def count(t: float) -> int:
+    return round(10179.0 * t)
+
+
+def rows(number: int = ROWS) -> list[list[str]]:
+    return [[f"{i / 20.0:.4f}", str(count(i / 20.0)), "1.0", "0.1", "0.0"] for i in range(number)]
+
+
+def text(body: list[list[str]], header: str = HEADER, separator: str = ",") -> bytes:
+    lines = [header.replace(",", separator), *(separator.join(row) for row in body)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def cell(at: int, column: int, value: str) -> bytes:
+    body = rows()
+    body[at][column] = value
+    return text(body)
+
+
+def changed(change: Callable[[list[list[str]]], object], number: int = ROWS) -> bytes:
+    body = rows(number)
+    change(body)
+    return text(body)
+
+
+def error(name: str, content: bytes, message: str, *, place: bool = False, **more: str) -> Case:
+    return Case(name, content, "error", message, place=place, **more)  # type: ignore[arg-type]
+
+
+def mask(name: str, content: bytes, used: int, events: dict[str, int], **more: str) -> Case:
+    return Case(name, content, "mask", events=events, used=used, **more)  # type: ignore[arg-type]
+
+
+def repair(name: str, content: bytes, events: dict[str, int], used: int = ROWS, **more: str) -> Case:
+    return Case(name, content, "repair", events=events, used=used, **more)  # type: ignore[arg-type]
+
+
+def encodings() -> list[Case]:
+    plain = text(rows()).decode()
+    chinese = plain.replace("t,n,", "时间,计数,", 1)
+    named = {"t": "时间", "n": "计数"}
+    return [
+        repair("bom-utf8", plain.encode("utf-8-sig"), {"encoding": 1}),
+        repair("utf16-bom", plain.encode("utf-16"), {"encoding": 1}),
+        repair("gb18030-header", chinese.encode("gb18030"), {"encoding": 1}, **named),
+        repair("gbk-header", chinese.encode("gbk"), {"encoding": 1}, **named),
+        repair("utf8-chinese-header", chinese.encode(), {}, **named),
+        repair("utf16-declared", plain.encode("utf-16-le"), {"encoding": 1}, data='encoding = "utf-16-le"'),
+        error("utf16-no-bom", plain.encode("utf-16-le"), "UTF-16 without a byte-order mark"),
+        error("unknown-encoding", plain.encode(), "encoding 'klingon'", data='encoding = "klingon"'),
+        error("not-text", plain[:60].encode() + b"\xff\xff\xff\xff" + plain[60:].encode(), "neither UTF-8 nor GB18030"),
+        error("wrong-declared", plain.replace("0.1", "0.1é", 1).encode("latin-1"), r"row 2: byte \d+ of the row is no UTF-8 text",
+              place=True, data='encoding = "utf-8"'),
+        error("chinese-column-missing", chinese.encode(), "no column 'n', 't'; the columns are: 时间, 计数"),
+        repair("mac-line-ends", plain.replace("\n", "\r").encode(), {}),
+        repair("windows-line-ends", plain.replace("\n", "\r\n").encode(), {}),
+    ]  # fmt: skip
+
+
+def numbers() -> list[Case]:
+    comma = text(rows(), separator=";").replace(b".", b",")
+    mixed = text(rows(), separator=";").replace(b"0,1", b"0.1")
+    thousands = [[r[0], f"{count(i / 20.0):,}", *r[2:]] for i, r in enumerate(rows())]
+    ambiguous = "t;n;fx;fy;fz\n" + "".join(f"{i + 1};{i + 1},509;1;1;1\n" for i in range(20))
+    return [
+        repair("decimal-comma", comma, {}),
+        repair("decimal-comma-declared", comma, {}, data="decimal = ','\ndelimiter = ';'"),
+        repair("tabs", text(rows(), separator="\t"), {}),
+        repair("pipes", text(rows(), separator="|"), {}),
+        error("decimal-mix", mixed.replace(b";1.0;", b";1,0;"), "ambiguous", place=False),
+        error("decimal-comma-in-commas", text(rows()).replace(b".", b","), "cells, the header has 5", place=True),
+        error("thousands-comma", text(thousands, separator=";"), "decimal mark|thousands", place=True),
+        error("thousands-or-decimal", ambiguous.encode(), "decimal comma or a thousands separator", place=True),
+        error("thousands-space", cell(5, 1, "2 545"), r"row 7, column 'n' \(B\).*thousands", place=True),
+        error("thousands-quote", cell(5, 1, "2'545"), r"row 7, column 'n' \(B\).*thousands", place=True),
+        error("full-width-digits", cell(5, 1, "２５４５"), "full-width", place=True),
+        error("full-width-point", cell(5, 3, "０．１"), "full-width", place=True),
+        error("underscore", cell(5, 1, "2_545"), r"row 7, column 'n' \(B\): '2_545'", place=True),
+        error("hex", cell(5, 1, "0x9f1"), r"row 7, column 'n' \(B\): '0x9f1'", place=True),
+        error("word", cell(5, 1, "abc"), r"row 7, column 'n' \(B\): 'abc'", place=True),
+        error("excel-reference", cell(5, 1, "#REF!"), r"row 7, column 'n' \(B\): '#REF!'", place=True),
+        error("two-points", cell(5, 3, "0.1.0"), r"row 7, column 'fy' \(D\)", place=True),
+        error("fraction-of-a-count", cell(5, 1, "2545.5"), r"row 7, column 'n'", place=True),
+        error("more-than-64-bits", cell(5, 1, "9" * 21), r"row 7, column 'n'", place=True),
+        error("many-faults", changed(lambda b: [r.__setitem__(1, "x") for r in b[3:33]]), r"row 5,.*row 34,", place=True),
+        mask("nan", cell(5, 1, "NaN"), 39, {"missing-value": 1}),
+        mask("empty-cell", cell(5, 1, ""), 39, {"missing-value": 1}),
+        mask("dashes", cell(5, 1, "---"), 39, {"missing-value": 1}),
+        mask("excel-na", cell(5, 1, "#N/A"), 39, {"missing-value": 1}),
+        mask("infinite", cell(5, 1, "inf"), 39, {"missing-value": 1}),
+        mask("overflow-word", cell(5, 1, "OVER"), 39, {"missing-value": 1}),
+        mask("own-token", cell(5, 1, "ERR"), 39, {"missing-value": 1}, data='missing = ["ERR"]'),
+        mask("declared-range", cell(5, 3, "9.9"), 39, {"saturated": 1}, data="range = { fy = [-2, 2] }"),
+    ]  # fmt: skip
+
+
+def shape() -> list[Case]:
+    whole = text(rows())
+    units = text([["s", "", "g", "g", "g"], *rows()])
+    nul = whole.replace(b"0.2500,", b"\0" * 7, 1)
+    short = changed(lambda b: b.__setitem__(5, b[5][:3]))
+    masked = "damaged_rows = 'mask'"
+    return [
+        error("empty", b"", "is empty"),
+        error("blank", b"\n \n\n", "is empty"),
+        error("header-only", (HEADER + "\n").encode(), "no data"),
+        error("no-header", text(rows()).split(b"\n", 1)[1], "row 1: the first row holds numbers"),
+        error("column-twice", text(rows(), "t,n,fx,fx,fz"), "row 1: .*'fx' stands more than once", place=True),
+        error("column-missing", text(rows(), "t,n,fx,fy,up"), "no column 'fz'"),
+        error("short-row", short, "row 7 has 3 cells, the header has 5", place=True),
+        error("long-row", cell(5, 4, "0.0,7"), "row 7 has 6 cells", place=True),
+        mask("short-row-masked", short, 39, {"short-row": 1}, data=masked),
+        mask("long-row-masked", cell(5, 4, "0.0,7"), 39, {"long-row": 1}, data=masked),
+        mask("word-masked", cell(5, 1, "abc"), 39, {"not-a-number": 1}, data=masked),
+        error("nul-block", nul, "row 7: 7 NUL bytes from byte", place=True),
+        mask("nul-block-masked", nul, 39, {"nul-bytes": 1}, data=masked),
+        mask("nul-tail", whole + b"\0" * 4096, 40, {"truncated-last-line": 1}),
+        mask("cut-last-line", whole[:-3], 39, {"truncated-last-line": 1}),
+        mask("no-final-line-end", whole[:-1], 39, {"truncated-last-line": 1}),
+        repair("units-row", units, {}),
+        repair("units-in-header", text(rows(), "t [s],n,fx [g],fy (g),fz [g]"), {}),
+        error("unit-differs", text(rows(), "t,n,fx [m/s^2],fy,fz"), "column 'fx' is in 'm/s"),
+        repair("comment-lines", b"# logger 7\n# site\n" + whole, {}),
+        repair("blank-lines", whole.replace(b"\n", b"\n\n", 3), {"blank-line": 3}),
+        repair("gzip", gzip.compress(whole), {}, file="run.csv.gz"),
+        error("gzip-cut", gzip.compress(whole)[:-20], "cannot be read", file="run.csv.gz"),
+        error("gzip-bomb", gzip.compress(bytes(40_000_000)), "unpacks to more than", file="run.csv.gz"),
+        error("sidecar-differs", whole, "SHA-256 is not the one", sidecar="0" * 64 + "  run.csv\n"),
+        error("too-many-columns", text([["1"] * 5000], ",".join(f"c{i}" for i in range(5000))), "5000 columns"),
+        error("parquet-damaged", b"PAR1" + whole, "not a readable Parquet", file="run.parquet"),
+        error("hdf5-damaged", b"\x89HDF\r\n\x1a\n" + whole, "not a readable HDF5", file="run.h5"),
+        error("mat-damaged", b"MATLAB 5.0 MAT-file".ljust(126) + b"IM" + whole, "not a readable MATLAB", file="run.mat"),
+        error("tdms-damaged", b"TDSm" + whole, "no column 'n'; the columns are: none|not a readable TDMS", file="run.tdms"),
+        error("xlsx-damaged", b"PK\x03\x04" + whole, "not a readable XLSX", file="run.xlsx"),
+        error("xlsx-bomb", _zip_bomb(), "100 times", file="run.xlsx"),
+        error("xls", whole, "save it as .xlsx", file="run.xls"),
+    ]  # fmt: skip
+
+
+def _zip_bomb() -> bytes:
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as out:
+        out.writestr("xl/worksheets/sheet1.xml", bytes(64 << 20))
+    return memory.getvalue()
+
+
+def signals() -> list[Case]:
+    def fold(bits: int, start: int = 0) -> Callable[[list[list[str]]], object]:
+        return lambda b: [r.__setitem__(1, str((int(r[1]) + start) % 2**bits)) for r in b]
+
+    def reset(body: list[list[str]]) -> None:
+        for i, row in enumerate(body[20:]):
+            row[1] = str(count(i / 20.0))
+
+    def swap(body: list[list[str]]) -> None:
+        body[10:] = [[f"{float(r[0]) - 1.0:.4f}", *r[1:]] for r in body[10:]]
+
+    def reset_at_gap(body: list[list[str]]) -> None:
+        reset(body)
+        del body[18:20]
+
+    def numbered(body: list[list[str]]) -> None:
+        for i, row in enumerate(body):
+            row.append(str(i % 16))
+        del body[20:23]
+
+    seq = changed(numbered).replace(b"fz\n", b"fz,k\n", 1)
+    sequence = "sequence = { column = 'k', wraps_at = 16 }"
+    return [
+        repair("gap", changed(lambda b: b.__delitem__(slice(10, 13))), {"gap": 1}, used=37),
+        repair("repeated-row", changed(lambda b: b.insert(10, b[9])), {"repeated-row": 1}),
+        mask("conflicting-row", changed(lambda b: b.insert(10, [b[9][0], "9", *b[9][2:]])), 39, {"conflicting-row": 1}),
+        repair("clock-back", changed(swap), {"time-jump-back": 1}),
+        repair("roll-over-16", changed(fold(16, 60000)), {"counter-roll-over": 1}, instrument="counter_bits = 16"),
+        repair("roll-over-24", changed(fold(24, 2**24 - 3000)), {"counter-roll-over": 1}, instrument="counter_bits = 24"),
+        repair("roll-over-32", changed(fold(32, 2**32 - 3000)), {"counter-roll-over": 1}, instrument="counter_bits = 32"),
+        error("roll-over-undeclared", changed(fold(16, 60000)), r"row \d+, column 'n': the output jumps", place=True),
+        error("counter-too-wide", changed(fold(24)), "outside the range", place=True, instrument="counter_bits = 13"),
+        error("counter-too-narrow", changed(fold(8)), "a roll-over cannot be told", instrument="counter_bits = 8"),
+        error("reset", changed(reset), r"row 22, column 'n': the counter goes to 0.*reset", place=True),
+        error("reset-declared-16", changed(reset), r"row 22, column 'n': the counter goes to 0", place=True,
+              instrument="counter_bits = 16"),
+        repair("reset-at-gap", changed(reset_at_gap), {"gap": 1, "counter-reset": 1, "phase-lost": 1, "segment-split": 1},
+               used=38),
+        repair("sequence-gap", seq, {"sequence-gap": 1, "gap": 1}, used=37, data=sequence),
+        error("one-row", text(rows(1)), "fewer than two usable rows"),
+        error("time-stands", changed(lambda b: [r.__setitem__(0, "1.0") for r in b]), "fewer than two usable rows"),
+        error("all-missing", changed(lambda b: [r.__setitem__(1, "nan") for r in b]), "no row has all"),
+    ]  # fmt: skip
+
+
+def noise() -> list[Case]:
+    """A stretch of random bytes over the middle of the file: always refused, with its row."""
+    whole = text(rows())
+    cases = []
+    for seed in range(6):
+        draw = random.Random(seed)
+        junk = bytes(draw.choices([*range(0x21, 0x2B), *range(0x3B, 0x7F)], k=12))
+        at = whole.index(b"0.5000,")
+        cases.append(
+            error(f"junk-{seed}", whole[:at] + junk + whole[at + 12 :], r"row \d+(, column| has)", place=True)
+        )
+    return cases
+
+
+def cases() -> list[Case]:
+    """All damaged files."""
+    return [*encodings(), *numbers(), *shape(), *signals(), *noise()]
+
+
+def main() -> None:
+    folder = Path(sys.argv[1])
+    for case in cases():
+        case.write(folder / case.name)
+        print(f"{case.name:26} {case.outcome:7} {case.message or case.events or 'as clean'}")
+    print(f"{len(cases())} files")
+
+
+if __name__ == "__main__":
+    main()

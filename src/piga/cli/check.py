@@ -1,0 +1,117 @@
+"""``piga check`` and ``piga convert``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.calibrate import JsonOption, RunFileArgument, report_available
+from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.errors import PigaError
+
+if TYPE_CHECKING:
+    from piga.records import Run
+
+
+def check(
+    run: RunFileArgument,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write check.html with a picture of the record.")
+    ] = None,
+    fix_suggestions: Annotated[
+        bool, typer.Option("--fix-suggestions", help="Print run-file lines that would settle what is open.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Read a recorded test and show what is found in it; nothing is calibrated."""
+    from piga.records import suggestions
+    from piga.stand import read_run
+
+    try:
+        with progress("reading"):
+            record = read_run(run)
+    except PigaError as error:
+        if fix_suggestions:
+            _print_suggestions(suggestions.from_error(error))
+        raise
+    document = _quality_document(record)
+    if as_json:
+        print_json(document)
+    else:
+        _print_check(run, record, document)
+    if fix_suggestions and not as_json:
+        _print_suggestions(suggestions.from_run(record))
+    if out is not None and report_available():
+        from piga.reports.check import write_check
+
+        path = write_by_rename(output_directory(out) / "check.html", lambda path: write_check(record, path))
+        if not as_json:
+            say(f"wrote {path}")
+
+
+def convert(
+    run: RunFileArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="Where the clean record goes.")],
+) -> None:
+    """Write a recorded test as clean Parquet in SI, with units and everything that was found."""
+    from piga.records.run_parquet import data_table, write_run_parquet
+    from piga.stand import read_run
+
+    if out.suffix != ".parquet":
+        raise PigaError(f"--out {out}: the name must end in .parquet", remedy="e.g. clean.parquet")
+    with progress("reading"):
+        record = read_run(run)
+    write_by_rename(out, lambda path: write_run_parquet(record, path))
+    say(f"wrote {out}: {record.size} of {record.quality.rows} rows; a run file reads it with")
+    say("")
+    say(data_table(record, out.name))
+
+
+def _print_check(run: Path, record: Run, document: dict[str, Any]) -> None:
+    say(f"{run}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used")
+    say(
+        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz"
+    )
+    say(f"  reference  |f| {document['force_g'][0]:.6g} to {document['force_g'][1]:.6g} g")
+    say(
+        f"  phase      {'kept through the whole record' if document['phase_kept'] else 'lost between segments'}"
+    )
+    say(f"  calibrate  {document['calibration']}")
+    if not record.quality.events:
+        say("  findings   none")
+    for event in record.quality.events:
+        row = "" if event.first_row is None else f", first at row {event.first_row}"
+        say(f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}")
+
+
+def _print_suggestions(found: list[Any]) -> None:
+    """Lines in the run file's own syntax, with the reason as a comment."""
+    if not found:
+        say("# no run-file line would change what was found")
+    for item in dict.fromkeys(found):
+        say(f"# {' '.join(item.reason.split())}")
+        say(f"{item.line}    # in [{item.table}]")
+
+
+def _quality_document(record: Run) -> dict[str, Any]:
+    import msgspec
+    import numpy as np
+
+    from piga.reports.check import calibration_words
+    from piga.units import G0
+
+    size = np.linalg.norm(record.f, axis=1) / G0
+    steps = np.diff(record.t)[~record.begins[1:]]
+    return {
+        "serial": record.serial,
+        "quality": msgspec.to_builtins(record.quality),
+        "segments": list(record.labels),
+        "duration_s": record.duration,
+        "rate_hz": float(1.0 / np.median(steps)) if steps.size else 0.0,
+        "force_g": [float(size.min()), float(size.max())],
+        "phase_kept": len(set(record.phase_group)) == 1,
+        "calibration": calibration_words(record),
+        "input_sha256": record.input_sha256,
+    }

@@ -1,0 +1,124 @@
+"""Binary containers (HDF5, MATLAB, TDMS, XLSX), read in a process of their own with limits."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piga.errors import DataError
+from piga.records.calibration import Event
+from piga.records.limits import CPU_BASE, CPU_PER_MIB, MEMORY_LIMIT
+from piga.records.table import RawTable
+
+SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
+"""File name endings of the containers that are read."""
+
+
+def read_container(
+    path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
+) -> RawTable:
+    """Read the named columns of a container.
+
+    Parameters
+    ----------
+    kind:
+        One of :data:`SUFFIXES`.
+    numeric, label:
+        Names of the number columns and of the segment column, as the reader of that kind takes them.
+    sheet:
+        Sheet of an ``.xlsx``.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as asked, or its reading needs more memory or time than is given.
+    """
+    if not path.is_file():
+        raise DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
+    if sheet is not None and kind != ".xlsx":
+        raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
+    if kind == ".xlsx" and path.with_name(f"~${path.name}").exists():
+        raise DataError(f"{path}: is open in a spreadsheet program", remedy="close it there, then try again")
+    with tempfile.TemporaryDirectory(prefix="piga-") as name:
+        folder = Path(name)
+        cpu = CPU_BASE + CPU_PER_MIB * path.stat().st_size / (1 << 20)
+        request = {
+            "path": str(path.resolve()), "kind": kind, "numeric": list(numeric), "label": label, "sheet": sheet,
+            "folder": str(folder), "cpu": cpu,
+        }  # fmt: skip
+        _run(path, request, 4.0 * cpu)
+        return _answer(path, folder)
+
+
+def _run(path: Path, request: dict[str, Any], seconds: float) -> None:
+    """Run the reading process; its own failures become one clear message."""
+    environment = os.environ | {
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+        "HDF5_PLUGIN_PRELOAD": "::",
+        "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),
+    }
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-W", "ignore", "-m", "piga.records.container_child"],
+            input=json.dumps(request).encode(),
+            capture_output=True,
+            timeout=seconds,
+            check=False,
+            env=environment,
+        )
+    except subprocess.TimeoutExpired:
+        raise _too_long(path, seconds) from None
+    if (Path(request["folder"]) / "answer.json").exists() and done.returncode == 0:
+        return
+    if done.returncode in (-24, -9):
+        raise _too_long(path, request["cpu"])
+    if b"MemoryError" in done.stderr:
+        raise _too_large(path)
+    words = done.stderr.decode("utf-8", errors="replace").strip().splitlines()
+    reason = words[-1] if words else f"signal {-done.returncode}"
+    raise DataError(
+        f"{path}: the reading library failed on it ({reason[:200]})",
+        remedy="the file is damaged: export it again",
+    )
+
+
+def _answer(path: Path, folder: Path) -> RawTable:
+    answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+    if "memory" in answer:
+        raise _too_large(path)
+    if "error" in answer:
+        message = str(answer["error"]).removeprefix(f"{path.resolve()}")
+        raise DataError(f"{path}{message}" if message != answer["error"] else message, remedy=answer["remedy"])
+    numbers = {name: _load(folder / f"{index}.npy") for index, name in enumerate(answer["numbers"])}
+    labels = {name: (_load(folder / "label.npy"), tuple(names)) for name, names in answer["labels"].items()}
+    return RawTable(
+        path, numbers, labels, answer["rows"], answer["first_row"], answer["units"],
+        tuple(Event(*event) for event in answer["events"]),
+        _load(folder / "rows.npy") if answer["row_numbers"] else None,
+    )  # fmt: skip
+
+
+def _load(path: Path) -> Any:
+    return np.load(path, allow_pickle=False)
+
+
+def _too_long(path: Path, seconds: float) -> DataError:
+    return DataError(
+        f"{path}: reading it took more than {seconds:.0f} s of computing time",
+        remedy="the file is damaged or not what it says; export it again, or as Parquet",
+    )
+
+
+def _too_large(path: Path) -> DataError:
+    return DataError(
+        f"{path}: reading it needs more than {MEMORY_LIMIT >> 30} GiB of memory",
+        remedy="the file is damaged, or export it as Parquet",
+    )

@@ -1,0 +1,168 @@
+"""HDF5 data, MATLAB v7.3 among them: datasets by name, hard links and plain filters only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.records.array_columns import Label, as_label, as_numbers, make_table, no_column, split_name, vector
+from piga.records.limits import check_unpacked, extra_missing
+from piga.records.table import RawTable
+
+PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
+"""Filters that the HDF5 library itself brings; no plug-in is ever loaded."""
+MAX_NAMES = 200
+
+
+def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+    """Read the named datasets.
+
+    Parameters
+    ----------
+    numeric, label:
+        ``name`` or ``group/name`` of a dataset, ``name(:,2)`` for a column of a matrix, or
+        ``name/field`` for a field of a table.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged, lacks a dataset, or a dataset is external, virtual or packed by a plug-in.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise extra_missing(path, "HDF5 (and MATLAB v7.3)", "hdf5") from None
+    numbers: dict[str, NDArray] = {}
+    labels: dict[str, Label] = {}
+    units: dict[str, str] = {}
+    try:
+        with h5py.File(path, "r", locking=False) as source:
+            budget = _Budget(path)
+            for name in dict.fromkeys(numeric):
+                values, unit = _read(source, path, name, budget)
+                numbers[name] = as_numbers(path, name, values)
+                if unit:
+                    units[name] = unit
+            if label is not None:
+                labels[label] = as_label(_read(source, path, label, budget)[0].tolist())
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DataError(
+            f"{path}: not a readable HDF5 file ({reason})",
+            remedy="was it closed by the logger? copy or export it again",
+        ) from None
+    return make_table(path, numbers, labels, units)
+
+
+class _Budget:
+    """Bytes that were asked for so far."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.size, self.used = path, path.stat().st_size, 0
+
+    def take(self, count: int) -> None:
+        self.used += count
+        check_unpacked(self.path, self.used, self.size)
+
+
+def _read(source: Any, path: Path, name: str, budget: _Budget) -> tuple[NDArray, str]:
+    import h5py
+
+    plain, column = split_name(name)
+    item, field = _find(source, path, plain)
+    _check_storage(item, path, plain)
+    kind = item.dtype
+    if h5py.check_string_dtype(kind) is not None:
+        budget.take(int(item.size) * max(kind.itemsize, 64))
+        return vector(path, name, np.asarray(item.asstr(errors="replace")[...], dtype=str), column), ""
+    if kind.hasobject:
+        raise DataError(
+            f"{path}: '{plain}' holds objects or references", remedy="store numbers or text in a plain dataset"
+        )
+    budget.take(int(item.size) * kind.itemsize)
+    values = np.asarray(item[field] if field else item[...])
+    if _text(item.attrs.get("MATLAB_class")):
+        values = values.T
+        if _text(item.attrs.get("MATLAB_class")) == "char":
+            values = np.array(["".join(map(chr, row)) for row in np.atleast_2d(values)])
+    return vector(path, name, values, column), _unit(item)
+
+
+def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
+    """The dataset of a name, through hard links only, and the field of a compound dataset."""
+    import h5py
+
+    parts = [part for part in name.replace(".", "/").split("/") if part]
+    for wanted in ([part for part in name.split("/") if part], parts):
+        item: Any = source
+        for at, part in enumerate(wanted):
+            if isinstance(item, h5py.Dataset):
+                if at == len(wanted) - 1 and item.dtype.names and part in item.dtype.names:
+                    return item, part
+                break
+            if part not in item:
+                break
+            link = item.get(part, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                raise DataError(
+                    f"{path}: '{part}' is a link to another place ({type(link).__name__}), which is not followed",
+                    remedy="copy the dataset into the file (h5repack or h5copy)",
+                )
+            item = item[part]
+        else:
+            if isinstance(item, h5py.Dataset) and item.dtype.names is None:
+                return item, None
+    raise no_column(path, name, _names(source))
+
+
+def _names(source: Any) -> list[str]:
+    """Names of the datasets, breadth first, a bounded number of them."""
+    import h5py
+
+    found: list[str] = []
+    queue = [("", source, 0)]
+    while queue and len(found) < MAX_NAMES:
+        prefix, group, depth = queue.pop(0)
+        for key in group:
+            if not isinstance(group.get(key, getlink=True), h5py.HardLink) or key.startswith("#"):
+                continue
+            item = group[key]
+            if isinstance(item, h5py.Dataset):
+                fields = item.dtype.names
+                found += [f"{prefix}{key}/{part}" for part in fields] if fields else [f"{prefix}{key}"]
+            elif isinstance(item, h5py.Group) and depth < 8:
+                queue.append((f"{prefix}{key}/", item, depth + 1))
+    return found
+
+
+def _check_storage(item: Any, path: Path, name: str) -> None:
+    """Refuse data that lie in other files or need code from elsewhere."""
+    if item.is_virtual or item.external:
+        raise DataError(
+            f"{path}: the data of '{name}' lie in other files", remedy="repack it into one file (h5repack)"
+        )
+    plan = item.id.get_create_plist()
+    for index in range(plan.get_nfilters()):
+        code = plan.get_filter(index)[0]
+        if code not in PLAIN_FILTERS:
+            raise DataError(
+                f"{path}: '{name}' is packed with filter {code}; only {', '.join(PLAIN_FILTERS.values())} are read",
+                remedy="repack it: h5repack -f GZIP=4",
+            )
+
+
+def _unit(item: Any) -> str:
+    for key in ("unit", "units", "Unit", "Units"):
+        if key in item.attrs:
+            return _text(item.attrs[key])
+    return ""
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace")
+    return value if isinstance(value, str) else ""

@@ -1,0 +1,47 @@
+"""Limits on files that come from outside, and their words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from piga.errors import DataError, PigaError
+
+MAX_UNPACKED = 2 << 30
+"""Bytes that the wanted part of a container may unpack to."""
+MAX_RATIO = 100
+"""Unpacked to packed size accepted above :data:`FREE_UNPACKED`."""
+FREE_UNPACKED = 32 << 20
+"""Bytes that any file may unpack to: constant columns pack very well."""
+MAX_MEMBERS = 4096
+"""Parts of a ZIP container."""
+MEMORY_LIMIT = 6 << 30
+"""Address space of the process that reads a container [bytes]."""
+CPU_BASE, CPU_PER_MIB = 8.0, 4.0
+"""CPU time for reading a container [s], and per MiB of file."""
+
+
+def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
+    """Refuse a container that unpacks to too much.
+
+    Raises
+    ------
+    DataError
+        With the limit that was passed.
+    """
+    if unpacked > MAX_UNPACKED:
+        raise DataError(
+            f"{path}: unpacks to more than {MAX_UNPACKED >> 20} MiB", remedy="export as Parquet, or in parts"
+        )
+    if unpacked > FREE_UNPACKED and unpacked > MAX_RATIO * packed:
+        raise DataError(
+            f"{path}: unpacks to more than {MAX_RATIO} times its size",
+            remedy="if the file is trusted, export it as Parquet",
+        )
+
+
+def extra_missing(path: Path, what: str, extra: str) -> PigaError:
+    """The error for a reader whose library is not installed."""
+    return DataError(
+        f"{path}: reading {what} needs the extra '{extra}', which is not installed",
+        remedy=f"install it with: pip install 'piga[{extra}]'",
+    )

@@ -1,0 +1,66 @@
+"""A run as clean Parquet: SI columns with their units, what was found, and where it came from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from piga.records.run import Run
+
+
+def write_run_parquet(run: Run, path: Path) -> None:
+    """Write the used samples of a run.
+
+    Every column's field has ``unit``; the schema holds ``serial``, ``source``, ``input_sha256`` and
+    ``quality`` (everything that was found and repaired, as JSON).
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    columns: dict[str, tuple[Any, str]] = {
+        "t": (pa.array(run.t), "s"),
+        "output": (pa.array(run.output), output_unit(run)),
+    }
+    columns |= {f"f{axis}": (pa.array(run.f[:, i]), "m/s^2") for i, axis in enumerate("xyz")}
+    if run.base_rate is not None:
+        columns |= {f"w{axis}": (pa.array(run.base_rate[:, i]), "rad/s") for i, axis in enumerate("xyz")}
+    if run.temperature is not None:
+        columns["temperature"] = (pa.array(run.temperature), "K")
+    labels = pa.DictionaryArray.from_arrays(pa.array(run.segment.astype(np.int32)), pa.array(run.labels))
+    columns |= {"segment": (labels, "1"), "row": (pa.array(run.row), "1")}
+    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
+    metadata = {
+        "serial": run.serial,
+        "source": Path(run.source).name,
+        "input_sha256": json.dumps(run.input_sha256),
+        "quality": json.dumps(msgspec.to_builtins(run.quality)),
+    }
+    table = pa.Table.from_arrays(
+        [array for array, _ in columns.values()], schema=pa.schema(fields, metadata=metadata)
+    )
+    parquet.write_table(table, path, compression="zstd")
+
+
+def output_unit(run: Run) -> str:
+    """Unit of the output column: rad, or rad/s for a rate log."""
+    return "rad/s" if run.kind == "rate" else "rad"
+
+
+def data_table(run: Run, file: str) -> str:
+    """The ``[data]`` table of a run file that reads the Parquet back."""
+    lines = [
+        "[data]",
+        f"file = {json.dumps(file, ensure_ascii=False)}",
+        'time = { column = "t", unit = "s" }',
+        f'output = {{ column = "output", kind = "{run.kind}", unit = "{output_unit(run)}" }}',
+        'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }',
+    ]
+    if run.base_rate is not None:
+        lines.append('base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }')
+    if run.temperature is not None:
+        lines.append('temperature = { column = "temperature", unit = "K" }')
+    return "\n".join([*lines, 'segment = "segment"'])

@@ -1,0 +1,89 @@
+"""``piga check`` shows everything and suggests lines that work; ``piga convert`` gives back the same record."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+import piga
+from piga.cli.main import app
+from piga.errors import PigaError
+from tests.records.files import lines, write_log, write_run
+
+
+def run_command(*arguments: object) -> str:
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def dirty(folder: Path) -> Path:
+    rows = lines(60)
+    del rows[20:23]
+    rows[5] = rows[5].replace("1.0", "NaN")
+    rows.insert(31, rows[30])
+    write_log(folder, rows)
+    return write_run(folder)
+
+
+def test_everything_in_one_pass_with_a_page(tmp_path: Path) -> None:
+    text = run_command("check", dirty(tmp_path), "--out", tmp_path / "page")
+    for words in (
+        "1 x missing-value, first at row 7",
+        "gap",
+        "1 x repeated-row",
+        "calibrate  information, 2 terms",
+    ):
+        assert words in text
+    page = (tmp_path / "page" / "check.html").read_text(encoding="utf-8")
+    for words in ("missing-value", "interval [s]", "specific force [g]", "output [rev]", "SHA-256"):
+        assert words in page
+
+
+def test_convert_gives_the_same_record(tmp_path: Path) -> None:
+    path = dirty(tmp_path)
+    text = run_command("convert", path, "--out", tmp_path / "clean.parquet")
+    table = text[text.index("[data]") :]
+    assert tomllib.loads(table)["data"]["file"] == "clean.parquet"
+    head, tail = path.read_text().split("[data]")[0], "[model]" + path.read_text().split("[model]")[1]
+    path.with_name("clean.toml").write_text(head + table + tail)
+    before, after = piga.read_run(path), piga.read_run(path.with_name("clean.toml"))
+    for name in ("t", "output", "f", "begins"):
+        np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
+    schema = pq.read_schema(tmp_path / "clean.parquet")
+    assert schema.field("fx").metadata == {b"unit": b"m/s^2"}
+    assert b"missing-value" in schema.metadata[b"quality"]
+    with pytest.raises(PigaError, match=r"must end in \.parquet"):
+        run_command("convert", path, "--out", tmp_path / "clean.csv")
+
+
+@pytest.mark.parametrize(
+    ("change", "header", "line"),
+    [
+        (lambda row: row.replace(",0.1,", ",ERR,"), "t,n,fx,fy,fz", "missing = ['ERR']    # in [data]"),
+        (lambda row: row, "时间,n,fx,fy,fz", "column = '时间'    # in [data]"),
+        (lambda row: row, "T ,n,fx,fy,fz", "column = 'T'    # in [data]"),
+    ],
+)
+def test_suggestions(
+    tmp_path: Path, change, header: str, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_log(tmp_path, [change(row) for row in lines()], header=header)
+    with pytest.raises(PigaError):
+        run_command("check", write_run(tmp_path), "--fix-suggestions")
+    done = CliRunner().invoke(app, ["check", str(tmp_path / "run.toml"), "--fix-suggestions"])
+    assert line in done.stdout
+    capsys.readouterr()
+
+
+def test_mistaken_units_are_reported(tmp_path: Path) -> None:
+    rows = [row.replace("1.0,0.1,0.0", "9.80665,0.1,0.0") for row in lines()]
+    write_log(tmp_path, rows)
+    text = run_command("check", write_run(tmp_path), "--fix-suggestions")
+    assert "implausible-unit" in text
+    assert "9.80665 (g and m/s^2)" in text

@@ -1,0 +1,260 @@
+"""HDF5, MATLAB, TDMS and XLSX give the same record as CSV; damaged and hostile ones are refused."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zipfile
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import openpyxl
+import pytest
+
+import piga
+from piga.records import container, limits
+from piga.records.container_child import READERS
+from piga.records.xlsx_reader import read_xlsx
+from tests.records.containers import WRITERS, columns, write_h5, write_mat, write_tdms, write_xlsx
+from tests.records.files import events, lines, read, write_run
+
+NAMES = ("t", "n", "fx", "fy", "fz")
+
+
+def direct(path: Path, numeric: tuple[str, ...] = NAMES, label: str | None = None):
+    """The reader without its process."""
+    return READERS[path.suffix](path, numeric, label)
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_every_container_gives_the_record_of_the_csv(tmp_path: Path, name: str) -> None:
+    plain = read(tmp_path, lines())
+    WRITERS[name](tmp_path / name, columns())
+    run = piga.read_run(write_run(tmp_path, name))
+    for mine, theirs in ((run.t, plain.t), (run.output, plain.output), (run.f, plain.f)):
+        np.testing.assert_array_equal(mine, theirs)
+    assert run.quality.events == ()
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_a_missing_column_lists_those_that_are_there(tmp_path: Path, name: str) -> None:
+    WRITERS[name](tmp_path / name, columns())
+    with pytest.raises(piga.DataError, match=r"no column 'speed'; the columns are: .*fx"):
+        direct(tmp_path / name, ("t", "speed"))
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_cut_and_foreign_files_are_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    WRITERS[name](path, columns())
+    whole = path.read_bytes()
+    for content in (whole[: len(whole) // 2], b"", b"not a container", whole[:600]):
+        path.write_bytes(content)
+        with pytest.raises(piga.DataError, match="remedy") as caught:
+            direct(path)
+        assert name in str(caught.value)
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_columns_of_different_length_are_refused(tmp_path: Path, name: str) -> None:
+    data = columns()
+    data["fz"] = data["fz"][:-1]
+    if name == "run.xlsx":
+        pytest.skip("a short column of a sheet has empty cells, which are counted")
+    WRITERS[name](tmp_path / name, data)
+    with pytest.raises(piga.DataError, match=r"'fz' has 39 rows, column 't' has 40"):
+        direct(tmp_path / name)
+
+
+def test_units_in_the_container_are_checked(tmp_path: Path) -> None:
+    write_h5(tmp_path / "run.h5", columns(), {"fx": "m/s^2"})
+    with pytest.raises(piga.DataError, match=r"column 'fx' is in 'm/s\^2' there, but in 'g'"):
+        piga.read_run(write_run(tmp_path, "run.h5"))
+    write_tdms(tmp_path / "run.tdms", columns(), {"t": "ms"})
+    assert direct(tmp_path / "run.tdms").units == {"t": "ms"}
+
+
+def test_matrices_structs_groups_and_labels(tmp_path: Path) -> None:
+    data = columns()
+    f = np.column_stack([data.pop(name) for name in ("fx", "fy", "fz")])
+    write_mat(tmp_path / "a.mat", {"log": data, "f": f, "pos": np.array(["one", "two"], object)[[0] * 40]})
+    wanted = ("log.t", "log.n", "f(:,1)", "f(:,2)", "f(:,3)")
+    table = direct(tmp_path / "a.mat", wanted, "pos")
+    np.testing.assert_array_equal(table.numbers["f(:,2)"], 0.1)
+    assert table.labels["pos"][1] == ("one",)
+    with pytest.raises(piga.DataError, match="the matrix has 3 columns"):
+        direct(tmp_path / "a.mat", ("f(:,4)",))
+    with pytest.raises(piga.DataError, match=r"shape \(40, 3\).*needed(?s:.*)f\(:,1\)"):
+        direct(tmp_path / "a.mat", ("f",))
+    with h5py.File(tmp_path / "b.h5", "w") as out:
+        out["run/f"] = f
+        out["run/pos"] = ["a"] * 20 + ["b"] * 20
+        out["run/log"] = np.rec.fromarrays([data["t"], data["n"]], names="t,n")
+    table = direct(tmp_path / "b.h5", ("run/log/t", "run/f(:,1)"), "run/pos")
+    assert table.labels["run/pos"][1] == ("a", "b")
+    with pytest.raises(piga.DataError, match=r"the columns are: .*run/log/t"):
+        direct(tmp_path / "b.h5", ("t",))
+
+
+def test_hdf5_never_leaves_the_file(tmp_path: Path) -> None:
+    write_h5(tmp_path / "other.h5", columns())
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as out:
+        out["t"] = h5py.ExternalLink("other.h5", "/t")
+        out["soft"] = h5py.SoftLink("/t")
+        layout = h5py.VirtualLayout((40,), "f8")
+        layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "n", (40,))
+        out.create_virtual_dataset("v", layout)
+        out.create_dataset("e", (4,), "f8", external=[("raw.bin", 0, 32)])
+        out.create_dataset("p", data=np.arange(100), compression="lzf")
+        out.create_dataset("huge", (1 << 45,), "f8", chunks=(1 << 16,), compression="gzip")
+        out.create_dataset("obj", (2,), h5py.ref_dtype)
+        out["c"] = np.ones(4, complex)
+    for name, message in (
+        ("t", "a link to another place"), ("soft", "a link to another place"), ("v", "lie in other files"),
+        ("e", "lie in other files"), ("p", "filter 32000"), ("huge", "unpacks to more than"),
+        ("obj", "objects or references"), ("c", "holds complex128"),
+    ):  # fmt: skip
+        with pytest.raises(piga.DataError, match=message):
+            direct(path, (name,))
+
+
+def test_a_mat_bomb_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mat"
+    write_mat(path, columns())
+    packed = zlib.compress(bytes(80 << 20))
+    path.write_bytes(path.read_bytes() + struct.pack("<II", 15, len(packed)) + packed)
+    with pytest.raises(piga.DataError, match="more than 100 times its size"):
+        direct(path)
+
+
+def _edit(path: Path, part: str, change) -> None:
+    with zipfile.ZipFile(path) as source:
+        parts = {info.filename: source.read(info) for info in source.infolist()}
+    parts[part] = change(parts.get(part, b""))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
+        for name, content in parts.items():
+            out.writestr(name, content)
+
+
+def test_hostile_workbooks(tmp_path: Path) -> None:
+    path = tmp_path / "run.xlsx"
+    sheet = "xl/worksheets/sheet1.xml"
+    for part, change, message in (
+        (sheet, lambda text: text.replace(b"<sheetData>", b"<sheetData>" + b" " * (80 << 20)), "100 times"),
+        (sheet, lambda text: b'<!DOCTYPE x [<!ENTITY a "b">]>' + text, "document type or entity"),
+        ("../evil", lambda _: b"x", "unsafe name"),
+        ("/abs", lambda _: b"x", "unsafe name"),
+        (sheet, lambda text: text[: len(text) // 2], "not a readable XLSX"),
+    ):
+        write_xlsx(path, columns())
+        _edit(path, part, change)
+        with pytest.raises(piga.DataError, match=message):
+            direct(path)
+
+
+def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
+    path = tmp_path / "run.xlsx"
+    book = write_xlsx(path, columns())
+    book.create_sheet("notes")
+    book.save(path)
+    with pytest.raises(piga.DataError, match="2 sheets: 'log', 'notes'"):
+        read_xlsx(path, NAMES, None)
+    with pytest.raises(piga.DataError, match="no sheet 'data'"):
+        read_xlsx(path, NAMES, None, "data")
+    assert read_xlsx(path, NAMES, None, "log").rows == 40
+    run = piga.read_run(write_run(tmp_path, "run.xlsx", data='sheet = "log"'))
+    assert run.size == 40
+    sheet = book["log"]
+    sheet.row_dimensions[7].hidden = True
+    sheet["B9"] = "=B8+1"
+    sheet["C10"] = "OVER"
+    book.save(path)
+    table = read_xlsx(path, NAMES, None, "log")
+    assert {(e.kind, e.count, e.first_row) for e in table.events} == {
+        ("formula", 1, None), ("hidden-row", 1, None), ("missing-value", 1, 9), ("missing-value", 1, 10),
+    }  # fmt: skip
+    sheet["B12"], sheet["C13"] = "12.5", True
+    book.save(path)
+    with pytest.raises(
+        piga.DataError, match=r"row 12, column 'n' \(B\): '12.5' is text.*row 13, column 'fx' \(C\)"
+    ):
+        read_xlsx(path, NAMES, None, "log")
+
+
+def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    for row in ([], ["t", "n [1]"], ["s", None], [0.0, 1], [], [0.1, 2]):
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    table = direct(tmp_path / "a.xlsx", ("t", "n"))
+    assert table.units == {"t": "s", "n": "1"}
+    assert table.file_rows().tolist() == [4, 6]
+
+
+def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:
+    (tmp_path / "run.xls").write_bytes(b"x")
+    with pytest.raises(piga.DataError, match=r"'\.xls' are not read(?s:.*)save it as \.xlsx"):
+        piga.read_run(write_run(tmp_path, "run.xls"))
+    write_xlsx(tmp_path / "run.xlsx", columns())
+    (tmp_path / "~$run.xlsx").write_bytes(b"x")
+    with pytest.raises(piga.DataError, match="open in a spreadsheet"):
+        piga.read_run(write_run(tmp_path, "run.xlsx"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no resource limits there")
+def test_the_reading_process_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "fake" / "piga"
+    (folder / "records").mkdir(parents=True)
+    (folder / "__init__.py").write_text("")
+    (folder / "records" / "__init__.py").write_text("")
+    child = folder / "records" / "container_child.py"
+    path = tmp_path / "run.h5"
+    path.write_bytes(b"x")
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "fake"), *sys.path])
+    monkeypatch.setattr(container, "CPU_BASE", 0.3)
+    for code, message in (
+        ("while True: pass", "took more than"),
+        (
+            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+            r"the reading library failed on it \(signal 11",
+        ),
+        ("raise MemoryError", "needs more than"),
+        ("import sys; sys.exit('odd')", "failed on it .odd"),
+    ):
+        child.write_text(code + "\n")
+        with pytest.raises(piga.DataError, match=message):
+            container.read_container(path, ".h5", ("t",), None)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="address space is limited there only")
+def test_memory_of_the_reading_process_is_limited() -> None:
+    import subprocess
+
+    code = (
+        "from piga.records.container_child import limit_resources; import numpy as np\n"
+        "limit_resources(5.0)\n"
+        "try:\n    np.zeros(1 << 40)\nexcept MemoryError:\n    print('refused')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "refused\n"
+    assert limits.MEMORY_LIMIT < 1 << 40
+
+
+@pytest.mark.parametrize(("suffix", "extra"), [("h5", "hdf5"), ("tdms", "tdms"), ("xlsx", "xlsx")])
+def test_a_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, extra: str
+) -> None:
+    module = {"h5": "h5py", "tdms": "nptdms", "xlsx": "openpyxl"}[suffix]
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / f"run.{suffix}").write_bytes(b"x")
+    with pytest.raises(piga.DataError, match=rf"(?s)needs the extra '{extra}'.*pip install 'piga\[{extra}\]'"):
+        direct(tmp_path / f"run.{suffix}")
+
+
+def test_a_gap_in_a_container_is_found(tmp_path: Path) -> None:
+    data = {name: np.delete(values, slice(10, 13)) for name, values in columns().items()}
+    write_h5(tmp_path / "run.h5", data)
+    assert events(piga.read_run(write_run(tmp_path, "run.h5"))) == {"gap": 1}
