@@ -182,12 +182,8 @@ def read_run_file(path: str | Path) -> RunFile:
     try:
         _check_units(run_file)
         _check_output(run_file)
-<<<<<<< HEAD
         _check_stand(run_file)
-=======
-        _check_reference(run_file)
         _check_faults(run_file)
->>>>>>> labdata
         check_terms(run_file.model.terms, where="[model] terms")
     except (UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
@@ -298,125 +294,6 @@ def _is_a_number(word: str) -> bool:
 
 
 def _check_stand(run_file: RunFile) -> None:
-        check_terms(run_file.model.terms, where="[model] terms")
-    except (UnitError, RunFileError) as error:
-        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-    return run_file
-
-
-def _check_units(run_file: RunFile) -> None:
-    data, estimation = run_file.data, run_file.estimation
-    if to_si(run_file.instrument.scale_factor, "rad/s/g", what="[instrument] scale_factor") <= 0.0:
-        raise RunFileError("[instrument] scale_factor: must be positive", remedy="turn the axes, not the sign")
-    if data.time is not None:
-        conversion_factor(data.time.unit, "s", what="[data] time")
-    for name, table, like in (("reference", data.reference, "g"), ("base_rate", data.base_rate, "rad/s")):
-        if table is not None:
-            conversion_factor(table.unit, like, what=f"[data] {name}")
-    if data.temperature is not None:
-        conversion_factor(data.temperature.unit, "K", what="[data] temperature")
-    for name, like in UNCERTAINTY_UNITS.items():
-        value = getattr(run_file.uncertainty, name)
-        if value is not None and to_si(value, like, what=f"[uncertainty] {name}") < 0.0:
-            raise RunFileError(
-                f"[uncertainty] {name}: '{value}' is negative", remedy="give a standard uncertainty"
-            )
-    to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
-    for name, like in (("angle_rms", "rad"), ("angle_random_walk", "rad/sqrt(s)")):
-        value = getattr(estimation, name)
-        if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
-            raise RunFileError(
-                f"[estimation] {name}: '{value}' is negative", remedy="give a standard deviation"
-            )
-    if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
-        raise RunFileError(
-            "[estimation] angle_rms and angle_random_walk are given together or not at all",
-            remedy="add the other one, '0 rad' or '0 rad/sqrt(s)' if it is absent",
-        )
-
-
-def _check_output(run_file: RunFile) -> None:
-    data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
-    if output.kind == "counts":
-        if instrument.counts_per_revolution is None:
-            raise RunFileError(
-                "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
-            )
-        if not instrument.counts_per_revolution > 0.0:
-            raise RunFileError("[instrument] counts_per_revolution: must be positive", remedy="correct it")
-        if output.unit not in (None, "count", "counts", "1"):
-            raise RunFileError(
-                f"[data] output: unit '{output.unit}' does not go with kind 'counts'",
-                remedy="leave the unit out, or set kind to 'angle' or 'rate'",
-            )
-    else:
-        like = "rad" if output.kind == "angle" else "rad/s"
-        if output.unit is None:
-            raise RunFileError(
-                f"[data] output: kind '{output.kind}' needs a unit", remedy=f"add unit = '{like}'"
-            )
-        conversion_factor(output.unit, like, what="[data] output")
-    if output.wraps_at is not None:
-        if output.kind != "angle":
-            raise RunFileError(
-                "[data] output: wraps_at is for kind 'angle'",
-                remedy="for counts give [instrument] counter_bits",
-            )
-        if to_si(output.wraps_at, "rad", what="[data] output.wraps_at") <= 0.0:
-            raise RunFileError("[data] output: wraps_at must be positive", remedy="e.g. '360 deg'")
-    bits = instrument.counter_bits
-    if bits is not None and not 1 <= bits <= 62:
-        raise RunFileError(
-            f"[instrument] counter_bits: {bits} is outside 1 to 62", remedy="leave it out if it never wraps"
-        )
-    if (data.time is None) == (data.sample_rate is None):
-        raise RunFileError(
-            "[data] needs either time or sample_rate", remedy="e.g. time = { column = 't_s', unit = 's' }"
-        )
-    if data.sample_rate is not None and to_si(data.sample_rate, "Hz", what="[data] sample_rate") <= 0.0:
-        raise RunFileError("[data] sample_rate: must be positive", remedy="e.g. '100 Hz'")
-    if data.decimal is not None and data.decimal == data.delimiter:
-        raise RunFileError("[data] decimal and delimiter are the same character", remedy="correct one of them")
-
-
-<<<<<<< HEAD
-def _check_stand(run_file: RunFile) -> None:
-=======
-def _check_faults(run_file: RunFile) -> None:
-    data = run_file.data
-    for name, (low, high) in (data.range or {}).items():
-        if name not in data.number_columns():
-            raise RunFileError(
-                f"[data] range: '{name}' is no column that is used",
-                remedy=f"columns are: {', '.join(data.number_columns())}",
-            )
-        if not low < high:
-            raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
-    if data.sequence is not None and data.sequence.wraps_at is not None and data.sequence.wraps_at < 2:
-        raise RunFileError("[data] sequence: wraps_at must be 2 or more", remedy="e.g. 65536")
-    for word in data.missing:
-        if _is_a_number(word):
-            raise RunFileError(
-                f"[data] missing: '{word}' is a number",
-                remedy="a number cannot mark a missing value: use range",
-            )
-
-
-def _is_a_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return word.strip().lower() not in ("nan", "inf", "-inf")
-
-
-def _check_reference(run_file: RunFile) -> None:
-    if run_file.data.reference is None and run_file.stand is None:
-        raise RunFileError(
-            "[data] reference is missing: the specific force that the instrument felt",
-            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
-        )
->>>>>>> labdata
     named = run_file.uncertainty.of_the_stand()
     if named and run_file.stand is None:
         raise RunFileError(
