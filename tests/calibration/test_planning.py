@@ -188,7 +188,7 @@ def test_cheapest_duration_goes_with_the_inverse_square(tmp_path):
         assert plan.cheapest.plan.std("k0") <= u * 1e-6
         bounds.append(plan.cheapest.bound)
         durations.append(plan.cheapest.plan.duration)
-        assert durations[-1] >= bounds[-1]
+        assert bounds[-1] <= durations[-1] <= 1.25 * bounds[-1]
     assert bounds[1] / bounds[0] == pytest.approx(4.0, rel=0.01)
     assert durations[1] / durations[0] == pytest.approx(4.0, rel=0.1)
 

@@ -169,7 +169,7 @@ def plan_test(request: PlanRequest) -> Plan:
         math.exp(min(0.0, bound - value)),
         best,
         standard,
-        _stretched(search, criterion, begin),
+        _stretched(search, criterion, begin, (request.duration, best, standard[-1])),
         _cheapest(search, best) if request.wanted else None,
     )
 
@@ -321,11 +321,14 @@ def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Vis
 
 
 def _stretched(
-    search: _Search, criterion: Criterion, mixture: Mixture
+    search: _Search, criterion: Criterion, mixture: Mixture, here: tuple[float, Prediction, Prediction]
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
-    """The planned and the last standard plan for other durations."""
+    """The planned and the last standard plan for other durations; ``here`` is the row of the wanted one."""
     rows = []
     for factor in STRETCHES:
+        if factor == 1.0:
+            rows.append(here)
+            continue
         duration = factor * search.request.duration
         standard = _standard(search.request, search.usable, duration)
         if duration < search.request.minimum_dwell or not standard:

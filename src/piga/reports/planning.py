@@ -62,7 +62,7 @@ def plan_page(plan: Plan, mounting: Mounting | None) -> Page:
     )
 
 
-def improvement(plan: Plan, prediction: Prediction) -> float:
+def relative_uncertainty(plan: Plan, prediction: Prediction) -> float:
     """Geometric mean of the uncertainties of the plan over those of another test (coefficients alike)."""
     ratios = [plan.best.std(name) / prediction.std(name) for name in plan.names]
     return math.exp(sum(math.log(r) for r in ratios) / len(ratios)) if min(ratios) > 0.0 else 0.0
@@ -75,7 +75,7 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
         Tile("Recorded", short(plan.best.recorded), "s", f"of {short(plan.best.duration)} s"),
     ]
     if not reference.refusal:
-        gain = improvement(plan, reference)
+        gain = relative_uncertainty(plan, reference)
         tiles.append(
             Tile(
                 "Uncertainty",
