@@ -65,7 +65,8 @@ def read_text(
     if b"\n" not in raw:
         raw = raw.replace(b"\r", b"\n")
     raw, cut = _without_partial_line(raw)
-    raw = _SPACES_ONLY.sub(b"\n", raw)
+    if b"\n " in raw or b"\n\t" in raw:
+        raw = _SPACES_ONLY.sub(b"\n", raw)
     head = raw[:SNIFF_BYTES].decode("utf-8", errors="replace")
     if len(raw) > SNIFF_BYTES:
         head = head[: head.rfind("\n") + 1]
