@@ -186,7 +186,8 @@ def read_run_file(path: str | Path) -> RunFile:
         _check_faults(run_file)
         check_terms(run_file.model.terms, where="[model] terms")
     except (UnitError, RunFileError) as error:
-        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+        remedy = error.remedy or "write a number with a unit, e.g. '0.8884 rad/s/g'"
+        raise RunFileError(f"{path}: {error.message}", remedy=remedy) from None
     return run_file
 
 

@@ -32,7 +32,7 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
     labels: dict[str, Label] = {}
     units: dict[str, str] = {}
     try:
-        with nptdms.TdmsFile.open(path) as source:
+        with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as source:
             channels = [channel for group in source.groups() for channel in group.channels()]
             _check_size(path, channels, (*numeric, *([label] if label else [])))
             for name in dict.fromkeys(numeric):

@@ -52,7 +52,7 @@ def read_text(
         With file, row, column, the offending text and the remedy.
     """
     raw = _read_bytes(path)
-    if not raw.strip():
+    if not raw or raw.isspace():
         raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
     events: list[Event] = []
     encoding = find_encoding(raw[:SNIFF_BYTES], path, encoding)
@@ -65,7 +65,6 @@ def read_text(
     if b"\n" not in raw:
         raw = raw.replace(b"\r", b"\n")
     raw, cut = _without_partial_line(raw)
-    raw = _SPACES_ONLY.sub(b"\n", raw)
     head = raw[:SNIFF_BYTES].decode("utf-8", errors="replace")
     if len(raw) > SNIFF_BYTES:
         head = head[: head.rfind("\n") + 1]
@@ -78,16 +77,16 @@ def read_text(
     rows = table.num_rows
     if rows == 0:
         raise DataError(f"{path}: a header but no complete data row", remedy="check that the logger wrote data")
-    row_numbers = _row_numbers(raw, form, events)
+    row_numbers = _row_numbers(raw, form, rows, events)
     file_rows = np.arange(form.skip + 1, form.skip + rows + 1) if row_numbers is None else row_numbers
     numbers, labels, found = _to_numpy(table, numeric, label, file_rows)
     units = {name: unit for name, unit in form.units.items() if name in numeric}
     return RawTable(path, numbers, labels, rows, form.skip + 1, units, (*events, *found), row_numbers)
 
 
-def _row_numbers(raw: bytes, form: TextFormat, events: list[Event]) -> np.ndarray | None:
+def _row_numbers(raw: bytes, form: TextFormat, read: int, events: list[Event]) -> np.ndarray | None:
     """File rows of the data rows when blank lines stand between them; None when there are none."""
-    if b"\n\n" not in raw and b"\n\r\n" not in raw:
+    if raw.count(b"\n") == form.skip + read:
         return None
     lines = raw.split(b"\n")
     filled = (row for row, line in enumerate(lines, start=1) if row > form.skip and line.strip())
@@ -162,9 +161,16 @@ def _parse_or_mask(
     missing: tuple[str, ...], mask: bool, events: list[Event],
 ) -> tuple[bytes, Any]:  # fmt: skip
     """The table; when rows are damaged, the error that lists them, or the table without them."""
+    if len(form.names) == 1:
+        raw = _SPACES_ONLY.sub(b"\n", raw)
     table, complaint = _parse(raw, form, numeric, label, missing)
     if table is not None:
         return raw, table
+    if b"\n " in raw or b"\n\t" in raw:
+        raw = _SPACES_ONLY.sub(b"\n", raw)
+        table, complaint = _parse(raw, form, numeric, label, missing)
+        if table is not None:
+            return raw, table
     faults = find_faults(raw, form, numeric, missing)
     if not faults.total:
         raise DataError(f"{path}: {complaint}", remedy="check the file's rows and separators")

@@ -44,12 +44,10 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
         raise extra_missing(path, "XLSX", "xlsx") from None
     events = _examine(path)
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-        try:
+        with path.open("rb") as stream:
+            book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
             rows = _sheet(path, book, sheet).iter_rows(values_only=True)
             return _Sheet(path, numeric, label, events).read(rows)
-        finally:
-            book.close()
     except (DataError, MemoryError):
         raise
     except Exception as error:  # the library lets whatever a damaged file provokes through

@@ -59,7 +59,7 @@ def check_page(run: Run) -> Page:
             "Rows used",
             f"{quality.used}",
             "",
-            f"of {quality.rows} ({share:.4g} %)",
+            f"of {quality.rows} ({share:.6g} %)",
             "good" if share > 99 else "doubtful",
         ),
         Tile("Findings", f"{len(quality.events)}", "", "kinds", "good" if not quality.events else "doubtful"),

@@ -1,0 +1,123 @@
+"""Mutated files of every kind: read, or refused with a remedy; nothing else may happen.
+
+The default run is 20 000 cases, most of them on the stages in memory; ``PIGA_FUZZ`` multiplies it.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import piga
+from piga.records.container_child import READERS
+from piga.records.run_file import read_run_file
+from piga.records.text_reader import read_text
+from tests.records.containers import WRITERS, columns
+from tests.records.files import lines, write_run
+
+SCALE = int(os.environ.get("PIGA_FUZZ", "1"))
+NAMES = ("t", "n", "fx", "fy", "fz")
+LOG = ("t,n,fx,fy,fz\n" + "\n".join(lines(8)) + "\n").encode()
+QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
+PIECES = [b",", b";", b"\n", b"\r", b"\0", b'"', b"\t", b"nan", b"inf", b"1e999", b"-", b"\xef\xbb\xbf", b"\xff\xfe",
+          "１".encode(), "时间".encode("gb18030"), b"#", b" ", b"1,5", b"[s]", b"9" * 30, b"\x1a", b"|"]  # fmt: skip
+
+
+def outcome(work: Callable[[], object]) -> bool:
+    """True when it was read, False when it was refused with a remedy."""
+    try:
+        work()
+    except piga.PigaError as error:
+        assert error.remedy  # noqa: PT017 - either outcome is right
+        return False
+    return True
+
+
+def seeded(seed: int) -> random.Random:
+    """The same mutations every time."""
+    return random.Random(seed)  # noqa: S311 - no cryptography
+
+
+def mutated(source: bytes, draw: random.Random) -> bytes:
+    """A few bytes changed, removed, doubled or put in."""
+    data = bytearray(source)
+    for _ in range(draw.randint(1, 6)):
+        at = draw.randrange(len(data) + 1)
+        kind = draw.randrange(4)
+        if kind == 0 and at < len(data):
+            data[at] = draw.randrange(256)
+        elif kind == 1:
+            del data[at : at + draw.randint(1, 40)]
+        elif kind == 2:
+            data[at:at] = draw.choice(PIECES)
+        else:
+            data[at:at] = data[at : at + draw.randint(1, 40)]
+    return bytes(data)
+
+
+@settings(QUICK, max_examples=1500 * SCALE)
+@given(
+    st.lists(st.tuples(st.integers(0, len(LOG)), st.sampled_from(PIECES)), max_size=6), st.binary(max_size=20)
+)
+def test_text_of_pieces(
+    tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[int, bytes]], tail: bytes
+) -> None:
+    path = _folder(tmp_path_factory) / "log.csv"
+    data = bytearray(LOG)
+    for at, piece in edits:
+        data[at:at] = piece
+    path.write_bytes(bytes(data) + tail)
+    outcome(lambda: read_text(path, NAMES, None))
+
+
+@pytest.mark.parametrize("mask", [False, True])
+def test_mutated_text(tmp_path: Path, mask: bool) -> None:
+    draw, path = seeded(1), tmp_path / "log.csv"
+    kept = 0
+    for _ in range(5000 * SCALE):
+        path.write_bytes(mutated(LOG, draw))
+        kept += outcome(lambda: read_text(path, NAMES, "fz", mask_damaged=mask))
+    assert kept > 0
+
+
+def test_mutated_run_files(tmp_path: Path) -> None:
+    draw = seeded(2)
+    path = write_run(tmp_path, instrument="counter_bits = 16", data="range = { n = [0, 1] }")
+    source = path.read_bytes()
+    for _ in range(6000 * SCALE):
+        path.write_bytes(mutated(source, draw))
+        outcome(lambda: read_run_file(path))
+
+
+def test_mutated_records(tmp_path: Path) -> None:
+    draw = seeded(3)
+    run = write_run(tmp_path)
+    for _ in range(1500 * SCALE):
+        (tmp_path / "run.csv").write_bytes(mutated(LOG, draw))
+        outcome(lambda: piga.read_run(run))
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_mutated_containers(tmp_path: Path, name: str) -> None:
+    draw = seeded(4)
+    path = tmp_path / name
+    WRITERS[name](path, columns(8))
+    source = path.read_bytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for _ in range(200 * SCALE):
+            path.write_bytes(mutated(source, draw))
+            outcome(lambda: READERS[path.suffix](path, NAMES, None))
+
+
+def _folder(factory: pytest.TempPathFactory) -> Path:
+    folder = factory.getbasetemp() / "fuzz"
+    folder.mkdir(exist_ok=True)
+    return folder
