@@ -165,7 +165,10 @@ def _together(
     if len(runs) == 1:
         records, mounted = read_triad(runs[0])
     elif len(runs) == len(calibrations) == 3:
-        records, mounted = [read_run(path, need_reference=False) for path in runs], orthogonal_triad(calibrations)
+        records, mounted = (
+            [read_run(path, need_reference=False) for path in runs],
+            orthogonal_triad(calibrations),
+        )
     else:
         raise ArgumentError(
             f"{len(runs)} runs with {len(calibrations)} calibrations: the mounting is not known",
