@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import compensate as angle
 from piga._kernels import compensate_layout as at
+from piga._kernels import compensate_lean as lean
 from piga._kernels import compensate_terms as terms
 from piga._kernels.jit import exact, kernel
 from piga._kernels.motion import advance, magnus_increments, unwrapped
@@ -198,8 +199,9 @@ def find_samples(rows: int, phi: float, w: Array) -> None:
 @exact
 def indicate_samples(n: int, K: float, w: Array) -> None:
     """Indicated specific force at the samples [m/s^2]."""
+    inverse = 1.0 / K
     for j in range(1, n + 1):
-        w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) / K
+        w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) * inverse
 
 
 @exact
@@ -207,7 +209,8 @@ def write_samples(n: int, w: Array, ax: Array, dv: Array, flags: NDArray[np.int3
     """Results of a block of samples."""
     for j in range(1, n + 1):
         ax[j - 1] = w[at.FORCE + j]
-        dv[j - 1] = 0.5 * w[at.STEP + j] * (w[at.FORCE + j - 1] + w[at.FORCE + j])
+        step = w[at.STEP + j]
+        dv[j - 1] = 0.5 * step * (w[at.FORCE + j - 1] + w[at.FORCE + j]) if step != 0.0 else 0.0
     for j in range(1, flags.size + 1):
         if w[at.STEP + j] == 0.0:
             flags[j - 1] |= at.NO_INCREMENT
@@ -264,8 +267,11 @@ def compensate_rates(
 
     ``psi`` holds the recorded angle; empty: the angle follows from the rate.
     """
-    none = np.zeros(0)
     light = not (has_terms or orders.size or u.size or flags.size)
+    if light and psi.size and omega.shape[0] == 0:
+        lean.compensate_samples(t, rate, y, z, begins, psi, p, state, w, ax, dv)
+        return
+    none = np.zeros(0)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n

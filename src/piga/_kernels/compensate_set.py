@@ -255,37 +255,6 @@ def misfit_samples(rows: int, p: Array, w: Array) -> None:
 
 
 @kernel
-def effective_axis(tangent: float, sine: float, cosine: float, axes: Array) -> tuple[float, float, float]:
-    """Effective input axis ``(1, tan_beta sin, -tan_beta cos)`` in the common frame (package docstring)."""
-    y, z = tangent * sine, -tangent * cosine
-    return (
-        axes[0, 0] + y * axes[1, 0] + z * axes[2, 0],
-        axes[0, 1] + y * axes[1, 1] + z * axes[2, 1],
-        axes[0, 2] + y * axes[1, 2] + z * axes[2, 2],
-    )
-
-
-@kernel
-def solve_three(rows: int, p: Array, axes: Array, u: Array, v: Array, w: Array, c: Array) -> None:
-    """Force from the samples of three instruments without error terms: the 3 x 3 system, by cross products."""
-    ku, kv, kw = 1.0 / p[0, at.P_K], 1.0 / p[1, at.P_K], 1.0 / p[2, at.P_K]
-    tu, tv, tw = p[0, at.P_TAN_BETA], p[1, at.P_TAN_BETA], p[2, at.P_TAN_BETA]
-    for j in range(1, rows + 1):
-        a0, a1, a2 = effective_axis(tu, u[at.SINE + j], u[at.COSINE + j], axes[0])
-        b0, b1, b2 = effective_axis(tv, v[at.SINE + j], v[at.COSINE + j], axes[1])
-        d0, d1, d2 = effective_axis(tw, w[at.SINE + j], w[at.COSINE + j], axes[2])
-        e = (u[at.FIRST + j] + u[at.OMEGA_X + j]) * ku
-        f = (v[at.FIRST + j] + v[at.OMEGA_X + j]) * kv
-        g = (w[at.FIRST + j] + w[at.OMEGA_X + j]) * kw
-        x0, x1, x2 = b1 * d2 - b2 * d1, b2 * d0 - b0 * d2, b0 * d1 - b1 * d0
-        inverse = 1.0 / (a0 * x0 + a1 * x1 + a2 * x2)
-        c[FORCE_X + j] = inverse * (e * x0 + f * (d1 * a2 - d2 * a1) + g * (a1 * b2 - a2 * b1))
-        c[FORCE_Y + j] = inverse * (e * x1 + f * (d2 * a0 - d0 * a2) + g * (a2 * b0 - a0 * b2))
-        c[FORCE_Z + j] = inverse * (e * x2 + f * (d0 * a1 - d1 * a0) + g * (a0 * b1 - a1 * b0))
-        c[MISFIT + j] = c[CHI + j] = 0.0
-
-
-@kernel
 def find_rise(rows: int, w: Array, c: Array) -> None:
     """Change of the force over every interval, from the early estimates of it and the one before."""
     for j in range(1, rows + 1):

@@ -12,6 +12,7 @@ from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_record as single
 from piga._kernels import compensate_set as set_of
 from piga._kernels import compensate_terms as terms
+from piga._kernels import compensate_triad as triad
 from piga._kernels.jit import exact
 
 Array = NDArray[np.float64]
@@ -52,19 +53,6 @@ def load_instrument(
         terms.subtract_harmonics(n, orders, sines, cosines, w)
     for j in range(1, rows + 1):
         w[at.HARMONICS + j] = -w[at.INPUT + j]
-
-
-@exact
-def load_samples(
-    t: Array, psi: Array, rate: Array, begins: NDArray[np.bool_], omega: Array, temperature: Array,
-    p: Array, state: Array, zeros: Array, w: Array,
-) -> None:  # fmt: skip
-    """Samples of one instrument without error terms, and its angles."""
-    n = t.size
-    angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, True, state, w)
-    angle.find_steps(n, begins, state[at.S_VALID] != 0.0, w)
-    single.take_angles(n, psi, rate, w)
-    single.find_samples(angle.padded(n), p[at.P_PHI], w)
 
 
 @exact
@@ -171,17 +159,17 @@ def compensate_set(
     zeros = np.zeros(at.BLOCK)
     block_flags = np.zeros(at.BLOCK, dtype=np.int32)
     weighed = u.shape[0] > 0 or count > 3
-    light = sampled and not weighed and not has_terms.any() and sines.size == 0
+    bare = omega.shape[1] == 0 and temperature.shape[1] == 0 and sines.size == 0
+    if sampled and bare and not weighed and not has_terms.any():
+        triad.compensate_triad(
+            t, psi, rate, begins, parameters, axes, limits, base_flag, states, set_state, c, force, dv, residual,
+            flags,
+        )  # fmt: skip
+        return
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n
         for i in range(count):
-            if light:
-                load_samples(
-                    t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop],
-                    omega[i, start:stop], temperature[i, start:stop], parameters[i], states[i], zeros, w[i],
-                )  # fmt: skip
-                continue
             load_instrument(
                 t[start:stop], psi[i, start:stop], rate[i, start:stop], begins[start:stop],
                 omega[i, start:stop], temperature[i, start:stop], parameters[i], axes[i], orders[i],
@@ -190,12 +178,9 @@ def compensate_set(
         for axis in range(3):
             c[set_of.EARLY_X + axis * at.STRIDE] = set_state[axis]
             c[set_of.FORCE_X + axis * at.STRIDE] = set_state[3 + axis]
-        if light:
-            set_of.solve_three(angle.padded(n), parameters, axes, w[0], w[1], w[2], c)
-        else:
-            set_of.start_force(angle.padded(n), c)
-            weights[:, :] = 1.0
-            solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
+        set_of.start_force(angle.padded(n), c)
+        weights[:, :] = 1.0
+        solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
         if weighed:
             weigh_all(n, sampled, has_terms, parameters, axes, codes, factors, weights, scratch, w, c)
         write_set(

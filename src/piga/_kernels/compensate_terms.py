@@ -204,5 +204,5 @@ def find_flags(
         warmth = w[at.MEAN_T + j]
         flag |= at.TEMPERATURE if warm & ((warmth < limits[3]) | (warmth > limits[4])) else 0
         turn = w[at.PSI + j] - w[at.PSI + j - 1]
-        flag |= at.COARSE if abs(turn) > 1.0 else 0
+        flag |= at.COARSE if (abs(turn) > 1.0) & (w[at.STEP + j] != 0.0) else 0
         flags[j - 1] = flag

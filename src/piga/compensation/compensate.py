@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase, phases
 from piga.compensation.result import Compensated
-from piga.compensation.step import NO_RATES, NONE, Chunk, Step, init_state, run_kernel, work_array
+from piga.compensation.step import NO_RATES, NONE, Chunk, Step, empty_step, init_state, run_kernel, work_array
 from piga.compensation.validity import Limits, age_flag
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
@@ -27,6 +27,7 @@ def compensate(
     method: str | None = None,
     phase: Phase | None = None,
     uncertainty: bool = True,
+    flags: bool = True,
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
@@ -48,8 +49,8 @@ def compensate(
         [Wei2024]. None takes the one that fits the calibration's ``phase_source``.
     phase:
         Phase of the output zero when it is not the calibration's, see :func:`piga.compensation.identify_phase`.
-    uncertainty:
-        Whether ``u_ax`` is computed.
+    uncertainty, flags:
+        Whether ``u_ax`` and the flags are computed.
     limits, max_age_days:
         Range and age in which the calibration holds; rows outside are flagged. None: the range that the
         calibration itself states, any age.
@@ -65,8 +66,7 @@ def compensate(
     check_serial(record, calibration, force)
     check_phase_kept(record, calibration, phase)
     plan = _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
-    n = record.size
-    result = Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), np.empty(n, dtype=np.int32))
+    result = empty_step(record.size, uncertainty, flags)
     state, work = init_state(), work_array()
     typical = typical_step(record.t, record.begins)
     for rows, model, chunk in plan.pieces():

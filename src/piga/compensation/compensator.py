@@ -12,7 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels import compensate_layout as at
 from piga.compensation.model import Phase, check_method, make_model
 from piga.compensation.result import Compensated
-from piga.compensation.step import NO_MARKS, NO_RATES, NONE, Chunk, Step, init_state, run_kernel, work_array
+from piga.compensation.step import (
+    NO_MARKS,
+    NO_RATES,
+    NONE,
+    Chunk,
+    empty_step,
+    init_state,
+    run_kernel,
+    work_array,
+)
 from piga.compensation.validity import Limits, age_flag
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
@@ -44,8 +53,9 @@ class Compensator:
     step:
         Nominal interval [s], to tell gaps and for the noise of a rate sample that begins a stretch (nan
         without); None: gaps are told by the first interval of the stream.
-    uncertainty, limits, max_age_days:
-        As for :func:`piga.compensate`.
+    uncertainty, flags, limits, max_age_days:
+        As for :func:`piga.compensate`. Without uncertainty and flags, samples of angle and rate take one
+        pass over the memory; ``ax`` and ``dv`` are the same to the bit.
     state:
         State of an earlier compensator, to go on where it stopped.
 
@@ -65,6 +75,7 @@ class Compensator:
         phase: Phase | None = None,
         step: float | None = None,
         uncertainty: bool = True,
+        flags: bool = True,
         limits: Limits | None = None,
         max_age_days: float | None = None,
         state: Array | None = None,
@@ -76,7 +87,7 @@ class Compensator:
         self.method = check_method(method, calibration)
         self.serial = calibration.serial
         self._kind = kind
-        self._uncertainty = uncertainty
+        self._uncertainty, self._flags = uncertainty, flags
         self._model = make_model(
             calibration, method=self.method, segment=segment, phase=phase,
             limits=limits, flag=age_flag(calibration, max_age_days),
@@ -111,9 +122,7 @@ class Compensator:
         """
         samples = chunk if isinstance(chunk, Chunk) else self._samples(_columns(chunk))
         n = samples.t.size
-        result = Step(
-            np.empty(n), np.empty(n), np.empty(n if self._uncertainty else 0), np.empty(n, dtype=np.int32)
-        )  # fmt: skip
+        result = empty_step(n, self._uncertainty, self._flags)
         if n:
             before = self._state.copy()
             run_kernel(self._model, self._state, samples, self._kind, self._typical, self._work, result)

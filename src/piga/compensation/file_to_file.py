@@ -15,7 +15,7 @@ from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile, Piece
 from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase
 from piga.compensation.result import Compensated
-from piga.compensation.step import Step, init_state, run_kernel, work_array
+from piga.compensation.step import empty_step, init_state, run_kernel, work_array
 from piga.compensation.validity import age_flag
 from piga.compensation.writers import TableWriter
 from piga.errors import CalibrationError, DataError
@@ -121,8 +121,7 @@ class _Stepper:
         model = self._models.get(piece.label)
         if model is None:
             model = self._models[piece.label] = self._model(piece.label)
-        n, chunk = piece.chunk.t.size, piece.chunk
-        u = np.empty(n if self._uncertainty else 0)
-        result = Step(np.empty(n), np.empty(n), u, np.empty(n, dtype=np.int32))
+        chunk = piece.chunk
+        result = empty_step(chunk.t.size, self._uncertainty, flags=True)
         run_kernel(model, self._state, chunk, self._source.kind, self._source.nominal, self._work, result)
         return Compensated(chunk.t, result.ax, result.dv, result.u_ax, result.flags)

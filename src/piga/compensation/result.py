@@ -29,7 +29,7 @@ class Compensated:
     u_ax:
         Standard uncertainty of ``ax`` [m/s^2], coefficients and noise; empty when not asked for.
     flags:
-        Bits, see :data:`piga.compensation.FLAGS`.
+        Bits, see :data:`piga.compensation.FLAGS`; empty when not asked for.
     serial, method:
         Instrument, and ``"exact"`` or ``"published"``.
     """
@@ -61,7 +61,7 @@ class Compensated:
         found = {"t": self.t, "ax": self.ax, "dv": self.dv}
         if self.u_ax.size:
             found["u_ax"] = self.u_ax
-        return found | {"flags": self.flags}
+        return found | ({"flags": self.flags} if self.flags.size == self.size else {})
 
     def to_parquet(self, path: str | Path) -> None:
         """Write a Parquet file; units and flag names stand in its metadata."""

@@ -59,6 +59,12 @@ def work_array() -> Array:
     return np.zeros(at.WORK)
 
 
+def empty_step(n: int, uncertainty: bool, flags: bool) -> Step:
+    """Room for ``n`` rows."""
+    marks = np.empty(n if flags else 0, dtype=np.int32)
+    return Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks)
+
+
 def step(
     model: Model,
     state: Array,
@@ -89,9 +95,8 @@ def step(
     state, result:
         The state behind the chunk, and one row per sample.
     """
-    n = chunk.t.size
     new = state.copy()
-    result = Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), np.empty(n, dtype=np.int32))
+    result = empty_step(chunk.t.size, uncertainty, flags=True)
     run_kernel(model, new, chunk, kind, typical_step, work_array() if work is None else work, result)
     return new, result
 

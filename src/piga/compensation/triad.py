@@ -191,12 +191,17 @@ class SetCompensator:
             np.empty(n),
             np.zeros(n if self._flags else 0, np.int32),
         )
+        before = self._states.copy(), self._set_state.copy()
         parameters, has_terms, orders, sines, cosines, codes, factors, limits = self._arrays
         set_kernel(
             time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines,
             codes, factors, limits, self._flag, self._threshold, self._states, self._set_state, self._weights,
             self._scratch, self._work, self._common, found.f, found.dv, found.u_f, found.residual, found.flags,
         )  # fmt: skip
+        last = psi[:, -1:].sum() + (found.f if self._sampled else found.dv).sum()
+        if not math.isfinite(last):
+            self._states, self._set_state = before
+            _check_finite(output=psi, rate=rates, base_rate=omega, temperature=warm)
         return found
 
 
@@ -325,12 +330,16 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         raise ArgumentError(
             f"{name}: shape {np.shape(values)} instead of {shape}", remedy="one row per instrument"
         )
-    if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ArgumentError(
-            f"{name}{list(where)} is not finite", remedy="leave such samples out of all instruments"
-        )
     return array
+
+
+def _check_finite(**columns: Array) -> None:
+    for name, array in columns.items():
+        if not np.isfinite(array).all():
+            where = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
+            raise ArgumentError(
+                f"{name}{where} is not finite", remedy="leave such samples out of all instruments"
+            )
 
 
 def _stacked(models: list[Model]) -> tuple[NDArray, ...]:
