@@ -40,7 +40,7 @@ def regression(points: np.ndarray, degree: int) -> np.ndarray:
     ("degree", "support"), [(1, [-1, 1]), (2, [-1, 0, 1]), (3, [-1, -(5**-0.5), 5**-0.5, 1])]
 )
 def test_d_optimum_of_polynomial_regression(degree, support):
-    """Known optima [Fedorov1972] table 2.1: equal weights at the zeros of (1 - x^2) P'_d(x)."""
+    """Known optima, checked numerically here too: equal weights at the zeros of (1 - x^2) P'_d(x)."""
     points = np.union1d(np.linspace(-1.0, 1.0, 201), support)
     found = best_mixture(regression(points, degree), Criterion(np.eye(degree + 1), 0.0))
     assert (degree + 1) * found.derivatives.max() == pytest.approx(degree + 1, rel=1e-5)
@@ -59,7 +59,7 @@ def test_c_and_a_optima_of_a_line():
 
 
 def test_a_optimum_of_the_quadratic():
-    """A-optimal quadratic regression puts 1/4, 1/2, 1/4 at -1, 0, 1 [Pukelsheim2006] 9.8."""
+    """A-optimal quadratic regression puts 1/4, 1/2, 1/4 at -1, 0, 1."""
     found = best_mixture(regression(np.linspace(-1.0, 1.0, 41), 2), Criterion(np.eye(3), 1.0))
     assert found.weights[[0, 20, 40]] == pytest.approx([0.25, 0.5, 0.25], abs=1e-3)
 

@@ -1,10 +1,10 @@
 """Optimal design: what makes one information matrix better than another, and the best mixture.
 
 With ``C = M^-1`` the covariance and ``L`` the rows of interest, all criteria are logarithms of
-homogeneous convex functions of ``M`` ([Pukelsheim2006] ch. 5 and 6): D ``log det(L C L')/r``;
+homogeneous convex functions of ``M``: D ``log det(L C L')/r``;
 power means ``(1/p) log mean((L C L')_ii^p)``, with p = 1 the A-criterion, r = 1 the c-criterion, and
 large p the largest entry. Each has the derivative ``-tr(S dM)`` with ``tr(S M) = 1``, so the general
-equivalence theorem [KieferWolfowitz1960] reads: a mixture is optimal if and only if no candidate has
+equivalence theorem reads: a mixture is optimal if and only if no candidate has
 ``tr(S A_j) > 1``; for D this is the statement that the largest directional derivative ``r tr(S A_j)``
 equals the number r of parameters.
 """
