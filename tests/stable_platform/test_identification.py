@@ -163,14 +163,21 @@ def test_intervals_hold():
 
 @only_compiled
 @pytest.mark.slow
-@pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("force", "pick-off")])
-def test_intervals_hold_in_a_thousand_runs(sources):
-    scores, _ = _scores(_scenario(sensors=NOISE), range(1000), sources)
+def test_intervals_hold_in_ten_thousand_runs():
+    """Gimbal angles and pick-off, sampled every 4 s: 95 % intervals hold 94 to 96 %, no bias."""
+    scores, _ = _scores(_scenario(sensors=NOISE, step=4.0), range(10_000))
+    covered = np.mean(np.abs(scores) < 1.96, axis=0)
+    assert np.all((covered > 0.94) & (covered < 0.96))
+    assert np.all(np.abs(scores.std(axis=0) - 1.0) < 0.03)
+    assert np.all(np.abs(scores.mean(axis=0)) < 0.05)
+
+
+@pytest.mark.slow
+def test_intervals_from_the_specific_force_are_not_too_narrow():
+    """Disturbed specific force and pick-off at 1 s: some intervals are wider than need be, none too narrow."""
+    scores, _ = _scores(_scenario(sensors=NOISE), range(1000), ("force", "pick-off"))
     covered = np.mean(np.abs(scores) < 1.96, axis=0)
     assert np.all((covered > 0.926) & (covered < 0.985))
-    if "gimbals" in sources:
-        assert np.all(covered < 0.971)
-        assert np.all(np.abs(scores.std(axis=0) - 1.0) < 0.075)
 
 
 def test_what_cannot_be_told_apart_is_said():
