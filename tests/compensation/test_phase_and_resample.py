@@ -68,3 +68,21 @@ def test_resampled_constant_force_is_constant():
     times, dv = Resampler(0.025).push(t, np.full(1001, 0.01 * G0))
     assert np.abs(dv[1:] / 0.025 - G0).max() < 1e-9
     assert times.size == 400
+
+
+def test_sum_of_resampled_increments_is_the_running_velocity_to_the_bit():
+    """Every tenth of 0.125 s rows (times without rounding): both running sums are the same numbers."""
+    t = 0.125 * np.arange(2001)
+    dv = G0 * 0.125 * (1.0 + 0.1 * np.random.default_rng(2).standard_normal(2001))
+    dv[0] = 0.0
+    stream = Resampler(1.25)
+    parts = [stream.push(t[i : i + 333], dv[i : i + 333])[1] for i in range(0, 2001, 333)]
+    assert np.cumsum(np.concatenate(parts)).tobytes() == np.cumsum(dv)[10::10].tobytes()
+    assert stream.waiting[0] == 0.0
+    whole = Resampler(1.25).push(t, dv)[1]
+    assert whole.tobytes() == np.concatenate(parts).tobytes()
+
+
+def test_time_that_jumps_back_is_refused():
+    with pytest.raises(piga.ArgumentError, match=r"t\[2\]: 0.5 s does not lie behind"):
+        Resampler(0.1).push([0.0, 1.0, 0.5], [0.0, 1.0, 1.0])

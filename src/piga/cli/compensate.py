@@ -40,6 +40,9 @@ def compensate(
     identify_phase: Annotated[
         str | None, typer.Option(help="Find the phase from this first time at rest, e.g. '60 s'.")
     ] = None,
+    rate: Annotated[
+        str | None, typer.Option(help="Bring one run to this rate, e.g. '10 Hz'; no velocity is lost.")
+    ] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
         float | None, typer.Option(help="Flag rows when the calibration is older [days].")
@@ -61,15 +64,21 @@ def compensate(
     calibrations = [Calibration.from_json(path) for path in calibration or []]
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
+    period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
+    several = len(run) > 1 or str(run[0]) == "-" or _is_triad(run[0])
+    if period is not None and several:
+        raise ArgumentError(
+            "--rate is for one recorded run", remedy="resample with piga.compensation.Resampler"
+        )
     if str(run[0]) == "-":
         _live(_one(calibrations), kind, given, arrow, uncertainty, max_age)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
-    if len(run) > 1 or _is_triad(run[0]):
+    if several:
         summary = _together(run, calibrations, out, uncertainty, max_age, force)
     else:
-        options = (method, given, rest, uncertainty, max_age, force)
+        options = (method, given, rest, uncertainty, max_age, force, period)
         summary = _single(run[0], _one(calibrations), out, *options)
     if json:
         print_json({"file": str(out)} | summary)
@@ -96,16 +105,17 @@ def _one(calibrations: list[Calibration]) -> Calibration:
 
 def _single(
     run: Path, calibration: Calibration, out: Path, method: str | None, phase: Phase | None, rest: float | None,
-    uncertainty: bool, max_age: float | None, force: bool,
+    uncertainty: bool, max_age: float | None, force: bool, period: float | None,
 ) -> dict[str, Any]:  # fmt: skip
+    from piga.compensation import Resampler, identify_phase
     from piga.compensation import compensate as compensate_record
-    from piga.compensation import identify_phase
     from piga.compensation.file_to_file import FileSummary, compensate_file
     from piga.compensation.writers import format_of, write_table
     from piga.records import read_run_file
     from piga.stand import read_run
 
     kind = format_of(out)
+    resampler = None if period is None else Resampler(period)
     wanted = read_run_file(run).data
     data = run.parent / wanted.file
     large = (
@@ -119,7 +129,7 @@ def _single(
             with progress("compensating") as advance:
                 found = compensate_file(
                     run, calibration, path, kind, method=method, phase=phase, uncertainty=uncertainty,
-                    max_age_days=max_age, force=force, advance=advance,
+                    max_age_days=max_age, force=force, resampler=resampler, advance=advance,
                 )  # fmt: skip
 
         write_by_rename(out, write)
@@ -142,6 +152,8 @@ def _single(
         max_age_days=max_age,
         force=force,
     )
+    if resampler is not None:
+        result = resampler.push_rows(result)
     write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
     found.add(result)
     repairs = {event.kind: event.count for event in record.quality.events}

@@ -14,6 +14,7 @@ from piga.compensation.compensate import check_serial_names
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile, Piece
 from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase
+from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
 from piga.compensation.step import empty_step, init_state, run_kernel, work_array
 from piga.compensation.validity import age_flag
@@ -55,9 +56,12 @@ def compensate_file(
     uncertainty: bool = True,
     max_age_days: float | None = None,
     force: bool = False,
+    resampler: Resampler | None = None,
     advance: Callable[[int], None] = lambda _rows: None,
 ) -> FileSummary:
     """Compensate the data of a run file into ``out`` (``kind``: parquet or csv), chunk by chunk.
+
+    With a ``resampler`` the rows are brought to its rate.
 
     Raises
     ------
@@ -78,11 +82,12 @@ def compensate_file(
         pending: Future[None] | None = None
         for piece in _ahead(source.pieces(), reader):
             part = stepper.step(piece)
+            advance(part.size)
+            part = resampler.push_rows(part) if resampler else part
             summary.add(part)
             if pending is not None:
                 pending.result()
             pending = pen.submit(writer.write, part.columns())
-            advance(part.size)
         if pending is not None:
             pending.result()
     if summary.rows == 0:
