@@ -18,6 +18,8 @@ Information = Callable[[Array], Array]
 
 LOWEST, HIGHEST = -10.0, 4.0
 """Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
+SAMPLE = 1 << 17
+"""Increments that the first, coarse passes over a long record look at."""
 REFINEMENTS = 4
 """Passes over the residuals; one less when the ratio is known to a decade."""
 
@@ -78,18 +80,24 @@ def find_noise(
     if near is not None and near.white > 0.0 and near.walk > 0.0:
         centre = math.log10(near.walk * step / near.white)
         low, high, passes = max(low, centre - 1.0), min(high, centre + 1.0), passes - 2
-    best = low
-    for _ in range(passes):
+    best, size = low, 1.0
+    for index in range(passes):
+        coarse = near is None and index < passes - 2 and d.size > 4 * SAMPLE
         grid = np.linspace(low, high, LANES)
-        log, square = _sums(d, h, 10.0**grid / step)
+        log, square = (
+            _sums(d[:SAMPLE], h[:SAMPLE], 10.0**grid / step) if coarse else _sums(d, h, 10.0**grid / step)
+        )
+        if coarse:
+            log, square = log * (d.size / SAMPLE), square * (d.size / SAMPLE)
         objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log
         if information is not None:
             objective = objective + information(grid)
         best = _minimum(grid, objective)
+        size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
         spacing = (high - low) / (LANES - 1)
         low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
     ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
-    white = float(_sums(d, h, np.full(LANES, ratio))[1][0]) / freedom
+    white = size / freedom
     white = max(white, floor**2 / (1.0 + ratio * step))
     return Noise(white, ratio * white)
 

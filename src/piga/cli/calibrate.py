@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,17 +66,18 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
     """Write the three results, each by rename; says so when the report extra is not installed."""
     from piga.records.residuals_parquet import write_residuals
 
-    written = [
-        write_by_rename(directory / "calibration.json", calibration.to_json),
-        write_by_rename(directory / "residuals.parquet", lambda path: write_residuals(calibration, path)),
-    ]
-    if report and report_available():
-        from piga.reports.calibration import write_calibration_report
-
-        written.append(
-            write_by_rename(directory / "report.html", lambda path: write_calibration_report(calibration, path))
+    with ThreadPoolExecutor(1) as beside:
+        written = [write_by_rename(directory / "calibration.json", calibration.to_json)]
+        residuals = beside.submit(
+            write_by_rename, directory / "residuals.parquet", lambda path: write_residuals(calibration, path)
         )
-    return written
+        if report and report_available():
+            from piga.reports.calibration import write_calibration_report
+
+            page = directory / "report.html"
+            write_by_rename(page, lambda path: write_calibration_report(calibration, path))
+            return [*written, residuals.result(), page]
+        return [*written, residuals.result()]
 
 
 def report_available() -> bool:
