@@ -377,14 +377,15 @@ class _Assembly:
         """
         lost = np.zeros(psi.size, dtype=bool)
         output, bits = self.run_file.data.output, self.run_file.instrument.counter_bits
-        if output.kind != "counts" or bits is not None:
+        at = np.flatnonzero(base.begins)[1:]
+        if output.kind != "counts" or bits is not None or at.size == 0:
             return lost
-        step, interval = np.diff(psi), np.diff(t)
+        step, interval = psi[at] - psi[at - 1], t[at] - t[at - 1]
         scale = to_si(self.run_file.instrument.scale_factor, "rad/s/g")
-        force = float(np.linalg.norm(f, axis=1).max())
-        slack = np.where(np.diff(segment) == 0, 0.2, 7.0)
+        force = float(np.sqrt(np.einsum("ij,ij->i", f, f).max()))
+        slack = np.where(segment[at] == segment[at - 1], 0.2, 7.0)
         allowed = (1.5 * scale * force + 1e-3) * interval + slack
-        lost[1:] = base.begins[1:] & (interval > 0.0) & (np.abs(step) > allowed)
+        lost[at] = (interval > 0.0) & (np.abs(step) > allowed)
         if lost.any():
             first = int(rows[int(np.argmax(lost))])
             events.append(

@@ -131,7 +131,7 @@ def _stands_out(size: Array, k: int) -> bool:
 
 def mistaken_unit(f: Array, row: int) -> list[Event]:
     """A static reference whose norm is not g, but is g times a factor between units."""
-    norm = np.linalg.norm(f, axis=1)
+    norm = np.sqrt(np.einsum("ij,ij->i", f, f))
     typical = float(np.median(norm))
     if typical <= 0.0 or float(np.quantile(np.abs(norm - typical), 0.9)) > 0.01 * typical:
         return []
