@@ -30,6 +30,7 @@ from piga.stand import (
     DividingHead,
     Drive,
     Imperfections,
+    LoggedProfile,
     RateTable,
     Specimen,
     SpinPlan,
@@ -260,7 +261,14 @@ SHORT = {
         50.0,
     ),
 }
+_TIMES = np.arange(0.0, 120.5, 0.5)
+_SWING = np.column_stack(
+    [1.0 + 0.4 * np.sin(0.2 * _TIMES), 0.5 * np.cos(0.13 * _TIMES), 0.3 * np.sin(0.17 * _TIMES)]
+)
+SHORT["profile"] = (LoggedProfile(_TIMES, 9.80665 * _SWING, np.full((_TIMES.size, 3), 4e-5)), 50.0)
+
 TERMS = {
+    "profile": ["scale_factor", "tan_beta", "k0"],
     "dividing-head": ["scale_factor", "tan_beta", "k0", "k2"],
     "centrifuge": ["scale_factor", "tan_beta", "k0", "k2"],
     "rate-table": ["scale_factor", "tan_beta", "k0"],
