@@ -66,6 +66,7 @@ from piga.errors import (
     PigaError,
     PigaWarning,
     RunFileError,
+    StoreError,
     UnitError,
 )
 
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run
+    from piga.records.store import open_store
     from piga.stand import read_run
 
 _LAZY = {
@@ -88,6 +90,7 @@ _LAZY = {
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
     "Compensator": "piga.compensation",
+    "open_store": "piga.records.store",
 }
 
 __all__ = [
@@ -103,11 +106,13 @@ __all__ = [
     "PigaWarning",
     "Run",
     "RunFileError",
+    "StoreError",
     "UnitError",
     "__version__",
     "calibrate",
     "closed_form",
     "compensate",
+    "open_store",
     "propagate",
     "read_run",
     "regime",
