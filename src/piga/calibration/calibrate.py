@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.budget import budget_row, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.design import Design
 from piga.calibration.identifiability import (
@@ -26,7 +27,6 @@ from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.solution import Solution, solve
-from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import reduce_segments, residual_increments, weighted_blocks, weighting_mode
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
@@ -100,7 +100,7 @@ def calibrate(
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
     refuse_useless(coefficients, float(np.abs(run.f).max()), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
-    budget, type_b = _budget(fit, groups, per_segment, coefficients, type_a)
+    budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
     coefficients = tuple(
         replace(c, std=float(s)) for c, s in zip(coefficients, np.sqrt(np.diag(covariance)), strict=True)
@@ -210,41 +210,6 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, gro
         jacobian = solution.jacobians[groups[block.segment]]
         meat += jacobian.T @ ((x * variance) @ x.T - cross - cross.T) @ jacobian
     return solution.covariance @ meat @ solution.covariance
-
-
-def _budget(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...], type_a: Array
-) -> tuple[tuple[dict[str, Any], ...], Array]:
-    """Budget rows (one per source, contribution to every coefficient) and the covariance of Type B."""
-    keys = [coefficient.key for coefficient in coefficients]
-    base = np.array([coefficient.value for coefficient in coefficients])
-    turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
-
-    def estimate(run: Run) -> Array:
-        design = Design(run, fit.design.request, fit.design.scale_factor)
-        solution = solve(design, reduce_segments(design, fit.mode, fit.noise), groups)
-        named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
-        values = np.array([coefficient.value for coefficient in named])
-        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
-
-    rows = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
-    covariance = np.zeros((len(keys), len(keys)))
-    for source, change in contributions(fit.design.run, base, estimate):
-        covariance += np.outer(change, change)
-        rows.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
-    return tuple(rows), covariance
-
-
-def _budget_row(
-    source: str, kind: str, distribution: str, value: float | None, unit: str, keys: list[str], change: Array
-) -> dict[str, Any]:
-    return {
-        "source": source,
-        "type": kind,
-        "distribution": distribution,
-        "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
-        "contributions": {key: float(c) for key, c in zip(keys, change, strict=True)},
-    }
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
@@ -358,9 +323,7 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (
-        _budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),
-    )
+    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 
