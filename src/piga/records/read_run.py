@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, RunFileError
 from piga.records.calibration import Event, Quality
-from piga.records.container import SUFFIXES, read_container
 from piga.records.counter import unwrap
-from piga.records.parquet_reader import read_parquet
 from piga.records.run import Run
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.signal_checks import (
@@ -27,14 +25,13 @@ from piga.records.signal_checks import (
     stopped_output,
     stuck_extremes,
 )
+from piga.records.stream import open_stream
 from piga.records.table import RawTable
-from piga.records.text_reader import read_text
 from piga.records.time_base import TimeBase, examine_time
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 
 Array = NDArray[np.float64]
 
-TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 MAX_SEGMENTS = 100_000
 
 
@@ -109,34 +106,15 @@ def _check_sidecar(path: Path, digest: str) -> None:
 
 
 def _read_table(path: Path, run_file: RunFile) -> RawTable:
-    data = run_file.data
-    numeric = data.number_columns()
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else (suffixes[-1:] or [""])[0]
-    if kind in TEXT_SUFFIXES:
-        return read_text(
-            path,
-            tuple(numeric),
-            data.segment,
-            separator=data.delimiter,
-            decimal=data.decimal,
-            encoding=data.encoding,
-            missing=data.missing,
-            mask_damaged=data.damaged_rows == "mask",
-        )
-    if kind in (".parquet", ".pq"):
-        return read_parquet(path, tuple(numeric), data.segment)
-    if kind in SUFFIXES:
-        return read_container(path, kind, tuple(numeric), data.segment, data.sheet)
-    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
-        raise DataError(
-            f"{path}: files of kind '{kind}' are not read",
-            remedy="open it in the spreadsheet program and save it as .xlsx or .csv",
-        )
-    raise DataError(
-        f"{path}: files of kind '{kind}' are not read",
-        remedy=f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",
-    )
+    stream = open_stream(path.parent, run_file.data)
+    chunks = list(stream.chunks())
+    numbers = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in chunks[0].numbers}
+    rows = np.concatenate([chunk.rows for chunk in chunks])
+    labels = {}
+    if run_file.data.segment is not None:
+        codes = np.concatenate([chunk.codes for chunk in chunks if chunk.codes is not None])
+        labels[run_file.data.segment] = (codes, tuple(stream.label_names))
+    return RawTable(path, numbers, labels, rows.size, 1, stream.units, tuple(stream.events()), rows)
 
 
 @dataclass
