@@ -52,6 +52,10 @@ class CalibrationError(PigaError):
     """A calibration cannot be computed, read or applied."""
 
 
+class StoreError(PigaError):
+    """A store or an export of records cannot be opened, read, written or trusted."""
+
+
 class PigaWarning(UserWarning):
     """Something was repaired, left out or assumed; the result says so too."""
 
