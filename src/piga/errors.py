@@ -45,7 +45,11 @@ class DataError(PigaError):
 
 
 class IdentifiabilityError(PigaError):
-    """The record cannot tell the requested coefficients apart."""
+    """The record cannot tell the requested coefficients apart; ``terms`` names them."""
+
+    def __init__(self, message: str, *, remedy: str | None = None, terms: tuple[str, ...] = ()) -> None:
+        self.terms = terms
+        super().__init__(message, remedy=remedy)
 
 
 class CalibrationError(PigaError):
