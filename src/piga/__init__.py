@@ -57,6 +57,7 @@ A first look
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from piga._version import __version__
@@ -65,10 +66,12 @@ from piga.errors import (
     CalibrationError,
     DataError,
     IdentifiabilityError,
+    MissingPackageError,
     PigaError,
     PigaWarning,
     RunFileError,
     UnitError,
+    missing_package,
 )
 
 if TYPE_CHECKING:
@@ -92,6 +95,9 @@ _LAZY = {
     "Compensator": "piga.compensation",
 }
 
+_NEEDS = {"read_run": "pyarrow", "calibrate": "scipy"}
+"""Packages beyond the small core that a public name cannot do without."""
+
 __all__ = [
     "ArgumentError",
     "Calibration",
@@ -101,6 +107,7 @@ __all__ = [
     "DataError",
     "IdentifiabilityError",
     "Instrument",
+    "MissingPackageError",
     "PigaError",
     "PigaWarning",
     "Run",
@@ -119,6 +126,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name from its room on first use: ``import piga`` itself stays light."""
     if name in _LAZY:
+        if name in _NEEDS and find_spec(_NEEDS[name]) is None:
+            raise missing_package(_NEEDS[name])
         return getattr(import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'piga' has no attribute '{name}'")
 

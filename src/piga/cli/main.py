@@ -17,7 +17,7 @@ from piga.cli.demo import demo
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
-from piga.errors import PigaError
+from piga.errors import EXTRAS, PigaError, missing_package
 
 app = typer.Typer(
     name="piga",
@@ -59,6 +59,12 @@ def main() -> None:
         sys.exit(2)
     except BrokenPipeError:
         sys.exit(0)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        note(f"piga: {missing_package(package)}")
+        sys.exit(2)
     except (KeyboardInterrupt, MemoryError) as error:
         note(f"piga: stopped ({type(error).__name__})")
         sys.exit(1)
