@@ -43,7 +43,9 @@ INK, PALE, LINE = "#12324a", "#5a6b78", "#2b5f8a"
 
 def layers() -> list[list[str]]:
     """Rooms from top to bottom, as the import contract in ``pyproject.toml`` orders them."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
     wanted = next(contract for contract in contracts if contract["type"] == "layers")
     return [[part.strip().removeprefix("piga.") for part in re.split("[:|]", row)] for row in wanted["layers"]]
 
@@ -63,7 +65,7 @@ def graph() -> dict[str, list[str]]:
 
 def room_of(module: str) -> str:
     """``piga.instrument.twin`` is in the room ``instrument``."""
-    return (module.split(".") + [""])[1]
+    return [*module.split("."), ""][1]
 
 
 def text(x: float, y: float, words: str, size: int, colour: str, extra: str = "") -> str:
@@ -82,10 +84,13 @@ def row_lines(room: str, k: int, rooms: list[str], below: list[str]) -> list[str
     for column, other in enumerate(rooms):
         x = MARGIN + NAME + (column + 0.75) * STEP
         if column == k:
-            lines.append(f'<rect x="{x - 9}" y="{y + ROW / 2 - 9}" width="18" height="18" rx="3" fill="#c9d8e4"/>')
+            lines.append(
+                f'<rect x="{x - 9}" y="{y + ROW / 2 - 9}" width="18" height="18" rx="3" fill="#c9d8e4"/>'
+            )
         elif other in below:
             lines.append(
-                f'<circle cx="{x}" cy="{y + ROW / 2}" r="7" fill="{LINE}"><title>{escape(f"{room} imports {other}")}</title></circle>'
+                f'<circle cx="{x}" cy="{y + ROW / 2}" r="7" fill="{LINE}">'
+                f"<title>{escape(room)} imports {escape(other)}</title></circle>"
             )
     return lines
 
@@ -95,8 +100,7 @@ def svg(edges: dict[str, list[str]]) -> str:
     rooms = list(edges)
     width, height = 2 * MARGIN + NAME + (len(rooms) + 0.5) * STEP, TOP + len(rooms) * ROW + MARGIN
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
-        'font-family="Helvetica, Arial, sans-serif" role="img">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" role="img" font-family="sans-serif">',
         f'<title>Rooms of piga and their imports</title><metadata id="graph">{escape(json.dumps(edges))}</metadata>',
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
         text(MARGIN, 34, "Rooms of piga", 20, INK, 'font-weight="600"'),

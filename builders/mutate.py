@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
+import importlib
 import importlib.abc
 import importlib.util
 import json
@@ -33,7 +34,12 @@ MOTION = [
 ]  # fmt: skip
 FIT = ["tests/calibration/test_kernels.py", "tests/docs/test_equations.py", "tests/calibration/test_reduction.py",
        "tests/calibration/test_interpreted.py"]  # fmt: skip
-PLACE = ["tests/frames", "tests/stand/test_stands.py", "tests/stable_platform/test_geometry.py", "tests/stable_platform/test_simulate.py"]
+PLACE = [
+    "tests/foundations",
+    "tests/stand/test_stands.py",
+    "tests/stable_platform/test_geometry.py",
+    "tests/stable_platform/test_simulate.py",
+]
 TESTS = {
     "_kernels/motion.py": MOTION,
     "_kernels/motion_records.py": MOTION,
@@ -44,7 +50,11 @@ TESTS = {
     "_kernels/square_root.py": FIT,
     "frames.py": PLACE,
     "earth.py": PLACE,
-    "units.py": ["tests/records/test_units.py", "tests/instrument/test_parameters.py"],
+    "units.py": [
+        "tests/foundations/test_unit_table.py",
+        "tests/records/test_units.py",
+        "tests/instrument/test_parameters.py",
+    ],
 }
 """Tests that have to notice a change of a file, the quickest first."""
 
@@ -53,7 +63,15 @@ OPERATORS: dict[type, type] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
 }  # fmt: skip
-NAMES = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh", "max": "min", "min": "max", "rint": "floor"}
+NAMES = {
+    "sin": "cos",
+    "cos": "sin",
+    "sinh": "cosh",
+    "cosh": "sinh",
+    "max": "min",
+    "min": "max",
+    "rint": "floor",
+}
 
 
 @dataclass(frozen=True)
@@ -109,7 +127,13 @@ def changed(node: ast.AST) -> str:
         node.op = ast.UAdd() if isinstance(node.op, ast.USub) else ast.USub()
     elif isinstance(node, ast.Constant):
         value = node.value
-        node.value = (not value) if isinstance(value, bool) else value + 1 if isinstance(value, int) else value * 1.001 + (value == 0)
+        node.value = (
+            (not value)
+            if isinstance(value, bool)
+            else value + 1
+            if isinstance(value, int)
+            else value * 1.001 + (value == 0)
+        )
     elif isinstance(node, ast.Attribute):
         node.attr = NAMES[node.attr]
     return f"{before} -> {ast.unparse(node)}"
@@ -123,7 +147,14 @@ def mutants(file: str) -> list[Mutant]:
         tree = ast.parse(text)
         node = list(places(tree))[index][0]
         original = copy.deepcopy(node)
-        found.append(Mutant(file, getattr(original, "lineno", 0), changed(node), ast.unparse(ast.fix_missing_locations(tree))))
+        found.append(
+            Mutant(
+                file,
+                getattr(original, "lineno", 0),
+                changed(node),
+                ast.unparse(ast.fix_missing_locations(tree)),
+            )
+        )
     return found
 
 
@@ -134,10 +165,12 @@ class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self.name = "piga." + mutant.file.removesuffix(".py").replace("/", ".")
         self.path, self.text = str(SOURCE / mutant.file), mutant.text
 
-    def find_spec(self, name: str, path: object, target: object = None) -> object:
-        return importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
+    def find_spec(self, name: str, _path: object, _target: object = None) -> object:
+        return (
+            importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
+        )
 
-    def create_module(self, spec: object) -> None:
+    def create_module(self, _spec: object) -> None:
         return None
 
     def exec_module(self, module: object) -> None:
@@ -154,9 +187,20 @@ def run_tests(mutant: Mutant | None, tests: list[str], limit: float) -> tuple[in
         os.dup2(silent, 2)
         if mutant is not None:
             sys.meta_path.insert(0, Changed(mutant))
-        import pytest
+        import pytest  # noqa: PLC0415 - in the child: it reads the changed package
 
-        options = ["-x", "-q", "-W", "ignore::pytest.PytestAssertRewriteWarning", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow and not only_compiled"]
+        options = [
+            "-x",
+            "-q",
+            "-W",
+            "ignore::pytest.PytestAssertRewriteWarning",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:xdist",
+            "-m",
+            "not slow and not only_compiled",
+        ]
         os._exit(int(pytest.main([*options, *tests])))
     while time.monotonic() - start < limit:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -178,7 +222,16 @@ def main() -> None:
     arguments = parser.parse_args()
     os.chdir(ROOT)
     sys.path[:0] = [str(ROOT), str(ROOT / "src")]
-    import hypothesis, mpmath, numba, numpy, pytest, scipy.integrate, scipy.linalg, scipy.optimize  # noqa: E401, F401
+    for name in (
+        "hypothesis",
+        "mpmath",
+        "numba",
+        "pytest",
+        "scipy.integrate",
+        "scipy.linalg",
+        "scipy.optimize",
+    ):
+        importlib.import_module(name)  # once, for all children
 
     chosen = {file: mutants(file) for file in arguments.files or TESTS}
     pool = [mutant for found in chosen.values() for mutant in found]

@@ -8,7 +8,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "_extensions"), str(HERE.parent / "src")]
 
-from piga import __version__ as release  # noqa: E402, F401
+from piga import __version__ as release  # noqa: E402
 
 project = "piga"
 copyright = "The piga developers, Apache-2.0"  # noqa: A001

@@ -17,6 +17,12 @@ import typer
 from sphinx.application import Sphinx
 
 import piga
+from piga.calibration.plan_file import PlanTable
+from piga.cli.main import app as command_line
+from piga.compensation.triad_file import TriadFile
+from piga.records.run_file import RunFile
+from piga.stable_platform.scenario_file import ScenarioFile
+from piga.stand.scenario_tables import ScenarioTable
 
 PLAIN = ("units", "frames", "earth", "errors")
 """Modules that are rooms of their own."""
@@ -47,7 +53,9 @@ def write_pages(folder: Path) -> None:
 def rooms() -> list[str]:
     """Public rooms of the package: packages with public names, and the plain modules below them."""
     found = [info.name for info in pkgutil.iter_modules(piga.__path__) if info.ispkg and info.name[0] != "_"]
-    return [name for name in found if hasattr(__import__(f"piga.{name}", fromlist=["x"]), "__all__")] + list(PLAIN)
+    return [name for name in found if hasattr(__import__(f"piga.{name}", fromlist=["x"]), "__all__")] + list(
+        PLAIN
+    )
 
 
 def api_pages() -> dict[str, str]:
@@ -65,10 +73,10 @@ def api_pages() -> dict[str, str]:
 
 def cli_page() -> str:
     """Every command with its arguments and options, from the command objects themselves."""
-    root = typer.main.get_command(__import__("piga.cli.main", fromlist=["app"]).app)
+    root = typer.main.get_command(command_line)
+    codes = "Exit codes: 0 done, 2 wrong use or bad input (one message on stderr), 1 internal error."
     parts = [
-        "# Command line\n\nExit codes: 0 done, 2 wrong use or bad input (one message on stderr), 1 internal error. "
-        "`piga --version` prints the version, `--help` stands behind every command.\n"
+        f"# Command line\n\n{codes} `piga --version` prints the version; `--help` stands behind every command.\n"
     ]
     parts += [command_text(name, command) for name, command in walk("piga", root)]
     return "\n".join(parts)
@@ -90,10 +98,14 @@ def command_text(name: str, command: Any) -> str:
     for parameter in command.params:
         if parameter.name == "help":
             continue
-        label = ", ".join(parameter.opts + parameter.secondary_opts) if parameter.param_type_name == "option" else (
-            parameter.metavar or parameter.name.upper()
+        label = (
+            ", ".join(parameter.opts + parameter.secondary_opts)
+            if parameter.param_type_name == "option"
+            else (parameter.metavar or parameter.name.upper())
         )
-        rows.append(f"| `{label}` | {cell(getattr(parameter, 'help', '') or '')} | {default_text(parameter.default)} |")
+        rows.append(
+            f"| `{label}` | {cell(getattr(parameter, 'help', '') or '')} | {default_text(parameter.default)} |"
+        )
     return f"## {name}\n\n{command.help}\n\n    {usage}\n\n" + "\n".join(rows) + "\n"
 
 
@@ -114,14 +126,12 @@ def cell(text: str) -> str:
 
 def file_pages() -> dict[str, str]:
     """A page for each kind of TOML file, from the typed tables that read it."""
-    from piga.calibration.plan_file import PlanTable
-    from piga.compensation.triad_file import TriadFile
-    from piga.records.run_file import RunFile
-    from piga.stable_platform.scenario_file import ScenarioFile
-    from piga.stand.scenario_tables import ScenarioTable
-
     heads = {
-        "run-file": ("The run file", RunFile, "One recorded test: `piga check`, `convert`, `calibrate`, `compensate`."),
+        "run-file": (
+            "The run file",
+            RunFile,
+            "One recorded test: `piga check`, `convert`, `calibrate`, `compensate`.",
+        ),
         "scenario-file": ("The scenario file", ScenarioTable, "A synthetic test: `piga simulate`."),
         "plan-file": ("The plan file", PlanTable, "A test to be planned: `piga plan`."),
         "platform-file": ("The platform scenario", ScenarioFile, "A platform run: `piga platform ...`."),
@@ -132,10 +142,10 @@ def file_pages() -> dict[str, str]:
 
 def file_page(title: str, kind: type[msgspec.Struct], lead: str) -> str:
     """Tables of keys of all structures that can be reached from ``kind``."""
-    parts = [
-        f"# {title}\n\n{lead} A *quantity* is text with a unit (`\"0.8884 rad/s/g\"`) or a number in SI. "
-        "An unknown key is an error that names the nearest known one.\n"
-    ]
+    note = (
+        'A *quantity* is text with a unit (`"0.8884 rad/s/g"`) or a number in SI. An unknown key is an error.'
+    )
+    parts = [f"# {title}\n\n{lead} {note}\n"]
     seen: list[type[msgspec.Struct]] = []
     collect(kind, seen)
     parts += [struct_text(struct) for struct in seen]
@@ -159,9 +169,11 @@ def struct_text(struct: type[msgspec.Struct]) -> str:
     config = struct.__struct_config__
     rows = ["| key | value | default |", "|---|---|---|"]
     if config.tag is not None:
-        rows.append(f"| `{config.tag_field}` | `\"{config.tag}\"` | needed |")
-    for field in msgspec.structs.fields(struct):
-        rows.append(f"| `{field.encode_name}` | {type_text(field.type)} | {field_default(field)} |")
+        rows.append(f'| `{config.tag_field}` | `"{config.tag}"` | needed |')
+    rows += [
+        f"| `{field.encode_name}` | {type_text(field.type)} | {field_default(field)} |"
+        for field in msgspec.structs.fields(struct)
+    ]
     summary = (struct.__doc__ or "").replace("``", "`")
     return f"## {struct.__name__}\n\n{summary}\n\n" + "\n".join(rows) + "\n"
 
@@ -172,7 +184,7 @@ def field_default(field: msgspec.structs.FieldInfo) -> str:
         return "needed"
     if field.default is msgspec.NODEFAULT or isinstance(field.default, msgspec.Struct):
         return "its defaults" if isinstance(field.default, msgspec.Struct) else ""
-    if field.default is None or field.default == () or field.default == {}:
+    if field.default in (None, (), {}):
         return ""
     return f"`{cell(json.dumps(field.default, ensure_ascii=False))}`"
 
@@ -185,7 +197,7 @@ def type_text(annotation: Any) -> str:
     if origin is Annotated:
         return type_text(parts[0])
     if origin is Literal:
-        return " \\| ".join(f"`\"{part}\"`" for part in parts)
+        return " \\| ".join(f'`"{part}"`' for part in parts)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(union_texts(parts)))
     if origin is tuple:
@@ -219,15 +231,19 @@ def schema_page() -> str:
         schema = json.loads(path.read_text(encoding="utf-8"))
         rows = ["| member | type | meaning |", "|---|---|---|"]
         rows += schema_rows(schema, schema, "")
-        parts.append(f"## {path.name}\n\n{schema.get('description', schema.get('title', ''))}\n\n" + "\n".join(rows) + "\n")
+        parts.append(
+            f"## {path.name}\n\n{schema.get('description', schema.get('title', ''))}\n\n"
+            + "\n".join(rows)
+            + "\n"
+        )
     return "\n".join(parts)
 
 
 def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> list[str]:
     """Rows for the members of an object, its arrays' members behind ``[]``."""
     rows = []
-    for name, member in node.get("properties", {}).items():
-        member, where = resolve(member, root), f"{path}{name}"
+    for name, found in node.get("properties", {}).items():
+        member, where = resolve(found, root), f"{path}{name}"
         kind = member.get("type", "value")
         kind = " or ".join(kind) if isinstance(kind, list) else kind
         value = f"`{member['const']}`" if "const" in member else cell(member.get("description", ""))

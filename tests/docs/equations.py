@@ -316,7 +316,11 @@ def _likelihood() -> Iterator[Pair]:
 
     literal = minimize_scalar(objective, bounds=(-2.0, 2.0), method="bounded", options={"xatol": 1e-6}).x
     found = find_noise(
-        residual, np.full(n, h), m, 0.0, information=lambda grid: np.array([information(float(g)) for g in grid])
+        residual,
+        np.full(n, h),
+        m,
+        0.0,
+        information=lambda grid: np.array([information(float(g)) for g in grid]),
     )
     yield literal, np.log10(found.walk * h / found.white), 2e-2
 
@@ -337,7 +341,9 @@ def _inverse() -> Iterator[Pair]:
         delta, middle, Y, Z = _interval(f, h)
         coupling = Y * np.sin(middle) - Z * np.cos(middle)
 
-        def misfit(A: float, delta: float = delta, square: float = Y * Y + Z * Z, coupling: float = coupling) -> float:
+        def misfit(
+            A: float, delta: float = delta, square: float = Y * Y + Z * Z, coupling: float = coupling
+        ) -> float:
             q = np.sqrt(complex((A**2 - square) / 4))
             return A * np.cos(delta) - (2 * (q / np.tan(q)).real * np.sin(delta) - coupling)
 
@@ -378,9 +384,7 @@ def _inverse_axis() -> Iterator[Pair]:
 def _uncertainty() -> Iterator[Pair]:
     r, q, u_k0, u_tan = 2e-6, 1e-6, 3e-6, 2e-7
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, "k0": 0.0}
-    calibration = calibration_of(
-        values, {"k0": u_k0, "tan_beta": u_tan}, angle_rms=r, angle_random_walk=q
-    )
+    calibration = calibration_of(values, {"k0": u_k0, "tan_beta": u_tan}, angle_rms=r, angle_random_walk=q)
     h = 0.01
     run = run_of(np.array([0.0, h, 2 * h]), np.vstack([F0] * 3), phi=PHI)
     _, middle, _, _ = _interval(F0, h)

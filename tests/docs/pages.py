@@ -51,7 +51,11 @@ def blocks(page: Path) -> list[Block]:
             text = "\n".join(line[len(fence["indent"]) :] for line in lines[at + 1 : end])
             found.append(Block(fence["kind"], text, at + 1, slow))
             at, slow = end, False
-        elif lines[at].startswith("    ") and lines[at].strip().startswith(COMMANDS) and not lines[at - 1].strip():
+        elif (
+            lines[at].startswith("    ")
+            and lines[at].strip().startswith(COMMANDS)
+            and not lines[at - 1].strip()
+        ):
             end = at
             while end < len(lines) and lines[end].startswith("    "):
                 end += 1

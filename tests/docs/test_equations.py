@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -39,9 +40,7 @@ def test_every_equation_has_an_entry() -> None:
 def test_no_equation_hides_in_an_indented_block(page: Path) -> None:
     """Formulas stand between dollar signs, where they get a label."""
     lines = page.read_text(encoding="utf-8").splitlines()
-    hidden = [
-        line for before, line in zip(lines, lines[1:], strict=False) if not before.strip() and line.startswith("    ")
-    ]
+    hidden = [line for before, line in pairwise(lines) if not before.strip() and line.startswith("    ")]
     assert not hidden
 
 

@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 import pytest
-
 from builders import build_architecture
 
 from .pages import DOCS, ROOT, name_of, pages
@@ -19,7 +18,9 @@ _TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?[^`]*`|`(test_\w+)`")
 
 
 def test_the_picture_of_the_rooms_is_that_of_the_code() -> None:
-    assert build_architecture.drawn() == build_architecture.graph(), "run: python builders/build_architecture.py"
+    assert build_architecture.drawn() == build_architecture.graph(), (
+        "run: python builders/build_architecture.py"
+    )
 
 
 def test_imports_go_one_way() -> None:
@@ -67,7 +68,9 @@ def test_links_and_pictures_lead_somewhere(page: Path) -> None:
 
 
 def test_only_known_pages_are_to_come() -> None:
-    entries = re.findall(r"^((?!reference/generated)[\w/-]+)$", (DOCS / "index.md").read_text(encoding="utf-8"), re.M)
+    entries = re.findall(
+        r"^((?!reference/generated)[\w/-]+)$", (DOCS / "index.md").read_text(encoding="utf-8"), re.M
+    )
     missing = {entry for entry in entries if not (DOCS / f"{entry}.md").exists()}
     assert missing <= TO_COME
 

@@ -49,7 +49,9 @@ def test_page_with_its_long_blocks(runner: Runner, page: Path) -> None:
 
 def test_every_block_says_what_it_is() -> None:
     """A misspelt fence would never be run."""
-    odd = [f"{name_of(page)}:{b.line}: {b.kind}" for page in pages() for b in blocks(page) if b.kind not in KINDS]
+    odd = [
+        f"{name_of(page)}:{b.line}: {b.kind}" for page in pages() for b in blocks(page) if b.kind not in KINDS
+    ]
     assert not odd
 
 
