@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.metadata import files
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -12,7 +13,13 @@ from piga import __version__ as release  # noqa: E402
 
 project = "piga"
 copyright = "The piga developers, Apache-2.0"  # noqa: A001
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "generated_pages"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "generated_pages",
+]
 exclude_patterns = ["_*", "Thumbs.db"]
 suppress_warnings = ["toc.not_readable"]  # tests/docs/test_pages.py says which pages may be missing
 highlight_language = "none"
@@ -22,7 +29,6 @@ myst_heading_anchors = 3
 myst_dmath_double_inline = False
 math_number_all = False
 math_eqref_format = "({number})"
-html_math_renderer = "mathml"
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
@@ -33,7 +39,12 @@ napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"piga {release}"
-html_static_path = ["_static"]
+formulas = next(path for path in files("sphinx-mathjax-offline") or () if path.name == "tex-svg.js")
+html_static_path = [
+    "_static",
+    str(formulas.locate()),
+]  # MathJax in one file, letters as outlines: no font, no network
+mathjax_path = "tex-svg.js"
 html_css_files = ["piga.css"]
 html_copy_source = False
 html_show_sourcelink = False
