@@ -14,8 +14,10 @@ Outer-gimbal frame ``X1 Y1 Z1``
 Rotor axis ``z``
     ``z = sin(beta) X1 + cos(beta) Z1``.
 
-Symbols (SI inside; units exist only at the edges: files, command line, reports)
+Symbols
 -------
+SI inside; units exist only at the edges: files, command line, reports.
+
 ``alpha`` [rad]
     outer-gimbal angle about ``X0``, positive from ``Y0`` towards ``Z0``; the output; unwrapped.
 ``psi`` [rad]

@@ -73,6 +73,9 @@ EXTRAS = {
     "nptdms": "tdms",
     "openpyxl": "xlsx",
     "pysolid": "tide",
+    "sqlalchemy": "records",
+    "alembic": "records",
+    "psycopg": "postgres",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 
