@@ -51,7 +51,7 @@ def test_truth_within_uncertainty_over_repeats() -> None:
 
 
 def test_joint_of_split_record_is_the_record() -> None:
-    """Two halves of one record with given noise, and one phase each, give what per-segment groups give."""
+    """Two halves of one record with given noise and a phase per segment give what the whole gives."""
     runs, _ = joint_test(np.random.default_rng(4))
     given = msgspec.structs.replace(
         runs[0].estimation, angle_rms="2.5e-5 rad", angle_random_walk="1e-5 rad/sqrt(s)"
@@ -60,10 +60,11 @@ def test_joint_of_split_record_is_the_record() -> None:
     part = whole.segment < 6
     halves = [_rows(whole, part), _rows(whole, ~part)]
     terms = ["scale_factor", "tan_beta", "k0", "m_Y"]
-    split, once = piga.calibrate(halves, terms), piga.calibrate(whole, terms)
+    split = piga.calibrate(halves, terms, phase="per-segment")
+    once = piga.calibrate(whole, terms, phase="per-segment")
     for name in terms:
-        assert split[name].value == pytest.approx(once[name].value, abs=0.5 * once[name].std)
-        assert split[name].std == pytest.approx(once[name].std, rel=0.01)
+        assert split[name].value == pytest.approx(once[name].value, abs=1e-5 * once[name].std)
+        assert split[name].std == pytest.approx(once[name].std, rel=1e-6)
 
 
 def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:

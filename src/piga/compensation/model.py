@@ -144,7 +144,7 @@ def _used_coefficients(
     have = ", ".join(str(c.owner) for c in list(known.values())[:8])
     wanted = "this record" if segment is None else f"segment '{segment}'"
     raise CalibrationError(
-        f"the calibration holds no phase phi for {wanted} (it has phases of: {have})",
+        f"the calibration holds no phase phi for {wanted} (it has per-segment phases: {have})",
         remedy="identify the phase at power-up from a few revolutions at rest (--identify-phase), "
         "or give it with --phase",
     )
