@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, UnitError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
@@ -238,7 +238,12 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     )
 
     document = _decode(raw, path)
-    matrix = np.array(document.covariance.matrix, dtype=float)
+    try:
+        matrix = np.array(document.covariance.matrix, dtype=float)
+    except ValueError:
+        raise CalibrationError(
+            f"{path}: the covariance is not a full square matrix", remedy="calibrate again"
+        ) from None
     _check(path, document, matrix)
     hashes = document.provenance.input_sha256
     return Calibration(
@@ -309,7 +314,10 @@ def _decode(raw: bytes, path: Path) -> _Document:
 
 
 def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
-    return quantity.value * conversion_factor(quantity.unit, like, what=str(path))
+    try:
+        return quantity.value * conversion_factor(quantity.unit, like)
+    except UnitError as error:
+        raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
 def _check(path: Path, document: _Document, matrix: Any) -> None:
