@@ -65,6 +65,9 @@ EXTRAS = {
     "nptdms": "tdms",
     "openpyxl": "xlsx",
     "pysolid": "tide",
+    "lxml": "certificate",
+    "signxml": "certificate",
+    "cryptography": "certificate",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 
