@@ -76,6 +76,9 @@ EXTRAS = {
     "sqlalchemy": "records",
     "alembic": "records",
     "psycopg": "postgres",
+    "lxml": "certificate",
+    "signxml": "certificate",
+    "cryptography": "certificate",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 
