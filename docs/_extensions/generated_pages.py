@@ -107,7 +107,7 @@ def label_of(parameter: Any) -> str:
     if parameter.param_type_name == "argument":
         return str(parameter.metavar or parameter.name.upper()) + ("..." if parameter.nargs == -1 else "")
     names = ", ".join(parameter.opts + parameter.secondary_opts)
-    return names if parameter.is_flag else f"{names} {parameter.metavar or "VALUE"}"
+    return names if parameter.is_flag else " ".join((names, parameter.metavar or "VALUE"))
 
 
 def default_text(value: Any) -> str:
