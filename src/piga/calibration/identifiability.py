@@ -128,6 +128,8 @@ def refuse_useless(
 
     Parameters
     ----------
+    coefficients:
+        Estimates with their standard uncertainties.
     largest:
         Largest specific force of the record [m/s^2].
     duration, spread:

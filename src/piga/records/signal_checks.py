@@ -77,6 +77,8 @@ def stopped_output(
         Interval before each sample [s], zero where a stretch begins.
     per_step:
         Output units per (m/s^2) and second.
+    rows:
+        File row of each sample.
     """
     moves = np.abs(a_x) > 0.05 * np.abs(a_x).max()
     still = np.concatenate(([False], np.diff(reading) == 0.0)) & (step > 0.0) & moves
