@@ -11,7 +11,6 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-import click
 import msgspec
 import typer
 from sphinx.application import Sphinx
@@ -92,21 +91,23 @@ def walk(path: str, command: Any) -> list[tuple[str, Any]]:
 
 def command_text(name: str, command: Any) -> str:
     """Heading, help and table of parameters of one command."""
-    context = click.Context(command, info_name=name)
-    usage = " ".join([name, *command.collect_usage_pieces(context)])
+    shown = [parameter for parameter in command.params if parameter.name != "help"]
+    arguments = [label_of(parameter) for parameter in shown if parameter.param_type_name == "argument"]
+    usage = " ".join([name, "[OPTIONS]", *arguments])
     rows = ["| parameter | meaning | default |", "|---|---|---|"]
-    for parameter in command.params:
-        if parameter.name == "help":
-            continue
-        label = (
-            ", ".join(parameter.opts + parameter.secondary_opts)
-            if parameter.param_type_name == "option"
-            else (parameter.metavar or parameter.name.upper())
-        )
-        rows.append(
-            f"| `{label}` | {cell(getattr(parameter, 'help', '') or '')} | {default_text(parameter.default)} |"
-        )
+    rows += [
+        f"| `{label_of(parameter)}` | {cell(getattr(parameter, 'help', '') or '')} | {default_text(parameter.default)} |"
+        for parameter in shown
+    ]
     return f"## {name}\n\n{command.help}\n\n    {usage}\n\n" + "\n".join(rows) + "\n"
+
+
+def label_of(parameter: Any) -> str:
+    """``RUN.toml`` of an argument, ``--out DIR`` of an option."""
+    if parameter.param_type_name == "argument":
+        return str(parameter.metavar or parameter.name.upper()) + ("..." if parameter.nargs == -1 else "")
+    names = ", ".join(parameter.opts + parameter.secondary_opts)
+    return names if parameter.is_flag else " ".join((names, parameter.metavar or "VALUE"))
 
 
 def default_text(value: Any) -> str:
