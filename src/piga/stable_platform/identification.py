@@ -96,6 +96,8 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         Any of ``gimbals``, ``pick-off``, ``force``.
     orders:
         Harmonics of the misalignment over the case turn to identify.
+    iterations:
+        Gauss-Newton steps; four reach rounding.
 
     Raises
     ------

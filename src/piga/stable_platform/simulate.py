@@ -95,7 +95,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Run:
-    """A simulated run."""
+    """A simulated run: its scenario, what the sensors show, and the truth."""
 
     scenario: Scenario
     readouts: Readouts
