@@ -37,6 +37,8 @@ def keep_run(
 
     Parameters
     ----------
+    store:
+        Where it is kept.
     run:
         Run file.
     operator, reason:
@@ -47,6 +49,8 @@ def keep_run(
         Time of the test, in ISO form; without a zone it is UTC.
     supersedes:
         Name of the record that this one amends.
+    report:
+        Make the report too (it needs the extra ``report``).
 
     Raises
     ------

@@ -101,6 +101,8 @@ def open_database(where: str | Path, *, create: bool = False, identity: bytes | 
 
     Parameters
     ----------
+    where:
+        SQLite file, or URL of a PostgreSQL database.
     create:
         Make the store where there is none.
     identity:

@@ -22,6 +22,10 @@ def write_durably(target: Path, write: Callable[[Path], object], *, replace: boo
 
     Parameters
     ----------
+    target:
+        File to be.
+    write:
+        Fills the file whose path it gets.
     replace:
         False: an existing ``target`` is never touched.
 
