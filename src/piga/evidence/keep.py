@@ -37,6 +37,8 @@ def keep_run(
 
     Parameters
     ----------
+    store:
+        The open store.
     run:
         Run file.
     operator, reason:
@@ -47,6 +49,8 @@ def keep_run(
         Time of the test, in ISO form; without a zone it is UTC.
     supersedes:
         Name of the record that this one amends.
+    report:
+        Make the page too (needs the extra ``report``).
 
     Raises
     ------

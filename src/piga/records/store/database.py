@@ -96,6 +96,8 @@ def open_database(where: str | Path, *, create: bool = False, identity: bytes | 
 
     Parameters
     ----------
+    where:
+        File of an SQLite store, or URL of a PostgreSQL database.
     create:
         Make the store where there is none.
     identity:

@@ -22,6 +22,10 @@ def write_durably(target: Path, write: Callable[[Path], object], *, replace: boo
 
     Parameters
     ----------
+    target:
+        The file to make.
+    write:
+        Fills the temporary file it is given.
     replace:
         False: an existing ``target`` is never touched.
 
