@@ -20,7 +20,7 @@ from piga.records import Calibration
 TOLERANCE = 1e-12
 """Times the condition number: the relative difference that another platform may make."""
 NOISE_TOLERANCE = 1e-8
-"""Relative difference of the noise levels: they are found by search, as flat as any optimum."""
+"""Difference of the noise levels on their scale: they are found by search, as flat as any optimum."""
 UNCOMPARED = ("created", "software", "source")
 """Entries of the provenance that say when, by what and from which folder."""
 
@@ -146,6 +146,11 @@ def _angles(a: Calibration, b: Calibration) -> list[Compared]:
 
 
 def _noise(a: Calibration, b: Calibration) -> list[Compared]:
-    names = ("angle_rms", "angle_random_walk")
-    scale = {name: NOISE_TOLERANCE * max(abs(getattr(a, name)), 1e-300) for name in names}
-    return [Compared(name, getattr(a, name), getattr(b, name), scale[name]) for name in names]
+    """Noise levels, each on the scale at which it counts beside the other over the whole record."""
+    duration = math.fsum(segment.duration for segment in a.segments) or 1.0
+    white = max(a.angle_rms, a.angle_random_walk * math.sqrt(duration / max(a.quality.used, 1)))
+    walk = max(a.angle_random_walk, a.angle_rms / math.sqrt(duration))
+    return [
+        Compared("angle_rms", a.angle_rms, b.angle_rms, NOISE_TOLERANCE * white),
+        Compared("angle_random_walk", a.angle_random_walk, b.angle_random_walk, NOISE_TOLERANCE * walk),
+    ]

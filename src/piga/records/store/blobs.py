@@ -35,6 +35,19 @@ def parts_of(path: Path) -> Iterator[bytes]:
         raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check the file") from None
 
 
+def as_bytes(value: object, what: str) -> bytes:
+    """A column that must hold bytes.
+
+    Raises
+    ------
+    StoreError
+        If it holds anything else.
+    """
+    if not isinstance(value, bytes | memoryview):
+        raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
+    return bytes(value)
+
+
 def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
     """SHA-256 and size [bytes] of what comes in parts."""
     digest, size = hashlib.sha256(), 0
@@ -96,24 +109,24 @@ def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
     StoreError
         If the file is not in the store, or not what it was.
     """
-    size = connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).scalar_one_or_none()
-    if size is None:
+    row = connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).one_or_none()
+    if row is None:
         raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
     digest, length, number = hashlib.sha256(), 0, 0
-    while row := connection.execute(
+    while part_row := connection.execute(
         sa.select(CHUNK).where(CHUNK.c.sha256 == name, CHUNK.c.part == number)
     ).one_or_none():
-        part = _unpacked(row)
+        part = _unpacked(part_row)
         digest.update(part)
         length += len(part)
         number += 1
         yield part
-    if (digest.hexdigest(), length) != (name, size):
+    if (digest.hexdigest(), length) != (name, row.size):
         raise _damaged(name)
 
 
 def _unpacked(row: sa.Row) -> bytes:
-    data = bytes(row.data)
+    data = as_bytes(row.data, f"file {row.sha256[:12]}")
     if sha256(data) != row.digest or row.codec not in ("plain", "zlib"):
         raise _damaged(row.sha256)
     if row.codec == "plain":

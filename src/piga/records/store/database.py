@@ -31,14 +31,16 @@ BUSY = 60.0
 """How long a writer waits for another [s]."""
 _ADVISORY_LOCK = 0x7069676172656300
 _MAGIC = b"SQLite format 3\x00"
+_DAMAGED = "run piga records verify, then restore a backup"
 _WORDS = (
-    ("full", "no space is left", "free some space; nothing was changed"),
+    ("full", "no space is left", "free some space"),
     ("readonly", "it cannot be written to", "check the rights of the file and its folder"),
     ("locked", "another program holds it", "try again when that has ended"),
     ("append-only", "records are append-only", "amend a record by a new one that supersedes it"),
-    ("disk i/o", "the disk reported an error", "check the disk; nothing was changed"),
-    ("malformed", "the file is damaged", "run piga records verify, then restore a backup"),
-    ("not a database", "the file is damaged", "restore a backup"),
+    ("disk i/o", "the disk reported an error", "check the disk; piga records verify shows what is stored"),
+    ("malformed", "the file is damaged", _DAMAGED),
+    ("not a database", "the file is damaged", _DAMAGED),
+    ("could not decode", "the file is damaged", _DAMAGED),
 )
 
 
@@ -66,6 +68,7 @@ class Database:
             connection.execution_options(piga_writing=True)
             with connection.begin():
                 if self.path is None:
+                    connection.exec_driver_sql("SET LOCAL synchronous_commit = on")
                     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
                 yield connection
 
@@ -75,6 +78,8 @@ def explained(name: str) -> Iterator[None]:
     """Turn what a database reports into one clear message."""
     try:
         yield
+    except UnicodeDecodeError as error:
+        raise StoreError(f"{name}: the file is damaged ({error})", remedy=_DAMAGED) from None
     except (DBAPIError, ArgumentError, NoResultFound, MultipleResultsFound, sqlite3.Error) as error:
         cause = getattr(error, "orig", None) or error
         text = " ".join(str(cause).split())
@@ -241,7 +246,7 @@ def migrate(connection: sa.Connection) -> None:
     from alembic.config import Config
 
     config = Config(attributes={"connection": connection})
-    config.set_main_option("script_location", str(MIGRATIONS.parent).replace("%", "%%"))
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations").replace("%", "%%"))
     config.set_main_option("version_locations", str(MIGRATIONS).replace("%", "%%"))
     config.set_main_option("path_separator", "newline")
     command.upgrade(config, f"{SCHEMA:04d}")
@@ -264,8 +269,12 @@ def postgresql_database(where: str) -> Database:
             "a PostgreSQL store needs the extra 'postgres', which is not installed",
             remedy="install it with: pip install 'piga[postgres]'",
         ) from None
-    with explained("the URL of the store"):
+    try:
         url = sa.make_url(where).set(drivername="postgresql+psycopg")
+    except (ArgumentError, ValueError):
+        raise StoreError(
+            "the URL of the store is not valid", remedy="e.g. postgresql://user@server/database"
+        ) from None
     engine = sa.create_engine(url, poolclass=NullPool)
     return Database(url.render_as_string(hide_password=True), engine, None)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from piga.errors import StoreError
 
-_MARK = ".piga-part"
+_MARK, _JOURNAL = ".piga-part", "-journal"
 
 
 def write_durably(target: Path, write: Callable[[Path], object], *, replace: bool) -> None:
@@ -52,17 +52,28 @@ def write_durably(target: Path, write: Callable[[Path], object], *, replace: boo
     except OSError as error:
         raise _unwritable(target, error) from None
     finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        _remove(temporary)
         with suppress(OSError):
             os.close(handle)
 
 
 def remove_leftovers(target: Path) -> None:
     """Remove temporary files of runs that were killed while they wrote ``target``."""
-    for path in target.parent.glob(f".{_escaped(target.name)}.*{_MARK}"):
+    pattern = f".{_escaped(target.name)}.*{_MARK}"
+    for path in target.parent.glob(pattern):
         with suppress(OSError), path.open("rb") as stream:
             _lock(stream.fileno())
+            _remove(path)
+    for path in target.parent.glob(f"{pattern}{_JOURNAL}"):
+        if not path.with_name(path.name.removesuffix(_JOURNAL)).exists():
+            with suppress(OSError):
+                path.unlink()
+
+
+def _remove(temporary: Path) -> None:
+    """Remove a temporary file, and the journal that SQLite keeps beside one that becomes a store."""
+    for path in (temporary, temporary.with_name(temporary.name + _JOURNAL)):
+        with suppress(OSError):
             path.unlink(missing_ok=True)
 
 
@@ -104,5 +115,5 @@ def _escaped(name: str) -> str:
 def _unwritable(target: Path, error: OSError) -> StoreError:
     return StoreError(
         f"{target}: cannot be written ({error.strerror or error})",
-        remedy="check space and rights; nothing was changed",
+        remedy="check space and rights",
     )

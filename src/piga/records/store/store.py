@@ -327,7 +327,7 @@ class Store:
         if head.number == 0:
             return
         last = connection.execute(sa.select(ENTRY.c.link).where(ENTRY.c.number == head.number)).scalar_one()
-        added = decode(bytes(last), Link, LINK, "link").added
+        added = decode(blobs.as_bytes(last, "the last link"), Link, LINK, "link").added
         if now() < added:
             warnings.warn(
                 f"{self.name}: the clock is behind the last record ({added}); the order of the chain holds",
@@ -350,8 +350,9 @@ class Store:
 
     def _record(self, row: sa.Row) -> Record:
         what = f"{self.name}: record {row.number}"
-        link = decode(bytes(row.link), Link, LINK, what)
-        return Record(row.number, row.head, link, decode(bytes(row.document), RecordDocument, RECORD, what))
+        link = decode(blobs.as_bytes(row.link, what), Link, LINK, what)
+        document = decode(blobs.as_bytes(row.document, what), RecordDocument, RECORD, what)
+        return Record(row.number, row.head, link, document)
 
 
 INPUT_ROLES = ("run", "data", "sidecar", "stand")
@@ -360,12 +361,14 @@ INPUT_ROLES = ("run", "data", "sidecar", "stand")
 
 def read_identity(connection: sa.Connection) -> bytes:
     """The identity document."""
-    return bytes(connection.execute(sa.select(STORE.c.document)).scalar_one())
+    return blobs.as_bytes(connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
 
 
 def read_head(connection: sa.Connection) -> Head:
     """Number and hash of the last entry."""
     row = connection.execute(sa.select(HEAD)).one()
+    if not isinstance(row.number, int) or not isinstance(row.head, str):
+        raise StoreError("the head is damaged in the store", remedy="restore a backup")
     return Head(row.number, row.head)
 
 
@@ -374,8 +377,8 @@ def read_entries(connection: sa.Connection) -> Iterator[Entry]:
     number = 0
     wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number)
     while row := connection.execute(wanted.where(ENTRY.c.number > number).limit(1)).one_or_none():
-        number = row.number
-        yield Entry(number, bytes(row.link), bytes(row.document))
+        number, what = row.number, f"record {row.number}"
+        yield Entry(number, blobs.as_bytes(row.link, what), blobs.as_bytes(row.document, what))
 
 
 def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:

@@ -13,6 +13,7 @@ from piga.errors import StoreError
 from piga.records.store.blobs import insert_blob
 from piga.records.store.database import (
     connect_sqlite,
+    explained,
     first_rows,
     is_url,
     migrate,
@@ -102,10 +103,11 @@ def backup(store: Store, target: Path, *, replace: bool = False) -> Verification
 
     def copy(part: Path) -> None:
         assert store.database.path is not None  # noqa: S101 - a PostgreSQL store is exported
-        source = connect_sqlite(f"{store.database.path.resolve().as_uri()}?mode=ro")
-        with closing(source), closing(sqlite3.connect(part)) as target_connection:
-            target_connection.execute("PRAGMA journal_mode=OFF")
-            source.backup(target_connection)
+        with explained(str(target)):
+            source = connect_sqlite(f"{store.database.path.resolve().as_uri()}?mode=ro")
+            with closing(source), closing(sqlite3.connect(part)) as copied:
+                copied.execute("PRAGMA journal_mode=OFF")
+                source.backup(copied)
         _refuse_unsound(verify(part), store.name)
 
     if store.database.path is None:

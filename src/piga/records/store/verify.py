@@ -121,6 +121,8 @@ def verify(where: str | Path, heads: Iterable[str] = ()) -> Verification:
             _verify_store(found, where, heads)
     except PigaError as error:
         found.problem(error.message)
+    except (TypeError, ValueError, OverflowError) as error:
+        found.problem(f"something in it cannot be read at all ({error})")
     return found
 
 
@@ -214,10 +216,10 @@ def _check_columns(found: Verification, connection: sa.Connection) -> None:
     """What is kept beside the documents for look-ups must say the same, and no part may be left over."""
     last = Head(0, sha256(read_identity(connection)))
     for row in connection.execute(sa.select(ENTRY).order_by(ENTRY.c.number)):
-        document = decode(bytes(row.document), RecordDocument, RECORD, f"record {row.number}")
-        if (row.head, row.id, row.serial) != (sha256(bytes(row.link)), document.id, document.serial):
+        document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
+        if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
             found.problem(f"record {row.number}: the table's columns do not fit the record")
-        last = Head(row.number, sha256(bytes(row.link)))
+        last = Head(row.number, sha256(row.link))
     if read_head(connection) != last:
         found.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
     for table, rows in ((STORE, 1), (HEAD, 1)):
