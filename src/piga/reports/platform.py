@@ -150,7 +150,9 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
         columns,
         rows,
         notes=(
+            "u and v are m cos(phase) and m sin(phase).",
             "Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",
+            "On the specific force that is 48 µm/s², one arc-second of its direction.",
         ),
     )
 
