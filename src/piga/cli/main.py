@@ -8,7 +8,7 @@ import traceback
 import typer
 
 from piga._version import __version__
-from piga.cli import certificate, platform
+from piga.cli import certificate, platform, trend
 from piga.cli.calibrate import calibrate
 from piga.cli.check import check, convert
 from piga.cli.common import note
@@ -49,6 +49,7 @@ for command in (demo, check, convert, calibrate, compensate, simulate, plan, rep
     app.command()(command)
 app.add_typer(platform.app)
 app.add_typer(certificate.app)
+trend.register(app)
 
 
 def main() -> None:
