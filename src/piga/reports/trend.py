@@ -183,9 +183,8 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
 def trend_text(found: Trend, *, at: dt.datetime | None = None) -> str:
     """Summary for the terminal."""
     table = summary_table(found, at)
-    lines = [[column.heading for column in table.columns]] + [
-        [cell.text for cell in row] for row in table.cells
-    ]
+    lines = [[column.heading for column in table.columns]]
+    lines += [[_ascii(cell.text) for cell in row] for row in table.cells]
     width = [max(len(line[column]) for line in lines) for column in range(len(table.columns))]
     head = f"Trend of {found.serial}: {len(found.records)} records, {found.times[0]:%Y-%m-%d} to {found.times[-1]:%Y-%m-%d}"
     body = [
