@@ -14,8 +14,10 @@ Outer-gimbal frame ``X1 Y1 Z1``
 Rotor axis ``z``
     ``z = sin(beta) X1 + cos(beta) Z1``.
 
-Symbols (SI inside; units exist only at the edges: files, command line, reports)
+Symbols
 -------
+SI inside; units exist only at the edges: files, command line, reports.
+
 ``alpha`` [rad]
     outer-gimbal angle about ``X0``, positive from ``Y0`` towards ``Z0``; the output; unwrapped.
 ``psi`` [rad]
@@ -68,6 +70,7 @@ from piga.errors import (
     PigaError,
     PigaWarning,
     RunFileError,
+    StoreError,
     UnitError,
     missing_package,
 )
@@ -77,6 +80,7 @@ if TYPE_CHECKING:
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run
+    from piga.records.store import open_store
     from piga.stand import read_run
 
 _LAZY = {
@@ -91,6 +95,7 @@ _LAZY = {
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
     "Compensator": "piga.compensation",
+    "open_store": "piga.records.store",
 }
 
 _NEEDS = {"read_run": "pyarrow", "calibrate": "scipy"}
@@ -110,11 +115,13 @@ __all__ = [
     "PigaWarning",
     "Run",
     "RunFileError",
+    "StoreError",
     "UnitError",
     "__version__",
     "calibrate",
     "closed_form",
     "compensate",
+    "open_store",
     "propagate",
     "read_run",
     "regime",

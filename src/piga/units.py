@@ -216,7 +216,7 @@ def conversion_factor(unit: str, to: str, *, what: str = "quantity") -> float:
 
 
 def offset_to_si(unit: str) -> float:
-    """Offset [K] to add after scaling: 273.15 for ``degC``, otherwise 0."""
+    """Offset [K] to add after scaling from ``unit``: 273.15 for ``degC``, otherwise 0."""
     return 273.15 if parse_unit(unit).text == "degC" else 0.0
 
 

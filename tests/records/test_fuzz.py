@@ -83,7 +83,7 @@ def test_mutated_text(tmp_path: Path, mask: bool) -> None:
     kept = 0
     for _ in range(5000 * SCALE):
         path.write_bytes(mutated(LOG, draw))
-        kept += outcome(lambda: list(TextStream(path, NAMES, "fz", mask_damaged=mask).chunks()))
+        kept += outcome(lambda: list(TextStream(path, NAMES[:4], "fz", mask_damaged=mask).chunks()))
     assert kept > 0
 
 

@@ -1,4 +1,4 @@
-"""``piga trend`` and ``piga records trend``: how the coefficients of an instrument move over the years."""
+"""``piga records trend``: how the coefficients of an instrument move over the years."""
 
 from __future__ import annotations
 
@@ -103,14 +103,11 @@ def _history(sources: list[Path], store: str | None, serial: str | None) -> list
 
 
 def stored_history(store: str, serial: str) -> list[HistoryEntry]:
-    """Records of an instrument in a store: the one place where the store is plugged in."""
-    from importlib import import_module
-    from importlib.util import find_spec
+    """Records of an instrument in a store."""
+    from piga.records.store import open_store
 
-    if find_spec("piga.records.store") is None:
-        raise PigaError("this version of piga has no store", remedy="give calibration.json files")
-    with import_module("piga.records.store").open_store(store) as opened:
-        return list(opened.history(serial))
+    with open_store(store) as opened:
+        return opened.history(serial)
 
 
 def _files(sources: list[Path]) -> list[Path]:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, UnitError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
-    from piga.records.calibration import Calibration
+    from piga.records.calibration import Calibration, Quality
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
@@ -45,6 +45,7 @@ class _Coefficient(msgspec.Struct, frozen=True):
     std: float
     unit: str
     segment: str | None = None
+    run: str | None = None
 
 
 class _Covariance(msgspec.Struct, frozen=True):
@@ -94,6 +95,24 @@ class _Segment(msgspec.Struct, frozen=True):
     max_after: float
 
 
+class _Run(msgspec.Struct, frozen=True):
+    name: str
+    source: str
+    stand: str | None
+    phase: str
+    raw: bool
+    rows: int
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: _Quality
+    undetermined: tuple[str, ...] = ()
+    input_sha256: dict[str, str] = {}
+
+
 class _Provenance(msgspec.Struct, frozen=True):
     input_sha256: str | dict[str, str]
     software: str
@@ -116,6 +135,7 @@ class _Document(msgspec.Struct, frozen=True):
     degrees_of_freedom: float = math.inf
     diagnostics: dict[str, Any] = {}
     segments: tuple[_Segment, ...] = ()
+    runs: tuple[_Run, ...] = ()
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -126,7 +146,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     def angle(value: float) -> dict[str, Any]:
         return {"value": value, "unit": unit}
 
-    return {
+    document = {
         "schema": SCHEMA,
         "instrument": {
             "serial": c.serial,
@@ -143,6 +163,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "coefficients": [
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
             | ({"segment": k.segment} if k.name == "phi" else {})
+            | ({} if k.run is None else {"run": k.run})
             for k in c.coefficients
         ],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
@@ -167,6 +188,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "uncertainty_budget": list(c.budget),
         "provenance": msgspec.to_builtins(c.provenance),
     }
+    return document | ({"runs": [msgspec.to_builtins(run) for run in c.runs]} if c.runs else {})
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -210,14 +232,18 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     from piga.records.calibration import (
         Calibration,
         Coefficient,
-        Event,
         Provenance,
-        Quality,
+        RunRecord,
         SegmentSummary,
     )
 
     document = _decode(raw, path)
-    matrix = np.array(document.covariance.matrix, dtype=float)
+    try:
+        matrix = np.array(document.covariance.matrix, dtype=float)
+    except ValueError:
+        raise CalibrationError(
+            f"{path}: the covariance is not a full square matrix", remedy="calibrate again"
+        ) from None
     _check(path, document, matrix)
     hashes = document.provenance.input_sha256
     return Calibration(
@@ -228,7 +254,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         phase_source=document.model.phase_source,
         method=document.model.method,
         coefficients=tuple(
-            Coefficient(c.name, c.value, c.std, c.unit, c.segment) for c in document.coefficients
+            Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run) for c in document.coefficients
         ),
         covariance=matrix,
         degrees_of_freedom=document.degrees_of_freedom,
@@ -238,12 +264,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,
         residual_max_after=document.residual.max_after.value,
-        quality=Quality(
-            document.quality.rows,
-            document.quality.used,
-            document.quality.masked,
-            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in document.quality.events),
-        ),
+        quality=_quality(document.quality),
         condition=math.inf
         if document.identifiability.condition is None
         else document.identifiability.condition,
@@ -259,7 +280,18 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         ),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
+        runs=tuple(
+            RunRecord(**{**msgspec.structs.asdict(run), "quality": _quality(run.quality)})
+            for run in document.runs
+        ),
     )
+
+
+def _quality(found: _Quality) -> Quality:
+    from piga.records.calibration import Event, Quality
+
+    events = tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.events)
+    return Quality(found.rows, found.used, found.masked, events)
 
 
 def _decode(raw: bytes, path: Path) -> _Document:
@@ -282,14 +314,20 @@ def _decode(raw: bytes, path: Path) -> _Document:
 
 
 def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
-    return quantity.value * conversion_factor(quantity.unit, like, what=str(path))
+    try:
+        return quantity.value * conversion_factor(quantity.unit, like)
+    except UnitError as error:
+        raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
 def _check(path: Path, document: _Document, matrix: Any) -> None:
     """The parts must fit: names and units known, covariance square, symmetric and in the order of the names."""
+    from piga.records.calibration import Coefficient
     from piga.records.terms import check_name, unit_of
 
-    keys = tuple(c.name if c.segment is None else f"{c.name}[{c.segment}]" for c in document.coefficients)
+    keys = tuple(
+        Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run).key for c in document.coefficients
+    )
     for coefficient in document.coefficients:
         if not check_name(coefficient.name):
             raise CalibrationError(f"{path}: unknown coefficient '{coefficient.name}'", remedy="update piga")

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.stream import Chunk, LabelCodes, MissingCount
-from piga.records.text_faults import Faults, Place, find_faults
+from piga.records.text_faults import Faults, Place, find_faults, split_cells
 from piga.records.text_format import INFINITE, MISSING, TextFormat, find_format
-from piga.records.text_source import PIECE_BYTES, TextSource
+from piga.records.text_source import TextSource
 
 _SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
+_ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
 BLOCK_BYTES = 4 << 20
 """Bytes that PyArrow tokenizes on one thread at a time."""
 
@@ -38,7 +39,7 @@ class TextStream:
     mask_damaged:
         Leave damaged rows out and count them by kind, instead of refusing the file.
     piece:
-        Bytes read at a time; what is read does not depend on it.
+        Bytes read at a time (None: ``text_source.PIECE_BYTES``); what is read does not depend on it.
     see:
         Is shown the bytes of the file as they are read.
 
@@ -59,7 +60,7 @@ class TextStream:
         encoding: str | None = None,
         missing: tuple[str, ...] = (),
         mask_damaged: bool = False,
-        piece: int = PIECE_BYTES,
+        piece: int | None = None,
         see: Callable[[bytes], object] = len,
     ) -> None:
         self._path, self._numeric, self._label, self._missing = (
@@ -204,7 +205,11 @@ class TextStream:
         try:
             table = csv.read_csv(
                 pa.BufferReader(pa.py_buffer(raw)),
-                read_options=csv.ReadOptions(column_names=list(form.names), block_size=BLOCK_BYTES),
+                read_options=csv.ReadOptions(
+                    column_names=list(form.names),
+                    block_size=BLOCK_BYTES,
+                    use_threads=len(raw) > BLOCK_BYTES // 8,
+                ),
                 parse_options=csv.ParseOptions(delimiter=form.separator, invalid_row_handler=collect),
                 convert_options=csv.ConvertOptions(
                     include_columns=list(types),
@@ -218,14 +223,22 @@ class TextStream:
             return None, str(error).splitlines()[0]
         if bad:
             return None, f"the row does not have {len(form.names)} cells"
-        ends = raw.count(b"\n")
-        if table.num_rows != ends and table.num_rows != _filled(raw):
+        counted = table.num_rows == raw.count(b"\n") or table.num_rows == _filled(raw)
+        if not counted or _open_quote(raw, form.separator):
             return None, "a quotation mark is not closed"
         return table, ""
 
 
 def _filled(raw: bytes) -> int:
     return sum(1 for line in raw.split(b"\n") if line.strip())
+
+
+def _open_quote(raw: bytes, separator: str) -> bool:
+    """Whether a cell begins with a quotation mark that its line does not close."""
+    if b'"' not in raw:
+        return False
+    odd = (match.group().decode("utf-8", errors="replace") for match in _ODD_QUOTES.finditer(raw))
+    return any(split_cells(line, separator) is None for line in odd)
 
 
 def _words(complaint: str) -> str:

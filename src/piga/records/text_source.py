@@ -60,16 +60,17 @@ class TextSource:
     """
 
     def __init__(
-        self, path: Path, encoding: str | None, see: Callable[[bytes], object], piece: int = PIECE_BYTES
+        self, path: Path, encoding: str | None, see: Callable[[bytes], object], piece: int | None = None
     ) -> None:
-        self.path, self.cut, self._piece, self._see = path, False, piece, see
+        self.path, self.cut, self._see = path, False, see
+        self._piece = piece or PIECE_BYTES
         packed = path.suffix.lower() == ".gz"
         self._blocks = self._packed() if packed else self._plain()
         first = _gather(self._blocks, GZIP_FIRST if packed else SNIFF_BYTES)
         if not first or (len(first) < SNIFF_BYTES and first.isspace()):
             raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
         self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding)
-        self._blocks = _sliced(first, self._blocks, piece)
+        self._blocks = _sliced(first, self._blocks, self._piece)
         if self.encoding not in ("utf-8", "utf-8-sig", "ascii"):
             self._blocks = self._decoded(self._blocks)
         self._first = _gather(self._blocks, SNIFF_BYTES).removeprefix(b"\xef\xbb\xbf")
