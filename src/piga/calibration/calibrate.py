@@ -178,7 +178,8 @@ def _assemble(
         residual_rms_before=figures["residual_rms_before"],
         residual_max_before=figures["residual_max_before"],
         residual_max_after=figures["residual_max_after"],
-        quality=run.quality,
+        quality=fit.design.run.quality,
+        outliers=fit.outliers,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
@@ -245,7 +246,15 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     noise = noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
     fit = Fit(
-        design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ())
+        design,
+        mode,
+        noise,
+        [],
+        _fixed_solution(design, linear),
+        covariance,
+        Examination(float("nan"), ()),
+        np.zeros(0),
+        np.zeros(0),
     )
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
