@@ -20,6 +20,13 @@ from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.revolutions import (
+    clean_record,
+    estimate_again,
+    fit_revolutions,
+    name_revolutions,
+    revolutions_result,
+)
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
@@ -75,6 +82,8 @@ def calibrate(
     request = make_request(run, terms, method, phase, phase_source, per_run)
     if request.method == "published":
         return _published_calibration(run, request)
+    if request.method == "revolutions":
+        return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
     fit = fit_run(run, request, groups, per_segment)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
@@ -223,6 +232,25 @@ def _joint_calibration(
         covariance += np.outer(change, change)
         budget.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
     return joint_result(fit, covariance, tuple(budget))
+
+
+def _revolutions_calibration(run: Run, request: Request) -> Calibration:
+    """Mean rates over whole turns; Type B by moving the record."""
+    cleaned = clean_record(run, request)
+    fit = fit_revolutions(cleaned[0], request)
+    coefficients, covariance, note = name_revolutions(fit, request)
+    keys = [coefficient.key for coefficient in coefficients]
+    base = np.array([coefficient.value for coefficient in coefficients])
+    type_a = np.sqrt(np.diag(covariance))
+    budget = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
+        covariance = covariance + np.outer(change, change)
+        budget.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+    std = np.sqrt(np.diag(covariance))
+    coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
+    notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
+    notes = (*notes, note) if note else notes
+    return revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)
 
 
 def _published_calibration(run: Run, request: Request) -> Calibration:
