@@ -21,7 +21,7 @@ from piga.calibration.solution import merged
 from piga.calibration.uncertainty import sources
 from piga.calibration.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
-from piga.records.calibration import Quality, Residuals, SegmentSummary
+from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
 from piga.records.terms import harmonic
 
@@ -97,6 +97,7 @@ class RunSummary:
     source: str = ""
     software: str = ""
     created: str = ""
+    outliers: tuple[Outlier, ...] = ()
 
     @classmethod
     def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
@@ -275,6 +276,7 @@ def _described(fit: Fit) -> dict[str, Any]:
         "segments": segment_table(fit.design, residuals),
         "figures": residual_figures(residuals),
         "ranges": validity_ranges(run),
+        "outliers": fit.outliers,
         "input_sha256": dict(run.input_sha256),
         "source": run.source,
         "software": f"piga {__version__}",
