@@ -82,7 +82,7 @@ def histories_figure(comparison: Comparison) -> Figure:
         "fig-histories",
         "Navigation errors over the run",
         "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
-        "errors are some hundred times larger and would hide these.",
+        "errors are far larger and would hide these.",
         0.0,
         ("A", "B", "C"),
     )
@@ -159,7 +159,7 @@ def position_figure(comparison: Comparison) -> Figure:
         Series(times / unit, peak, model_name(m), "line", MODEL_ROLES[m]) for m, peak in peaks.items()
     )
     largest, least = max(peak.max() for peak in peaks.values()), min(peak.min() for peak in peaks.values())
-    decades = bool(largest > 100.0 * least)
+    decades = bool(largest > 30.0 * least)
     return Figure(
         "fig-position",
         "Horizontal position error",
