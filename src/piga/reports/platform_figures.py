@@ -37,6 +37,13 @@ def schuler_peak(times: Array, values: Array) -> Array:
     return maximum_filter1d(values, size=max(1, round(84.4 * MINUTE / float(times[1] - times[0]))))
 
 
+def averaged(values: Array, over: int) -> Array:
+    """Running mean of ``values`` (n,) or (n, k) over ``over`` samples, (n - over + 1, ...)."""
+    start = values[:1]
+    total = np.cumsum(np.concatenate([0.0 * start, values - start]), axis=0)
+    return start + (total[over:] - total[:-over]) / over
+
+
 def readouts_figure(run: Run) -> Figure:
     """What is read: specific force, gimbal angles, pick-off, over the run and its first minutes."""
     r = run.readouts
@@ -98,9 +105,7 @@ def _pickoff(x: Axis, at: Array, values: Array) -> Panel:
 
 def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
     """Time [min] and columns of ``values`` (n, 3), averaged over ``over`` samples and freed of a parabola."""
-    total = np.cumsum(np.concatenate([np.zeros((1, 3)), values]), axis=0)
-    mean = (total[over:] - total[:-over]) / over
-    t = np.convolve(times, np.ones(over) / over, mode="valid")
+    t, mean = averaged(times, over), averaged(values, over)
     basis = np.polynomial.polynomial.polyvander((t - t.mean()) / (t[-1] - t[0]), 2)
     fitted, *_ = np.linalg.lstsq(basis, mean, rcond=None)
     return t / MINUTE, mean - basis @ fitted
