@@ -70,6 +70,7 @@ from piga.errors import (
     PigaError,
     PigaWarning,
     RunFileError,
+    StoreError,
     UnitError,
     missing_package,
 )
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run
+    from piga.records.store import open_store
     from piga.stand import read_run
 
 _LAZY = {
@@ -93,6 +95,7 @@ _LAZY = {
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
     "Compensator": "piga.compensation",
+    "open_store": "piga.records.store",
 }
 
 _NEEDS = {"read_run": "pyarrow", "calibrate": "scipy"}
@@ -112,11 +115,13 @@ __all__ = [
     "PigaWarning",
     "Run",
     "RunFileError",
+    "StoreError",
     "UnitError",
     "__version__",
     "calibrate",
     "closed_form",
     "compensate",
+    "open_store",
     "propagate",
     "read_run",
     "regime",

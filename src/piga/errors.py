@@ -45,11 +45,19 @@ class DataError(PigaError):
 
 
 class IdentifiabilityError(PigaError):
-    """The record cannot tell the requested coefficients apart."""
+    """The record cannot tell the requested coefficients apart; ``terms`` names them."""
+
+    def __init__(self, message: str, *, remedy: str | None = None, terms: tuple[str, ...] = ()) -> None:
+        self.terms = terms
+        super().__init__(message, remedy=remedy)
 
 
 class CalibrationError(PigaError):
     """A calibration cannot be computed, read or applied."""
+
+
+class StoreError(PigaError):
+    """A store or an export of records cannot be opened, read, written or trusted."""
 
 
 class PigaWarning(UserWarning):
@@ -65,6 +73,12 @@ EXTRAS = {
     "nptdms": "tdms",
     "openpyxl": "xlsx",
     "pysolid": "tide",
+    "sqlalchemy": "records",
+    "alembic": "records",
+    "psycopg": "postgres",
+    "lxml": "certificate",
+    "signxml": "certificate",
+    "cryptography": "certificate",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 
