@@ -112,14 +112,22 @@ def needs_phase(calibration: Calibration) -> bool:
 
 
 def phases(calibration: Calibration) -> dict[str | None, Coefficient]:
-    """The phases a calibration holds, by segment (None: shared)."""
-    return {c.segment: c for c in calibration.coefficients if c.name == "phi"}
+    """The phases a calibration holds, by segment (None: shared); those of single runs by run and segment."""
+    return {
+        c.segment if c.run is None else f"run {c.owner}": c for c in calibration.coefficients if c.name == "phi"
+    }
 
 
 def _used_coefficients(
     calibration: Calibration, segment: str | None, phase: Phase | None
 ) -> tuple[Coefficient, ...]:
     shared = tuple(c for c in calibration.coefficients if c.name != "phi")
+    if any(c.run is not None for c in shared):
+        own = ", ".join(sorted({c.name for c in shared if c.run is not None}))
+        raise CalibrationError(
+            f"{own} differs between the runs of this joint calibration",
+            remedy=f"take it as one run sees it: Calibration.for_run('{calibration.runs[0].name}')",
+        )
     known = phases(calibration)
     if not known:
         if any(c.name == "tan_beta" for c in shared) and phase is None:
@@ -134,7 +142,7 @@ def _used_coefficients(
         return (*shared, known[None])
     if segment in known:
         return (*shared, known[segment])
-    have = ", ".join(str(name) for name in list(known)[:8])
+    have = ", ".join(str(c.owner) for c in list(known.values())[:8])
     wanted = "this record" if segment is None else f"segment '{segment}'"
     raise CalibrationError(
         f"the calibration holds no phase phi for {wanted} (it has per-segment phases: {have})",
