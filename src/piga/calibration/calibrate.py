@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -31,6 +32,8 @@ from piga.calibration.weighting import reduce_segments, residual_increments, wei
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
+from piga.records.spool import spans
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -98,7 +101,7 @@ def calibrate(
     fit = _fit(run, request, groups, per_segment)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, float(np.abs(run.f).max()), float(np.ptp(run.t)), spread)
+    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = _budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
@@ -122,8 +125,8 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
             remedy="record longer",
         )
     given = _given_noise(request)
-    steps = np.diff(run.t)[~run.begins[1:]]
-    noise = given or starting_noise(run.resolution, float(np.median(steps)))
+    step = run.median_step
+    noise = given or starting_noise(run.resolution, step)
     information = None
     for refit in range(MAX_REFITS):
         summaries = reduce_segments(design, mode, noise)
@@ -132,9 +135,9 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
         solution = solve(design, summaries, groups)
         refined = design.with_scale_factor(_scale_factor(design, solution))
         if refit == 0 and given is None:
-            information = _information(design, mode, groups, float(np.median(steps)))
+            information = _information(design, mode, groups, step)
         found = given or _noise_of(design, solution, mode, noise if refit else None, information)
-        settled = refined is design and (mode != "increments" or found.close_to(noise, float(np.median(steps))))
+        settled = refined is design and (mode != "increments" or found.close_to(noise, step))
         if settled:
             noise = noise if mode == "increments" else found
             break
@@ -187,9 +190,8 @@ def _noise_of(
     parameters = len(solution.amplitudes) + len(solution.phases)
     if mode == "samples":
         variance = float(d @ d) / max(d.size - parameters, 1)
-        step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
-        return Noise(0.0, variance * step)
-    scale = float(np.abs(design.run.output).max())
+        return Noise(0.0, variance * design.run.median_step)
+    scale = largest_size(design.run.output)
     return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
 
 
@@ -198,8 +200,7 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, gro
     if mode == "increments":
         return solution.covariance
     if mode == "samples":
-        step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
-        return solution.covariance * (noise.walk / step)
+        return solution.covariance * (noise.walk / design.run.median_step)
     size, m = solution.covariance.shape[0], len(design.names)
     meat = np.zeros((size, size))
     for block, columns in weighted_blocks(design, mode, noise):
@@ -295,8 +296,8 @@ def _assemble(
         angle_random_walk=fit.noise.angle_random_walk,
         residual_rms=_rms(residuals.after),
         residual_rms_before=_rms(residuals.before),
-        residual_max_before=float(np.abs(residuals.before).max()),
-        residual_max_after=float(np.abs(residuals.after).max()),
+        residual_max_before=largest_size(residuals.before),
+        residual_max_after=largest_size(residuals.after),
         quality=run.quality,
         condition=fit.examination.condition,
         notes=notes,
@@ -315,11 +316,14 @@ def _assemble(
 
 def _range(run: Run) -> dict[str, list[float]]:
     """Range in which the calibration holds (SI): axial and transverse force, temperature."""
-    transverse = np.hypot(run.f[:, 1], run.f[:, 2])
-    found = {"a_x": run.f[:, 0], "a_t": transverse}
+    low, high = math.inf, 0.0
+    for part in spans(run.size):
+        transverse = np.hypot(run.f[part, 1], run.f[part, 2])
+        low, high = min(low, float(transverse.min())), max(high, float(transverse.max()))
+    found = {"a_x": [float(run.f[:, 0].min()), float(run.f[:, 0].max())], "a_t": [low, high]}
     if run.temperature is not None:
-        found["temperature"] = run.temperature
-    return {name: [float(values.min()), float(values.max())] for name, values in found.items()}
+        found["temperature"] = [float(run.temperature.min()), float(run.temperature.max())]
+    return found
 
 
 def _rms(values: Array) -> float:
