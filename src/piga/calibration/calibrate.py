@@ -30,10 +30,12 @@ from piga.calibration.revolutions import (
 )
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
+from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -88,7 +90,7 @@ def calibrate(
     fit = fit_run(run, request, groups, per_segment)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, float(np.abs(run.f).max()), float(np.ptp(run.t)), spread)
+    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
@@ -207,10 +209,10 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
     type_a = np.sqrt(np.diag(covariance))
-    budget = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
     for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
         covariance = covariance + np.outer(change, change)
-        budget.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
     std = np.sqrt(np.diag(covariance))
     coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
