@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-SETTINGS = "-c listen_addresses='' -c shared_buffers=16MB -c max_connections=30 -c fsync=on"
+SETTINGS = "-c listen_addresses='' -c shared_buffers=16MB -c max_connections=30 -c fsync=off"
 
 
 def programs() -> Path | None:
