@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.whitening import LANES, likelihoods
+from piga.calibration.workers import workers
 
 Array = NDArray[np.float64]
 Information = Callable[[Array], Array]
@@ -118,7 +118,7 @@ def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     middle = d.size // 2
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
     results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
-    with ThreadPoolExecutor(2) as pool:
+    with workers(d.size, 2) as pool:
         jobs = [
             pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])
             for part, result in zip(parts, results, strict=True)

@@ -5,6 +5,7 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,18 +18,46 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json)."""
+    """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json).
+
+    ``degrees_of_freedom`` are the effective ones of the standard uncertainty (JCGM 100, G.4);
+    ``interval`` is the shortest 95 % interval of a Monte Carlo propagation (JCGM 101) where that applies.
+    """
 
     name: str
     value: float
     std: float
     unit: str
     segment: str | None = None
+    degrees_of_freedom: float = math.inf
+    interval: tuple[float, float] | None = None
 
     @property
     def key(self) -> str:
         """``name`` or ``name[segment]``: the name used in the covariance."""
         return self.name if self.segment is None else f"{self.name}[{self.segment}]"
+
+    @property
+    def coverage_factor(self) -> float:
+        """Student's t for 95 % and these degrees of freedom (JCGM 100, G.3)."""
+        from scipy.special import ndtri, stdtrit
+
+        nu = self.degrees_of_freedom
+        return float(ndtri(0.975) if math.isinf(nu) else stdtrit(nu, 0.975))
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty: half-width of the 95 % interval."""
+        if self.interval is not None:
+            return 0.5 * (self.interval[1] - self.interval[0])
+        return self.coverage_factor * self.std
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Ends of the 95 % coverage interval."""
+        if self.interval is not None:
+            return self.interval
+        return self.value - self.expanded, self.value + self.expanded
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from piga.errors import CalibrationError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
-    from piga.records.calibration import Calibration
+    from piga.records.calibration import Calibration, Coefficient
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
@@ -45,6 +45,8 @@ class _Coefficient(msgspec.Struct, frozen=True):
     std: float
     unit: str
     segment: str | None = None
+    degrees_of_freedom: float | None = None
+    interval: tuple[float, float] | None = None
 
 
 class _Covariance(msgspec.Struct, frozen=True):
@@ -143,6 +145,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "coefficients": [
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
             | ({"segment": k.segment} if k.name == "phi" else {})
+            | _expanded(k)
             for k in c.coefficients
         ],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
@@ -169,6 +172,16 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     }
 
 
+def _expanded(coefficient: Coefficient) -> dict[str, Any]:
+    """Degrees of freedom (null: infinite), coverage factor, expanded uncertainty and interval for 95 %."""
+    nu = coefficient.degrees_of_freedom
+    return {
+        "degrees_of_freedom": nu if math.isfinite(nu) else None,
+        "coverage_factor": coefficient.coverage_factor,
+        "expanded": coefficient.expanded,
+    } | ({} if coefficient.interval is None else {"interval": list(coefficient.interval)})
+
+
 def write_calibration(calibration: Calibration, path: Path) -> None:
     """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
     text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
@@ -185,7 +198,6 @@ def read_calibration(path: Path) -> Calibration:
     """
     from piga.records.calibration import (
         Calibration,
-        Coefficient,
         Event,
         Provenance,
         Quality,
@@ -203,9 +215,7 @@ def read_calibration(path: Path) -> Calibration:
         phase=document.model.phase,
         phase_source=document.model.phase_source,
         method=document.model.method,
-        coefficients=tuple(
-            Coefficient(c.name, c.value, c.std, c.unit, c.segment) for c in document.coefficients
-        ),
+        coefficients=tuple(_coefficient(c) for c in document.coefficients),
         covariance=matrix,
         degrees_of_freedom=document.degrees_of_freedom,
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
@@ -236,6 +246,13 @@ def read_calibration(path: Path) -> Calibration:
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
     )
+
+
+def _coefficient(found: _Coefficient) -> Coefficient:
+    from piga.records.calibration import Coefficient
+
+    nu = math.inf if found.degrees_of_freedom is None else found.degrees_of_freedom
+    return Coefficient(found.name, found.value, found.std, found.unit, found.segment, nu, found.interval)
 
 
 def _decode(path: Path) -> _Document:
