@@ -19,7 +19,7 @@ from piga.records.calibration import Coefficient
 from piga.records.run import Run
 
 if TYPE_CHECKING:
-    from piga.calibration.calibrate import Fit
+    from piga.calibration.fit import Fit
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from piga.calibration.solution import Solution, solve
 from piga.records.run import Run
 
 if TYPE_CHECKING:
-    from piga.calibration.calibrate import Fit
+    from piga.calibration.fit import Fit
 
 Array = NDArray[np.float64]
 
@@ -57,12 +57,15 @@ PASSES = 6
 """Alternations between path, noise levels and estimate."""
 LEVELS = 13
 """Levels tried, over six decades."""
-SIGNIFICANT = 1.5
+SIGNIFICANT = 0.5
 """Gain in twice the log-likelihood from which a random walk is taken as real."""
 SETTLED = 0.03
 """Relative change of the random walk's variance at which the alternation ends."""
 SLOW = 4.0
 """Counts in a stretch up to which all harmonics of the saw-tooth are followed, sample by sample."""
+UNSEEN = 0.4
+"""A random walk that coarse counts cannot show counts as this share of its standard uncertainty (the mean of the
+positive half of a normal distribution)."""
 FIRST_SPREAD = 0.5
 """Uncertainty of the path over a stretch [counts] before there is an estimate to trust."""
 
@@ -161,13 +164,19 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         solution, spread = solve(design, summaries, groups), 0.0
         if index > 1 and abs(noise.walk - before.walk) <= SETTLED * before.walk:
             break
+    deviation = _walk_deviation(stretches, noise)
+    counted = replace(counted, walk_deviation=(0.0, deviation))
+    if noise.walk < UNSEEN * deviation:
+        counted = counted.with_walk(UNSEEN * deviation)
+        summaries = counted.reduce(design)
+        solution = solve(design, summaries, groups)
     return replace(
         fit,
-        noise=Noise(noise.white + count**2 / 12.0, noise.walk),
+        noise=Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk),
         summaries=summaries,
         solution=solution,
         covariance=solution.covariance,
-        counted=replace(counted, walk_deviation=(0.0, _walk_deviation(stretches, noise))),
+        counted=counted,
     )
 
 
@@ -217,7 +226,7 @@ def _stretches(design: Design, modes: int) -> Iterator[_Stretch]:
             contrasts = _contrasts(modes, bins)
             t = run.t[start + left : start + right]
             means = np.add.reduceat(angle, edges[:-1], axis=1) / np.diff(edges)
-            yield _Stretch(segment, start + left, contrasts, edges, t, angle, contrasts @ means.T)
+            yield _Stretch(segment, start + int(left), contrasts, edges, t, angle, contrasts @ means.T)
 
 
 def _segments(design: Design) -> Iterator[tuple[int, int, Array]]:

@@ -20,7 +20,7 @@ from piga.calibration.solution import solve
 from piga.calibration.weighting import reduce_segments
 
 if TYPE_CHECKING:
-    from piga.calibration.calibrate import Fit
+    from piga.calibration.fit import Fit
 
 Array = NDArray[np.float64]
 

@@ -347,18 +347,18 @@ def _stacked(models: list[Model]) -> tuple[NDArray, ...]:
     count = len(models)
     harmonics = max(model.orders.size for model in models)
     size = max(model.codes.size for model in models)
-    rank = max(model.factor.shape[1] for model in models)
+    rank = max(model.factor.shape[0] for model in models)
     orders, sines, cosines = (
         np.ones((count, harmonics)),
         np.zeros((count, harmonics)),
         np.zeros((count, harmonics)),
     )
-    codes, factors = np.full((count, size), at.P_TERMS, dtype=np.int64), np.zeros((count, size, rank))
+    codes, factors = np.full((count, size), at.P_TERMS, dtype=np.int64), np.zeros((count, rank, size))
     for i, model in enumerate(models):
         orders[i, : model.orders.size] = model.orders
         sines[i, : model.orders.size], cosines[i, : model.orders.size] = model.sines, model.cosines
         codes[i, : model.codes.size] = model.codes
-        factors[i, : model.codes.size, : model.factor.shape[1]] = model.factor
+        factors[i, : model.factor.shape[0], : model.codes.size] = model.factor
     return (
         np.array([model.parameters for model in models]), np.array([model.has_terms for model in models]),
         orders, sines, cosines, codes, factors, np.array([model.limits for model in models]),

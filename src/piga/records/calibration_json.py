@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, UnitError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
-    from piga.records.calibration import Calibration, Coefficient
+    from piga.records.calibration import Calibration, Coefficient, Quality
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
@@ -45,6 +45,7 @@ class _Coefficient(msgspec.Struct, frozen=True):
     std: float
     unit: str
     segment: str | None = None
+    run: str | None = None
     degrees_of_freedom: float | None = None
     interval: tuple[float, float] | None = None
 
@@ -96,6 +97,24 @@ class _Segment(msgspec.Struct, frozen=True):
     max_after: float
 
 
+class _Run(msgspec.Struct, frozen=True):
+    name: str
+    source: str
+    stand: str | None
+    phase: str
+    raw: bool
+    rows: int
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: _Quality
+    undetermined: tuple[str, ...] = ()
+    input_sha256: dict[str, str] = {}
+
+
 class _Provenance(msgspec.Struct, frozen=True):
     input_sha256: str | dict[str, str]
     software: str
@@ -118,6 +137,7 @@ class _Document(msgspec.Struct, frozen=True):
     degrees_of_freedom: float = math.inf
     diagnostics: dict[str, Any] = {}
     segments: tuple[_Segment, ...] = ()
+    runs: tuple[_Run, ...] = ()
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -128,7 +148,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     def angle(value: float) -> dict[str, Any]:
         return {"value": value, "unit": unit}
 
-    return {
+    document = {
         "schema": SCHEMA,
         "instrument": {
             "serial": c.serial,
@@ -145,6 +165,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "coefficients": [
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
             | ({"segment": k.segment} if k.name == "phi" else {})
+            | ({} if k.run is None else {"run": k.run})
             | _expanded(k)
             for k in c.coefficients
         ],
@@ -170,6 +191,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "uncertainty_budget": list(c.budget),
         "provenance": msgspec.to_builtins(c.provenance),
     }
+    return document | ({"runs": [msgspec.to_builtins(run) for run in c.runs]} if c.runs else {})
 
 
 def _expanded(coefficient: Coefficient) -> dict[str, Any]:
@@ -184,8 +206,13 @@ def _expanded(coefficient: Coefficient) -> dict[str, Any]:
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
     """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
+    path.write_bytes(calibration_to_bytes(calibration))
+
+
+def calibration_to_bytes(calibration: Calibration) -> bytes:
+    """The bytes of ``calibration.json``."""
     text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    return f"{text}\n".encode()
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -196,16 +223,39 @@ def read_calibration(path: Path) -> Calibration:
     CalibrationError
         If the file is missing, is no calibration record, or is of a newer schema.
     """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
+        ) from None
+    return calibration_from_bytes(raw, path)
+
+
+def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
+    """Read a record from the bytes of its file; ``path`` names it in messages.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
     from piga.records.calibration import (
         Calibration,
-        Event,
         Provenance,
-        Quality,
+        RunRecord,
         SegmentSummary,
     )
 
-    document = _decode(path)
-    matrix = np.array(document.covariance.matrix, dtype=float)
+    document = _decode(raw, path)
+    try:
+        matrix = np.array(document.covariance.matrix, dtype=float)
+    except ValueError:
+        raise CalibrationError(
+            f"{path}: the covariance is not a full square matrix", remedy="calibrate again"
+        ) from None
     _check(path, document, matrix)
     hashes = document.provenance.input_sha256
     return Calibration(
@@ -224,12 +274,7 @@ def read_calibration(path: Path) -> Calibration:
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,
         residual_max_after=document.residual.max_after.value,
-        quality=Quality(
-            document.quality.rows,
-            document.quality.used,
-            document.quality.masked,
-            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in document.quality.events),
-        ),
+        quality=_quality(document.quality),
         condition=math.inf
         if document.identifiability.condition is None
         else document.identifiability.condition,
@@ -245,6 +290,10 @@ def read_calibration(path: Path) -> Calibration:
         ),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
+        runs=tuple(
+            RunRecord(**{**msgspec.structs.asdict(run), "quality": _quality(run.quality)})
+            for run in document.runs
+        ),
     )
 
 
@@ -252,14 +301,20 @@ def _coefficient(found: _Coefficient) -> Coefficient:
     from piga.records.calibration import Coefficient
 
     nu = math.inf if found.degrees_of_freedom is None else found.degrees_of_freedom
-    return Coefficient(found.name, found.value, found.std, found.unit, found.segment, nu, found.interval)
+    return Coefficient(
+        found.name, found.value, found.std, found.unit, found.segment, found.run, nu, found.interval
+    )
 
 
-def _decode(path: Path) -> _Document:
+def _quality(found: _Quality) -> Quality:
+    from piga.records.calibration import Event, Quality
+
+    events = tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.events)
+    return Quality(found.rows, found.used, found.masked, events)
+
+
+def _decode(raw: bytes, path: Path) -> _Document:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
-        raw = path.read_bytes()
         kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
         if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
             raise CalibrationError(
@@ -271,10 +326,6 @@ def _decode(path: Path) -> _Document:
                 f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
             )
         return msgspec.json.decode(raw, type=_Document)
-    except OSError as error:
-        raise CalibrationError(
-            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
-        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CalibrationError(
             f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
@@ -282,14 +333,20 @@ def _decode(path: Path) -> _Document:
 
 
 def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
-    return quantity.value * conversion_factor(quantity.unit, like, what=str(path))
+    try:
+        return quantity.value * conversion_factor(quantity.unit, like)
+    except UnitError as error:
+        raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
 def _check(path: Path, document: _Document, matrix: Any) -> None:
     """The parts must fit: names and units known, covariance square, symmetric and in the order of the names."""
+    from piga.records.calibration import Coefficient
     from piga.records.terms import check_name, unit_of
 
-    keys = tuple(c.name if c.segment is None else f"{c.name}[{c.segment}]" for c in document.coefficients)
+    keys = tuple(
+        Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run).key for c in document.coefficients
+    )
     for coefficient in document.coefficients:
         if not check_name(coefficient.name):
             raise CalibrationError(f"{path}: unknown coefficient '{coefficient.name}'", remedy="update piga")

@@ -21,7 +21,7 @@ Quantity = str | float | int
 
 PHASES = ("shared", "per-segment")
 PHASE_SOURCES = ("output", "input")
-METHODS = ("information", "rate", "recursive", "published")
+METHODS = ("information", "rate", "recursive", "published", "revolutions")
 
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -108,9 +108,13 @@ class ModelTable(Table, frozen=True):
 
 
 class EstimationTable(Table, frozen=True):
-    """``[estimation]``: method; noise levels when they are known; start of the published recursion."""
+    """``[estimation]``: method; noise levels when they are known; start of the published recursion.
 
-    method: Literal["information", "rate", "recursive", "published"] = "information"
+    ``per_run`` names the terms that may differ between the runs of a joint calibration.
+    """
+
+    method: Literal["information", "rate", "recursive", "published", "revolutions"] = "information"
+    per_run: tuple[str, ...] = ()
     angle_rms: Quantity | None = None
     angle_random_walk: Quantity | None = None
     uncertainty: Literal["gum", "monte-carlo", "auto"] = "auto"
@@ -122,9 +126,11 @@ class UncertaintyTable(Table, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
     A string is the standard uncertainty of a normal distribution; :class:`~piga.records.distribution.Spread`
-    says another.
-    Those below ``temperature`` belong to particular stands and need the ``[stand]`` table.
+    says another. Those below ``temperature`` belong to particular stands and need the ``[stand]`` table.
+    ``reference_id`` names the device that the reference comes from: runs of one device share its errors.
     """
+
+    reference_id: str | None = None
 
     reference_scale: Quantity | Spread | None = None
     reference_bias: Quantity | Spread | None = None
@@ -147,7 +153,9 @@ class UncertaintyTable(Table, frozen=True):
         """The stand-specific entries that are given."""
         own = msgspec.structs.asdict(self)
         return {
-            name: value for name, value in own.items() if name not in UNCERTAINTY_UNITS and value is not None
+            name: value
+            for name, value in own.items()
+            if name not in UNCERTAINTY_UNITS and name != "reference_id" and value is not None
         }
 
 
@@ -278,6 +286,10 @@ def _check_faults(run_file: RunFile) -> None:
             )
         if not low < high:
             raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
+    if data.segment in data.number_columns():
+        raise RunFileError(
+            f"[data] segment: '{data.segment}' is read as numbers already", remedy="name a column of its own"
+        )
     if data.sequence is not None and data.sequence.wraps_at is not None and data.sequence.wraps_at < 2:
         raise RunFileError("[data] sequence: wraps_at must be 2 or more", remedy="e.g. 65536")
     for word in data.missing:

@@ -7,13 +7,12 @@ attitude and drift and the base's attitude; each alone lacks one angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.stable_platform.estimate import Group, Solution, noise_levels, solve
+from piga.stable_platform.estimate import Group, solve_with_noise
 from piga.stable_platform.geodesy import geodetic_to_earth, local_axes, specific_force_at_rest
 from piga.stable_platform.models import Knowledge
 from piga.stable_platform.navigation import Start, site_start
@@ -78,7 +77,7 @@ class Alignment:
 
 
 def align(
-    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 4
+    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5
 ) -> Alignment:
     """Align on a record of a base at rest at a known place, misalignments being known.
 
@@ -97,14 +96,10 @@ def align(
         eta0=known.eta0,
         eta_rate=known.eta_rate,
     )
-    levels: list[float] | None = None
     for _ in range(iterations):
-        groups = _groups(x, readouts, force, levels)
-        solution = solve(groups, UNKNOWNS)
-        levels = noise_levels([_reduced(g, solution) for g in groups], len(UNKNOWNS))
+        parts = [group.reduced() for group in _groups(x, readouts, force)]
+        solution = solve_with_noise(parts, UNKNOWNS)
         x = _moved(x, solution.step)
-    groups = _groups(x, readouts, force, levels)
-    solution = solve(groups, UNKNOWNS)
     to_level = local_axes(place.latitude, place.longitude).T
     return Alignment(
         place=place,
@@ -112,21 +107,20 @@ def align(
         drift=x.drift,
         base=to_level @ x.base,
         covariance=solution.covariance,
-        noise={g.name: g.sigma for g in groups},
-        rms={g.name: float(np.sqrt(np.mean(g.residual**2))) for g in groups},
+        noise={part.name: level for part, level in zip(parts, solution.levels, strict=True)},
+        rms={part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts},
         condition=solution.condition,
     )
 
 
-def _groups(x: Unknowns, readouts: Readouts, force: Array, levels: Sequence[float] | None) -> list[Group]:
+def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[Group]:
     slow = len(names(len(x.polar.cosines))) - 8
-    angle, by_angle, _, _ = gimbal_rows(x, readouts)
+    angle, by_angle = gimbal_rows(x, readouts)
     felt, by_force = force_rows(x, readouts, force)
-    groups = [
+    return [
         Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
         Group("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
     ]
-    return groups if levels is None else [replace(g, sigma=s) for g, s in zip(groups, levels, strict=True)]
 
 
 def _with_third(columns: Array, x: Unknowns) -> Array:
@@ -134,10 +128,6 @@ def _with_third(columns: Array, x: Unknowns) -> Array:
     pole = x.triad[:, 2]
     third = -columns[:, :, :3] @ pole
     return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)
-
-
-def _reduced(group: Group, solution: Solution) -> Group:
-    return replace(group, residual=group.residual - group.regressors @ solution.step)
 
 
 def _moved(x: Unknowns, step: Array) -> Unknowns:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.stable_platform.estimate import in_words
-from piga.stable_platform.identification import Identification
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.observation import Tip, Unknowns, misalignment_regressors
 from piga.stable_platform.simulate import Readouts
 from piga.units import ARCSEC
