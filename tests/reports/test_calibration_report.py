@@ -73,7 +73,8 @@ def test_coefficients_are_rounded_by_their_uncertainty(cal):
 
 
 def test_expanded_uncertainty_uses_student(cal):
-    few = dataclasses.replace(cal, degrees_of_freedom=6.0)
+    coefficients = tuple(dataclasses.replace(c, degrees_of_freedom=6.0) for c in cal.coefficients)
+    few = dataclasses.replace(cal, coefficients=coefficients)
     row = tables(calibration_page(few))["coefficients"][0].cells[0]
     assert row[3].text == "0.0000034"  # 2.447 times 1.4e-6
 
@@ -89,7 +90,7 @@ def test_budget_combines_the_sources(cal):
     assert [row[0].text for row in cells] == [
         "Fit to the record", "Reference scale", "Reference misalignment", "Combined",
     ]  # fmt: skip
-    assert cells[-1][3].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
+    assert cells[-1][5].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
     assert cells[-1][-1].text == "9.8"  # hypot(1.3, 9.7) urad
 
 

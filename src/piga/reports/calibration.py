@@ -14,8 +14,8 @@ from piga.reports.calibration_tables import (
     coefficient_table,
     common_coefficients,
     correlation_table,
-    coverage,
     facts_table,
+    freedom,
     meaning,
     quality_table,
     residual_quantity,
@@ -151,9 +151,15 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
 
 
 def _freedom_tile(cal: Calibration) -> Tile:
-    freedom = "∞" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
-    detail = f"coverage factor k = {coverage(cal):.3f} for 95 %, {len(cal.coefficients)} coefficients"
-    return Tile("Degrees of freedom", freedom, "", detail, "doubtful" if cal.degrees_of_freedom < 10.0 else "")
+    fewest = min(cal.coefficients, key=lambda coefficient: coefficient.degrees_of_freedom)
+    detail = f"effective, fewest of all coefficients ({fewest.key}): k = {fewest.coverage_factor:.3f} for 95 %"
+    return Tile(
+        "Degrees of freedom",
+        freedom(fewest),
+        "",
+        detail,
+        "doubtful" if fewest.degrees_of_freedom < 10.0 else "",
+    )
 
 
 def _condition_tile(cal: Calibration) -> Tile:
@@ -345,11 +351,11 @@ def calibration_text(cal: Calibration) -> str:
 
 
 def _text_table(cal: Calibration) -> list[str]:
-    factor = coverage(cal)
     lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
     for coefficient in cal.coefficients:
         value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
-        number, wide = rounded(value, std), rounded(value, factor * std)
+        scale = std / coefficient.std if coefficient.std else 1.0
+        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
         lines.append((coefficient.key, number.value, number.uncertainty, wide.uncertainty, unit))
     width = [max(len(line[column]) for line in lines) for column in range(5)]
     return [
@@ -370,7 +376,7 @@ def _text_figures(cal: Calibration) -> list[str]:
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
-        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g}"),
+        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
