@@ -17,8 +17,10 @@ from piga.reports.calibration_tables import (
     facts_table,
     freedom,
     meaning,
+    outlier_table,
     quality_table,
     residual_quantity,
+    runs_table,
     scalars,
     segment_table,
 )
@@ -52,6 +54,7 @@ def calibration_page(cal: Calibration) -> Page:
     figures = {figure.key: figure for figure in calibration_figures(cal)}
     sections = (
         _tested(cal),
+        *_runs(cal),
         _coefficients(cal),
         _residuals(figures),
         *_convergence(figures),
@@ -59,7 +62,7 @@ def calibration_page(cal: Calibration) -> Page:
         _segments(cal, figures),
         _budget(cal),
         _identifiability(cal, figures),
-        _quality(cal),
+        _quality(cal, figures),
         _provenance(cal),
     )
     return Page(
@@ -74,6 +77,8 @@ def calibration_page(cal: Calibration) -> Page:
 
 
 def _files(cal: Calibration) -> str:
+    if cal.runs:
+        return ", ".join(run.name for run in cal.runs)
     names = [Path(name).name for name in cal.provenance.input_sha256]
     data = [name for name in names if not name.endswith(".toml")] or names
     return ", ".join(data) or "a record in memory"
@@ -98,7 +103,8 @@ def _period(seconds: float) -> str:
 
 
 def _segments_in_words(cal: Calibration) -> str:
-    return "one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments"
+    runs = f"{len(cal.runs)} runs, " if cal.runs else ""
+    return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
 
 
 def _subtitle(cal: Calibration) -> str:
@@ -199,6 +205,8 @@ def _tested(cal: Calibration) -> Section:
     terms = ", ".join(f"{term} ({meaning(term)})" for term in cal.terms)
     shared, seen = cal.phase == "shared", cal.quality
     phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
+    if cal.runs:
+        phase = "; ".join(f"run {run.name}: {run.phase}" for run in cal.runs)
     rows = [
         ("Instrument", cal.serial),
         ("Data", _files(cal)),
@@ -210,6 +218,17 @@ def _tested(cal: Calibration) -> Section:
     ]
     lead = "Which instrument, which record and which model this report is about."
     return Section("What was tested", "tested", (Text(lead, lead=True), facts_table(rows)))
+
+
+def _runs(cal: Calibration) -> tuple[Section, ...]:
+    """The runs of a joint calibration, when there are several."""
+    if not cal.runs:
+        return ()
+    lead = (
+        "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
+        "the others must."
+    )
+    return (Section("Runs", "runs", (Text(lead, lead=True), runs_table(cal))),)
 
 
 def _coefficients(cal: Calibration) -> Section:
@@ -237,11 +256,9 @@ def _residuals(figures: dict[str, Figure]) -> Section:
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
-    return Section(
-        "Residuals against time",
-        "residuals",
-        (Text(lead, lead=True), _shown(figures, "residual-time", missing)),
-    )
+    found: list[Block] = [FigureBlock(f) for key, f in figures.items() if key.startswith("residual-time")]
+    blocks = found or [Notice("info", missing)]
+    return Section("Residuals against time", "residuals", (Text(lead, lead=True), *blocks))
 
 
 def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
@@ -316,7 +333,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
 
 
-def _quality(cal: Calibration) -> Section:
+def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
     lead = (
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
@@ -325,6 +342,20 @@ def _quality(cal: Calibration) -> Section:
         blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
     if cal.quality.events:
         blocks = (quality_table(cal),)
+    if cal.runs:
+        rows = [
+            (f"Run {run.name}", f"{count(q.rows)} rows read, {count(q.used)} used, {count(q.masked)} masked")
+            for run in cal.runs
+            for q in (run.quality,)
+        ]
+        blocks = (facts_table(rows), *blocks)
+    if cal.outliers:
+        text = (
+            "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
+            "none is formed across a jump."
+        )
+        shown = [FigureBlock(figures["outliers"])] if "outliers" in figures else []
+        blocks = (*blocks, Text(text, lead=True), *shown, outlier_table(cal))
     return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
 
 
@@ -380,5 +411,12 @@ def _text_figures(cal: Calibration) -> list[str]:
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
+    rows += [
+        (
+            f"noise of run {run.name}",
+            f"{short(run.angle_rms / ARCSEC)} arcsec white, {short(run.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk",
+        )
+        for run in cal.runs
+    ]
     wide = max(len(name) for name, _ in rows)
     return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

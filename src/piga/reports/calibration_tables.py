@@ -44,6 +44,7 @@ _MEANING = {
 }
 _SHOWN_SEGMENTS = 60
 _SHOWN_NAMES = 14
+_SHOWN_OUTLIERS = 30
 
 
 def meaning(name: str) -> str:
@@ -55,7 +56,7 @@ def meaning(name: str) -> str:
 
 
 def common_coefficients(cal: Calibration) -> list[Coefficient]:
-    """Coefficients of the instrument (the phases of single segments are left to the segment table)."""
+    """Coefficients of the instrument and of whole runs (phases of single segments stand in the segment table)."""
     return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
 
 
@@ -90,7 +91,7 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
     small = std > abs(value)
     return (
-        coefficient.name,
+        coefficient.key,
         printed(number.value),
         printed(number.uncertainty),
         printed(wide.uncertainty),
@@ -120,7 +121,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
             )
         if coefficient.std > abs(coefficient.value):
             notes.append(
-                f"{coefficient.name} is smaller than its own uncertainty: this record does not show it."
+                f"{coefficient.key} is smaller than its own uncertainty: this record does not show it."
             )
     return tuple(notes)
 
@@ -168,7 +169,7 @@ def budget_table(cal: Calibration) -> Table:
         Column("Distribution", align="text"),
         Column("Standard uncertainty", align="text"),
         Column("Degrees of freedom"),
-        *(Column(c.name, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
+        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
     )
     total = {c.key: math.hypot(*(_contribution(source, c) for source in sources)) for c in coefficients}
     rows = [_budget_row(source, coefficients, total) for source in sources]
@@ -231,7 +232,7 @@ def segment_table(cal: Calibration) -> Table:
         shown = [shown[row] for row in sorted(worst)]
         notes = (f"The {_SHOWN_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
     unit = residual_quantity(cal)[1]
-    phases = {c.segment: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
+    phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
     columns = [
         Column("Segment", align="text"),
@@ -261,6 +262,64 @@ def segment_table(cal: Calibration) -> Table:
         rows.append(tuple(row))
     if phases:
         columns.append(Column("Phase φ", "rad"))
+    return Table(tuple(columns), tuple(rows), notes=notes)
+
+
+def runs_table(cal: Calibration) -> Table:
+    """One row per run of a joint calibration."""
+    unit = residual_quantity(cal)[1]
+    columns = (
+        Column("Run", align="text"),
+        Column("Stand", align="text"),
+        Column("Increments"),
+        Column("White noise", "arcsec"),
+        Column("Random walk", "arcsec/√s"),
+        Column("rms before", unit),
+        Column("rms after", unit),
+        Column("Alone it cannot separate", align="text"),
+    )
+    rows = tuple(
+        (
+            run.name if run.raw else f"{run.name} (summary)",
+            run.stand or "–",
+            count(run.rows),
+            short(run.angle_rms / ARCSEC),
+            short(run.angle_random_walk / ARCSEC),
+            short(run.residual_rms_before / ARCSEC),
+            short(run.residual_rms / ARCSEC),
+            ", ".join(run.undetermined) or "–",
+        )
+        for run in cal.runs
+    )
+    return Table(columns, rows)
+
+
+def outlier_table(cal: Calibration) -> Table:
+    """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
+    listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
+    unit = "arcsec/s" if cal.diagnostics.get("residual_kind") == "rate" else "arcsec"
+    named = any(outlier.run for outlier in cal.outliers)
+    columns = [
+        Column("Kind", align="text"),
+        Column("Time", "s"),
+        Column("Row"),
+        Column("Samples left out"),
+        Column("Miss", unit),
+    ]
+    rows = []
+    for outlier in listed[:_SHOWN_OUTLIERS]:
+        row: list[str | Cell] = [
+            outlier.kind,
+            f"{outlier.time:.3f}",
+            count(outlier.row),
+            count(outlier.samples),
+            printed(short(outlier.size / ARCSEC)),
+        ]
+        rows.append(tuple([outlier.run or "–", *row] if named else row))
+    if named:
+        columns.insert(0, Column("Run", align="text"))
+    more = len(cal.outliers) - _SHOWN_OUTLIERS
+    notes = (f"The first {_SHOWN_OUTLIERS} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     return Table(tuple(columns), tuple(rows), notes=notes)
 
 
