@@ -143,10 +143,20 @@ def mutations(raw, count, seed):
             yield raw[:at] + raw[at:end][::-1] + raw[end:]
 
 
+def hunted_part(raw, at, keys, tmp_path, count):
+    """As :func:`hunted`, for the bytes from ``at`` on."""
+    tail = [raw[:at] + mutant for mutant in mutations(raw[at:], count, 5)]
+    return missed_among(raw, tail, keys, tmp_path)
+
+
 def hunted(raw, keys, tmp_path, count, seed):
     """Mutations that verification neither refuses nor remarks."""
+    return missed_among(raw, mutations(raw, count, seed), keys, tmp_path)
+
+
+def missed_among(raw, mutants, keys, tmp_path):
     missed = []
-    for mutant in mutations(raw, count, seed):
+    for mutant in mutants:
         if mutant == raw:
             continue
         try:
@@ -163,9 +173,16 @@ def test_mutations_are_found(signed, keys, tmp_path):
     assert hunted(signed, keys, tmp_path, 150, 1) == []
 
 
+def test_mutations_of_the_signature_itself_are_found(signed, keys, tmp_path):
+    at = signed.index(b"<ds:Signature ")
+    missed = hunted_part(signed, at, keys, tmp_path, 150)
+    assert missed == []
+
+
 @pytest.mark.slow
 def test_many_mutations_are_found(signed, keys, tmp_path):
     assert hunted(signed, keys, tmp_path, 10_000, 2) == []
+    assert hunted_part(signed, signed.index(b"<ds:Signature "), keys, tmp_path, 3000) == []
 
 
 def test_fuzzed_unsigned_certificates_end_in_words(cal, tmp_path):

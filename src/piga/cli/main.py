@@ -8,7 +8,7 @@ import traceback
 import typer
 
 from piga._version import __version__
-from piga.cli import certificate, platform, records
+from piga.cli import certificate, platform, records, trend
 from piga.cli.calibrate import calibrate
 from piga.cli.check import check, convert
 from piga.cli.common import note
@@ -48,6 +48,7 @@ def _options(
 for command in (demo, check, convert, calibrate, compensate, simulate, plan, reproduce):
     app.command()(command)
 app.add_typer(platform.app)
+trend.register(records.app)
 app.add_typer(records.app)
 app.add_typer(certificate.app)
 

@@ -6,6 +6,7 @@ the reader was given by the laboratory. What the file says about its own key cou
 
 from __future__ import annotations
 
+import base64
 import datetime as dt
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,15 +144,21 @@ def _remarks(raw: bytes, root: etree._Element, signature: etree._Element, expect
     found = []
     if any(node.tag in (etree.Comment, etree.PI) for node in root.iter()) or root.getprevious() is not None:
         found.append("the file holds comments, which no signature covers")
-    named = ["".join((node.text or "").split()) for node in signature.iter(f"{_DS}X509Certificate")]
-    pem = expected.public_bytes(Encoding.PEM).decode().split("-----")[2]
-    if named != ["".join(pem.split())]:
+    body = expected.public_bytes(Encoding.PEM).decode().split("-----")[2].lstrip()
+    named = [node.text or "" for node in signature.iter(f"{_DS}X509Certificate")]
+    if ["".join(text.split()) for text in named] != ["".join(body.split())]:
         found.append(
             "the file names another X.509 certificate than the expected one; the signature is by the expected"
         )
-    if written(root) != raw:
+    encoded = [node.text or "" for node in signature.iter(f"{_DS}SignatureValue", f"{_DS}DigestValue")]
+    if written(root) != raw or named != [body] or any(text != _canonical(text) for text in encoded):
         found.append("the file is written in another way than piga writes it; what is signed is unchanged")
     return tuple(found)
+
+
+def _canonical(text: str) -> str:
+    """Base64 as an encoder writes it (decoders overlook stray letters)."""
+    return base64.b64encode(base64.b64decode(text)).decode("ascii")
 
 
 def written(root: etree._Element) -> bytes:
