@@ -74,4 +74,5 @@ def stream(runner: Runner) -> None:
 
 PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "docs/compensation.md": (bench, triad, stream),
+    "docs/records.md": (bench,),
 }

@@ -141,6 +141,24 @@ def test_what_cannot_be_told_apart_is_said():
     assert np.all(verdicts["gimbals with pick-off"].std < 0.02 * ARCSEC * (4.0 if INTERPRETED else 1.0))
 
 
+@pytest.mark.parametrize("sources", [("force",), ("force", "pick-off")])
+def test_what_the_force_tells_is_judged_as_it_is_identified(sources):
+    """One arc-second on the pick-off and, as 9.80 m/s^2 times that, on the specific force."""
+    felt = 9.8017 * ARCSEC
+    step = 16.0 if INTERPRETED else 4.0
+    noise = Sensors(pickoff_noise=ARCSEC, velocity_random_walk=felt * np.sqrt(step))
+    s = calibration(
+        sensors=noise, step=step, duration=7200.0, polar=Gyro(4 * ARCMIN, 0.3), equatorial=Gyro(3 * ARCMIN)
+    )
+    readouts = simulate(s).readouts
+    found = identify(readouts, s.place, sources=sources, orders=0)
+    verdict = {o.source: o for o in observability(readouts, found)}[
+        "specific force with pick-off" if len(sources) == 2 else "specific force"
+    ]
+    assert verdict.separable
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance))[:4], verdict.std, rtol=0.08)
+
+
 def test_unequal_speeds_separate_the_pick_off():
     s = calibration(equatorial_rotation=Rotation(0.75 * 2 * np.pi / 480.0))
     run = simulate(s)

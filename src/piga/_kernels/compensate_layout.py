@@ -7,7 +7,7 @@ to sample ``j - 1`` of the block, or to the interval that ends there.
 
 from __future__ import annotations
 
-BLOCK = 512
+BLOCK = 1024
 """Samples worked off at a time, whole tiles: the rows in use stay in the fast caches."""
 TILE = 64
 """The contracted loops run over a multiple of this many samples, the last sample repeated: no remainder loop is

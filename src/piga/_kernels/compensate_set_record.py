@@ -112,7 +112,19 @@ def weigh_all(
     """Weights of all instruments; a redundant set is solved again with them."""
     count = parameters.shape[0]
     for i in range(count):
-        weigh(n, i, at.PER if sampled else at.INVERSE, axes, parameters, codes[i], factors[i], weights, scratch, w, c)
+        weigh(
+            n,
+            i,
+            at.PER if sampled else at.INVERSE,
+            axes,
+            parameters,
+            codes[i],
+            factors[i],
+            weights,
+            scratch,
+            w,
+            c,
+        )
     if count > 3:
         set_of.start_force(angle.padded(n), c)
         solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)

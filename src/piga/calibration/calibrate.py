@@ -21,12 +21,21 @@ from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.revolutions import (
+    clean_record,
+    estimate_again,
+    fit_revolutions,
+    name_revolutions,
+    revolutions_result,
+)
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
+from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -75,11 +84,13 @@ def calibrate(
     request = make_request(run, terms, method, phase, phase_source, per_run)
     if request.method == "published":
         return _published_calibration(run, request)
+    if request.method == "revolutions":
+        return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
     fit = fit_run(run, request, groups, per_segment)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, float(np.abs(run.f).max()), float(np.ptp(run.t)), spread)
+    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
@@ -143,7 +154,8 @@ def _assemble(
         residual_rms_before=figures["residual_rms_before"],
         residual_max_before=figures["residual_max_before"],
         residual_max_after=figures["residual_max_after"],
-        quality=run.quality,
+        quality=fit.design.run.quality,
+        outliers=fit.outliers,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
@@ -189,6 +201,25 @@ def _joint_calibration(
     return joint_result(fit, covariance, tuple(budget))
 
 
+def _revolutions_calibration(run: Run, request: Request) -> Calibration:
+    """Mean rates over whole turns; Type B by moving the record."""
+    cleaned = clean_record(run, request)
+    fit = fit_revolutions(cleaned[0], request)
+    coefficients, covariance, note = name_revolutions(fit, request)
+    keys = [coefficient.key for coefficient in coefficients]
+    base = np.array([coefficient.value for coefficient in coefficients])
+    type_a = np.sqrt(np.diag(covariance))
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
+        covariance = covariance + np.outer(change, change)
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+    std = np.sqrt(np.diag(covariance))
+    coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
+    notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
+    notes = (*notes, note) if note else notes
+    return revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)
+
+
 def _published_calibration(run: Run, request: Request) -> Calibration:
     """The published recursion in the same result; its residuals are those of its own solution."""
     found = run_published(run, request)
@@ -210,7 +241,15 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     noise = noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
     fit = Fit(
-        design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ())
+        design,
+        mode,
+        noise,
+        [],
+        _fixed_solution(design, linear),
+        covariance,
+        Examination(float("nan"), ()),
+        np.zeros(0),
+        np.zeros(0),
     )
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}

@@ -74,6 +74,7 @@ def joint_result(fit: JointFit, covariance: Array, budget: tuple[dict[str, Any],
         time_reference=first.time_reference,
         residuals=residuals,
         runs=tuple(records),
+        outliers=tuple(replace(o, run=s.name) for s in fit.summaries for o in s.outliers),
     )
 
 

@@ -118,7 +118,8 @@ def _check_record(run: Run, request: Request) -> None:
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
     coupled = "tan_beta" in request.terms or bool(request.harmonics)
-    if request.phase == "shared" and coupled and len(set(run.phase_group)) > 1:
+    turning = coupled and request.method != "revolutions"
+    if request.phase == "shared" and turning and len(set(run.phase_group)) > 1:
         at = next(i for i, group in enumerate(run.phase_group) if group != run.phase_group[0])
         raise CalibrationError(
             f"phase 'shared' is not possible: from segment '{run.labels[at]}' on the zero of the output angle is "

@@ -12,7 +12,7 @@ import numpy as np
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.errors import CalibrationError
-from piga.records.calibration import Event, Quality, SegmentSummary
+from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
 from piga.records.terms import check_name
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ class _Summary(msgspec.Struct, frozen=True):
     sources: tuple[_Source, ...]
     quality: Quality
     segments: tuple[SegmentSummary, ...]
+    outliers: tuple[Outlier, ...] = ()
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
@@ -83,6 +84,7 @@ def write_summary(summary: RunSummary, path: Path) -> None:
         ],
         "quality": msgspec.to_builtins(summary.quality),
         "segments": [msgspec.to_builtins(segment) for segment in summary.segments],
+        "outliers": [msgspec.to_builtins(outlier) for outlier in summary.outliers],
     }
     path.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -123,6 +125,7 @@ def read_summary(path: Path) -> RunSummary:
             tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.quality.events),
         ),
         segments=found.segments,
+        outliers=found.outliers,
     )
 
 

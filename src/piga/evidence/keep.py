@@ -38,7 +38,7 @@ def keep_run(
     Parameters
     ----------
     store:
-        The open store.
+        Where it is kept.
     run:
         Run file.
     operator, reason:
@@ -50,7 +50,7 @@ def keep_run(
     supersedes:
         Name of the record that this one amends.
     report:
-        Make the page too (needs the extra ``report``).
+        Make the report too (it needs the extra ``report``).
 
     Raises
     ------

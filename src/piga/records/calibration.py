@@ -62,6 +62,22 @@ class Quality:
 
 
 @dataclass(frozen=True)
+class Outlier:
+    """Samples of the output that do not lie on its path: ``kind`` spike, stuck or jump.
+
+    ``time`` [s] and ``row`` (file row) of the first, ``samples`` left out (0 for a jump), ``size`` [rad, rad/s for
+    a rate log] of the largest miss, ``run`` in a joint calibration.
+    """
+
+    kind: str
+    time: float
+    row: int
+    samples: int
+    size: float
+    run: str | None = None
+
+
+@dataclass(frozen=True)
 class SegmentSummary:
     """Residual figures of one segment: rows, duration [s], mean a_x [m/s^2], turns [rev], rms [rad]."""
 
@@ -166,6 +182,7 @@ class Calibration:
     residuals: Residuals | None = None
     history: dict[str, Array] | None = None
     runs: tuple[RunRecord, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:

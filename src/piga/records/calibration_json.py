@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
+MOST_OUTLIERS = 10_000
+"""Outliers listed one by one; the events of the quality section count all of them."""
 
 
 class _Quantity(msgspec.Struct, frozen=True):
@@ -113,6 +115,15 @@ class _Run(msgspec.Struct, frozen=True):
     input_sha256: dict[str, str] = {}
 
 
+class _Outlier(msgspec.Struct, frozen=True):
+    kind: str
+    time: float
+    row: int
+    samples: int
+    size: float
+    run: str | None = None
+
+
 class _Provenance(msgspec.Struct, frozen=True):
     input_sha256: str | dict[str, str]
     software: str
@@ -136,6 +147,7 @@ class _Document(msgspec.Struct, frozen=True):
     diagnostics: dict[str, Any] = {}
     segments: tuple[_Segment, ...] = ()
     runs: tuple[_Run, ...] = ()
+    outliers: tuple[_Outlier, ...] = ()
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -146,7 +158,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     def angle(value: float) -> dict[str, Any]:
         return {"value": value, "unit": unit}
 
-    document = {
+    document: dict[str, Any] = {
         "schema": SCHEMA,
         "instrument": {
             "serial": c.serial,
@@ -188,7 +200,11 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "uncertainty_budget": list(c.budget),
         "provenance": msgspec.to_builtins(c.provenance),
     }
-    return document | ({"runs": [msgspec.to_builtins(run) for run in c.runs]} if c.runs else {})
+    if c.runs:
+        document["runs"] = [msgspec.to_builtins(run) for run in c.runs]
+    if c.outliers:
+        document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[:MOST_OUTLIERS]]
+    return document
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -232,6 +248,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     from piga.records.calibration import (
         Calibration,
         Coefficient,
+        Outlier,
         Provenance,
         RunRecord,
         SegmentSummary,
@@ -284,6 +301,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
             RunRecord(**{**msgspec.structs.asdict(run), "quality": _quality(run.quality)})
             for run in document.runs
         ),
+        outliers=tuple(Outlier(**msgspec.structs.asdict(outlier)) for outlier in document.outliers),
     )
 
 

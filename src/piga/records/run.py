@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Quality
+from piga.records.median import exact_median
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
+from piga.records.spool import spans, steps
 
 Array = NDArray[np.float64]
 
@@ -42,6 +45,9 @@ class Run:
         1-based row in the data file.
     resolution:
         Angle of one count [rad], 0 when the output is not counted.
+    left_out:
+        Samples whose output was found wrong, or None: their output holds what the model predicts, and no
+        increment ends in them.
     stand:
         The run file's ``[stand]`` table as written, for the uncertainty budget.
     """
@@ -64,6 +70,7 @@ class Run:
     model: ModelTable = field(default_factory=ModelTable)
     estimation: EstimationTable = field(default_factory=EstimationTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    left_out: NDArray[np.bool_] | None = None
     stand: dict[str, Any] | None = None
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -76,7 +83,21 @@ class Run:
     @property
     def duration(self) -> float:
         """Sum of the recorded intervals [s], gaps and moves left out."""
-        return float(np.diff(self.t)[~self.begins[1:]].sum())
+        return float(sum(step.sum() for step in self._steps_inside()))
+
+    @property
+    def median_step(self) -> float:
+        """Median interval inside stretches [s]; 0 when there is none."""
+        return exact_median(self._steps_inside)
+
+    def segment_edges(self) -> NDArray[np.int64]:
+        """Where segments begin, and the number of samples at the end."""
+        edges = [part.start + np.flatnonzero(steps(self.segment, part)) for part in spans(self.size)]
+        return np.concatenate([[0], *edges, [self.size]]).astype(np.int64)
+
+    def _steps_inside(self) -> Iterator[Array]:
+        for part in spans(self.size):
+            yield steps(self.t, part)[~self.begins[part]]
 
     @classmethod
     def from_arrays(

@@ -80,7 +80,7 @@ def alignment_page(run: Run, aligned: Alignment) -> Page:
             "base heading",
             f"{np.degrees(aligned.base_angles[2]):.4f}",
             "deg",
-            f"± {short(float(std[6:9].max()))} arcsec",
+            f"± {short(float(aligned.base_stds[2] / ARCSEC))} arcsec",
         ),
     )
     sections = (
@@ -150,7 +150,9 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
         columns,
         rows,
         notes=(
+            "u and v are m cos(phase) and m sin(phase).",
             "Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",
+            "On the specific force that is 48 µm/s², one arc-second of its direction.",
         ),
     )
 
@@ -182,8 +184,21 @@ def _alignment_table(run: Run, aligned: Alignment) -> Table:
                 "–",
             )
         )
-    for k, name in enumerate(("roll", "pitch", "heading")):
-        rows.append((f"base {name}", fixed(float(np.degrees(aligned.base_angles[k])), 5), "–", "deg", "–"))
+    motion = run.scenario.motion
+    for k, (name, put_in) in enumerate(
+        (("roll", motion.roll), ("pitch", motion.pitch), ("heading", motion.heading))
+    ):
+        value = float(np.degrees(aligned.base_angles[k]))
+        off = float(np.remainder(value - np.degrees(put_in) + 180.0, 360.0) - 180.0)
+        rows.append(
+            (
+                f"base {name}",
+                fixed(value, 5),
+                f"{np.degrees(aligned.base_stds[k]):.1e}",
+                "deg",
+                f"{off:+.1e}",
+            )
+        )
     columns = (
         Column("quantity", align="text"),
         Column("value"),

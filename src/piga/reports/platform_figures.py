@@ -37,6 +37,13 @@ def schuler_peak(times: Array, values: Array) -> Array:
     return maximum_filter1d(values, size=max(1, round(84.4 * MINUTE / float(times[1] - times[0]))))
 
 
+def averaged(values: Array, over: int) -> Array:
+    """Running mean of ``values`` (n,) or (n, k) over ``over`` samples, (n - over + 1, ...)."""
+    start = values[:1]
+    total = np.cumsum(np.concatenate([0.0 * start, values - start]), axis=0)
+    return start + (total[over:] - total[:-over]) / over
+
+
 def readouts_figure(run: Run) -> Figure:
     """What is read: specific force, gimbal angles, pick-off, over the run and its first minutes."""
     r = run.readouts
@@ -47,20 +54,23 @@ def readouts_figure(run: Run) -> Figure:
     force = r.increments / r.step
     angles = np.unwrap(r.gimbals, axis=0)
     gimbals, axes = ("outer", "middle", "inner"), ("x", "y", "z")
-    flat = np.stack([_flattened(r.times[early], angles[early, k]) for k in range(3)], axis=1)
+    over = 1 if run.truth.motion.at_rest else max(1, round(MINUTE / r.step))
+    close = "" if over == 1 else ", 1 min mean"
     pickoff = np.stack([r.pickoff, run.truth.eta], axis=1) / ARCMIN
     panels = (
         _three(axis, Axis("specific force", "m/s^2"), middle / unit, force, axes),
         _three(
             minutes,
-            Axis("force less its mean", "mm/s^2"),
-            middle[early] / MINUTE,
-            1e3 * (force[early] - force[early].mean(axis=0)),
+            Axis(f"force{close}", "mm/s^2"),
+            *_course_out(middle[early], 1e3 * force[early], over),
             axes,
         ),
         _three(axis, Axis("gimbal angle", "deg"), r.times / unit, np.degrees(angles), gimbals),
         _three(
-            minutes, Axis("gimbal less its course", "arcmin"), r.times[early] / MINUTE, flat / ARCMIN, gimbals
+            minutes,
+            Axis(f"gimbal{close}", "arcmin"),
+            *_course_out(r.times[early], angles[early] / ARCMIN, over),
+            gimbals,
         ),
         _pickoff(axis, r.times / unit, pickoff),
         _pickoff(minutes, r.times[early] / MINUTE, pickoff[early]),
@@ -69,7 +79,13 @@ def readouts_figure(run: Run) -> Figure:
         "fig-readouts",
         "What is read on the platform",
         panels,
-        "Left: the whole run. Right: the first minutes, where the misalignment turns with the cases.",
+        "Left: the whole run. Right: the first minutes, force and gimbal angles less a parabola, so that what "
+        "turns with the cases shows"
+        + (
+            "."
+            if over == 1
+            else "; averaged over a minute, so that the motion of the vehicle does not hide it."
+        ),
         columns=2,
         height=2.4,
     )
@@ -87,8 +103,12 @@ def _pickoff(x: Axis, at: Array, values: Array) -> Panel:
     return Panel(x, Axis("pick-off", "arcmin"), (read, true))
 
 
-def _flattened(t: Array, values: Array) -> Array:
-    return values - np.polyval(np.polyfit(t - t.mean(), values, 2), t - t.mean())
+def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
+    """Time [min] and columns of ``values`` (n, 3), averaged over ``over`` samples and freed of a parabola."""
+    t, mean = averaged(times, over), averaged(values, over)
+    basis = np.polynomial.polynomial.polyvander((t - t.mean()) / (t[-1] - t[0]), 2)
+    fitted, *_ = np.linalg.lstsq(basis, mean, rcond=None)
+    return t / MINUTE, mean - basis @ fitted
 
 
 def convergence_figure(found: Identification) -> Figure:
@@ -106,14 +126,12 @@ def convergence_figure(found: Identification) -> Figure:
             y, s = (values[late, at + k] - last[k]) / ARCSEC, 1.96 * stds[late, at + k] / ARCSEC
             series.append(Series(t[late], -s, "95 % band" if k == 0 else "", "band", "muted", upper=s))
             series.append(Series(t[late], y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))
-        panels.append(
-            Panel(Axis("time", "min"), Axis(f"{title}: estimate less its end", "arcsec"), tuple(series))
-        )
+        panels.append(Panel(Axis("time", "min"), Axis(f"{title}, off its end", "arcsec"), tuple(series)))
     return Figure(
         "fig-convergence",
         "Recursive identification",
         tuple(panels),
-        "Estimates sample by sample; the band is the filter's own 95 % interval.",
+        "Estimates sample by sample, less the last one; the band is the filter's own 95 % interval.",
         columns=2,
         height=2.6,
     )

@@ -7,7 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.platform_figures import ARCMIN, DAY, HOUR, MINUTE, model_name, schuler_peak, time_axis
+from piga.reports.platform_figures import (
+    ARCMIN,
+    DAY,
+    HOUR,
+    MINUTE,
+    averaged,
+    model_name,
+    schuler_peak,
+    time_axis,
+)
 from piga.stable_platform.analysis import spectrum
 from piga.stable_platform.chain import Comparison, ModelRun
 
@@ -17,6 +26,13 @@ _LABELS = {
     "north_velocity": ("north velocity line", "m/s", 1.0),
     "heading": ("heading line", "arcmin", ARCMIN),
     "roll": ("roll line", "arcmin", ARCMIN),
+}
+
+
+_SAYINGS = {
+    "A": "Model A grows with the redundancy angle.",
+    "B": "Model B follows the redundancy angle.",
+    "C": "Model C removes the wobble as well.",
 }
 
 
@@ -48,9 +64,7 @@ def lines_figure(comparison: Comparison) -> Figure:
         "fig-lines-per-day",
         "What each model leaves at the case-rotation period",
         tuple(panels),
-        "Amplitude fitted over each day. Model A grows with the redundancy angle as the theory "
-        "says; B follows it; "
-        "C removes the wobble as well.",
+        "Amplitude fitted over each day. " + " ".join(_SAYINGS[m] for m in comparison.models if m in _SAYINGS),
         columns=2,
         height=2.6,
     )
@@ -68,7 +82,7 @@ def histories_figure(comparison: Comparison) -> Figure:
         "fig-histories",
         "Navigation errors over the run",
         "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
-        "errors are some hundred times larger and would hide these.",
+        "errors are far larger and would hide these.",
         0.0,
         ("A", "B", "C"),
     )
@@ -104,6 +118,9 @@ def _channels(
     only: Sequence[str] = ("none", "A", "B", "C"),
 ) -> Figure:
     shown = {m: r for m, r in comparison.models.items() if m in only} or dict(comparison.models)
+    over = _quiet(comparison)
+    if over > 1:
+        caption += " Heading and roll are means over half a minute, freed of most of the gimbal noise."
     rows: list[tuple[str, str, float]] = [
         ("east velocity error", "m/s", 1.0),
         ("heading error", "arcmin", ARCMIN),
@@ -113,33 +130,40 @@ def _channels(
     for k, (quantity, name, scale) in enumerate(rows):
         series = []
         for model, run in shown.items():
-            e = run.errors
+            e, width = run.errors, over if k else 1
             values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
-            values = values - values.mean() if origin else values
-            label = model_name(model)
-            series.append(Series((e.times[part] - origin) / unit, values, label, "line", MODEL_ROLES[model]))
+            values = averaged(values - values.mean() if origin else values, width)
+            times = averaged(e.times[part] - origin, width) / unit
+            series.append(Series(times, values, model_name(model), "line", MODEL_ROLES[model]))
         panels.append(Panel(axis, Axis(quantity, name), tuple(series)))
     return Figure(key, title, tuple(panels), caption, height=2.2)
+
+
+def _quiet(comparison: Comparison) -> int:
+    """Rows of half a minute where the gimbals are read with noise, else one."""
+    if comparison.run.scenario.sensors.gimbal_noise == 0.0:
+        return 1
+    times = next(iter(comparison.models.values())).errors.times
+    return max(1, round(0.5 * MINUTE / float(times[1] - times[0])))
 
 
 def position_figure(comparison: Comparison) -> Figure:
     """Horizontal position error against time."""
     times = next(iter(comparison.models.values())).errors.times
     axis, unit = time_axis(float(times[-1]))
-    series = tuple(
-        Series(
-            run.errors.times / unit,
-            np.maximum(schuler_peak(run.errors.times, run.errors.horizontal), 1e-9),
-            model_name(m),
-            "line",
-            MODEL_ROLES[m],
-        )
+    peaks = {
+        m: np.maximum(schuler_peak(run.errors.times, run.errors.horizontal), 1e-9)
         for m, run in comparison.models.items()
+    }
+    series = tuple(
+        Series(times / unit, peak, model_name(m), "line", MODEL_ROLES[m]) for m, peak in peaks.items()
     )
+    largest, least = max(peak.max() for peak in peaks.values()), min(peak.min() for peak in peaks.values())
+    decades = bool(largest > 30.0 * least)
     return Figure(
         "fig-position",
         "Horizontal position error",
-        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
+        (Panel(axis, Axis("horizontal position error", "m", log=decades), series),),
         "Distance between where the navigator says it is and where it is; largest of 84 minutes.",
     )
 

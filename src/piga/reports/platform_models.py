@@ -52,7 +52,7 @@ def comparison_page(
             "lines",
             (
                 Text(_lines_sentence(comparison), lead=True),
-                FigureBlock(lines_figure(comparison)),
+                *((FigureBlock(lines_figure(comparison)),) if _days(comparison) > 1 else ()),
                 _line_table(comparison, "east_velocity", "East velocity line", "mm/s", 1e3),
                 _line_table(comparison, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
                 _line_table(comparison, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
@@ -98,8 +98,12 @@ def _comparison_tiles(c: Comparison) -> tuple[Tile, ...]:
     )
 
 
+def _days(c: Comparison) -> int:
+    return int(next(iter(c.models.values())).lines.day[-1])
+
+
 def _lines_sentence(c: Comparison) -> str:
-    day = int(next(iter(c.models.values())).lines.day[-1])
+    day = _days(c)
     if "A" not in c.models:
         return f"Amplitudes at the case-rotation period, fitted over each of {day} days."
     left = float(c.models["A"].lines.amplitude["east_velocity"][-1])

@@ -6,7 +6,7 @@ import numpy as np
 
 from piga.reports.page import Column, Page, Section, Table, Tile
 from piga.stable_platform.case_rotation import apparent_gyro
-from piga.stable_platform.identified import Identification
+from piga.stable_platform.identified import UNKNOWN_PHASE, Identification, Parameter
 from piga.stable_platform.scenario import Gyro, Scenario
 from piga.units import ARCSEC
 
@@ -27,23 +27,7 @@ def parameter_table(found: Identification, s: Scenario) -> Table:
     truth = _truth_by_name(
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
     )
-    rows = []
-    for p in found.parameters:
-        scale, unit = (ARCSEC, "arcsec") if p.unit == "rad" else (np.radians(1.0) / 3600.0, "deg/h")
-        if p.name.endswith("phase"):
-            scale, unit = np.radians(1.0), "deg"
-        true = truth.get(p.name)
-        difference = None if true is None else p.value - true
-        if difference is not None and p.name.endswith("phase"):
-            difference = float(np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi)
-        off = (
-            "–"
-            if difference is None
-            else f"{difference / p.std:+.2f}"
-            if p.std > 1e-11
-            else f"{difference / scale:+.1e}"
-        )
-        rows.append((p.name.replace(".", " "), f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off))
+    rows = [_parameter_row(p, truth.get(p.name)) for p in found.parameters]
     columns = (
         Column("quantity", align="text"),
         Column("value"),
@@ -57,6 +41,21 @@ def parameter_table(found: Identification, s: Scenario) -> Table:
         tuple(rows),
         notes=(f"Noise found in the residuals: {noise}. Truth includes the circle of case-fixed drift.",),
     )
+
+
+def _parameter_row(p: Parameter, true: float | None) -> tuple[str, ...]:
+    phase = p.name.endswith("phase")
+    scale, unit = (ARCSEC, "arcsec") if p.unit == "rad" else (np.radians(1.0) / 3600.0, "deg/h")
+    scale, unit = (np.radians(1.0), "deg") if phase else (scale, unit)
+    name = p.name.replace(".", " ").replace("harmonic", "harmonic ")
+    if phase and p.std > 0.25 * UNKNOWN_PHASE:
+        return name, "not determined", "–", unit, "–"
+    off = "–"
+    if true is not None:
+        difference = p.value - true
+        difference = float(np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) if phase else difference
+        off = f"{difference / p.std:+.2f}" if p.std > 1e-11 else f"{difference / scale:+.1e}"
+    return name, f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off
 
 
 def _noise(name: str, level: float) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.stable_platform.estimate import Group, solve_with_noise
 from piga.stable_platform.geodesy import geodetic_to_earth, local_axes, specific_force_at_rest
 from piga.stable_platform.models import Knowledge
@@ -54,26 +55,34 @@ class Alignment:
     @property
     def triad_vector(self) -> Array:
         """Rotation vector (3,) [rad] from inertial axes to the triad."""
-        from piga.frames import matrix_to_rotation_vector
-
         return matrix_to_rotation_vector(self.triad)
 
     @property
     def base_angles(self) -> Array:
         """Roll, pitch, heading (3,) [rad] of the base."""
-        c = self.base
-        return np.array(
-            [
-                np.arctan2(c[2, 1], c[2, 2]),
-                np.arcsin(np.clip(-c[2, 0], -1.0, 1.0)),
-                np.arctan2(c[1, 0], c[0, 0]),
-            ]
-        )
+        return _angles(self.base)
+
+    @property
+    def base_stds(self) -> Array:
+        """Standard uncertainties of roll, pitch, heading (3,) [rad]."""
+        to_level = local_axes(self.place.latitude, self.place.longitude).T
+        jacobian = np.empty((3, 3))
+        for k, turn in enumerate(1e-6 * to_level.T):
+            ahead, behind = (rotation_vector_to_matrix(sign * turn) @ self.base for sign in (1.0, -1.0))
+            difference = _angles(ahead) - _angles(behind)
+            jacobian[:, k] = (np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) / 2e-6
+        return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
 
     def start(self, *, with_drift: bool) -> Start:
         """Start of the navigation at the known place, with the drift found taken out or not."""
         drift = self.drift if with_drift else np.zeros(3)
         return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
+
+
+def _angles(base: Array) -> Array:
+    """Roll, pitch, heading (3,) [rad] of ``C_b^n``."""
+    pitch = np.arcsin(np.clip(-base[2, 0], -1.0, 1.0))
+    return np.array([np.arctan2(base[2, 1], base[2, 2]), pitch, np.arctan2(base[1, 0], base[0, 0])])
 
 
 def align(
@@ -131,7 +140,5 @@ def _with_third(columns: Array, x: Unknowns) -> Array:
 
 
 def _moved(x: Unknowns, step: Array) -> Unknowns:
-    from piga.frames import rotation_vector_to_matrix
-
     moved = x.moved(np.concatenate([np.zeros(len(names(len(x.polar.cosines))) - 8), step[:8]]))
     return replace(moved, base=rotation_vector_to_matrix(np.array([0.0, 0.0, step[8]])) @ moved.base)

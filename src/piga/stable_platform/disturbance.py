@@ -118,6 +118,7 @@ class Stretch:
         if r.turn_sensitivity > 0.0:
             predicted -= _turns(attitude[::2]) * (r.turn_sensitivity / r.step)
             columns -= np.gradient(e, points[0], axis=0) * r.turn_sensitivity
+        columns[1:-1] += np.diff(columns, 2, axis=0) / (24.0 * self.every**2)  # their mean over the step
         table = [self._smooth(force - predicted)[:, :, None], self._smooth_points(columns)]
         white = np.tensordot(self.whitening, np.concatenate(table, axis=2), axes=1)
         return white[:, :, 0], white[:, :, 1:]

@@ -148,8 +148,13 @@ def _notes(vector: Array, covariance: Array, orders: int) -> tuple[str, ...]:
             notes.append(
                 f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
             )
-        for k in range(1, orders + 1):
-            at = start + 2 * k
-            if np.hypot(vector[at], vector[at + 1]) < 3.0 * std[at : at + 2].max():
-                notes.append(f"{gyro}: harmonic {k} is below three times its uncertainty")
+        at = [start + 2 * k for k in range(1, orders + 1)]
+        small = [
+            k for k, i in enumerate(at, start=1) if np.hypot(*vector[i : i + 2]) < 3.0 * std[i : i + 2].max()
+        ]
+        if small:
+            which = ", ".join(str(k) for k in small)
+            notes.append(
+                f"{gyro}: harmonics below three times their uncertainty, whose phases mean nothing: {which}"
+            )
     return tuple(notes)

@@ -126,30 +126,28 @@ def row_change(chance: random.Random) -> tuple[str, Callable[[sqlite3.Connection
 
 
 def test_store_bytes(memory_path: Path) -> None:
-    found = mutate_store_bytes(memory_path, 250, 1)
+    found = mutate_store_bytes(memory_path, 80, 1)
     assert found["missed"] == 0, found
-    assert found["found"] > 75
 
 
 def mutate_store_bytes(folder: Path, count: int, seed: int) -> Counter[str]:
-    filled(folder / "a.sqlite", 3).close()
+    """Change bytes until ``count`` changes were found; those that change nothing that can be read are counted too."""
+    filled(folder / "a.sqlite", 3, size=20_000).close()
     raw, whole = (folder / "a.sqlite").read_bytes(), everything(folder / "a.sqlite")
     chance, found, work = random.Random(seed), Counter[str](), folder / "work"
-    for index in range(count):
+    while found["found"] < count:
         work.mkdir()
         path = work / "m.sqlite"
-        path.write_bytes(cut(raw, chance) if index % 5 == 0 else flip(raw, chance))
-        if verify(path).sound:
-            found["no content" if everything(path) == whole else "missed"] += 1
-        else:
-            found["found"] += 1
+        path.write_bytes(cut(raw, chance) if chance.random() < 0.1 else flip(raw, chance))
+        sound = verify(path).sound
+        found["no content" if sound and everything(path) == whole else "missed" if sound else "found"] += 1
         shutil.rmtree(work)
     return found
 
 
 def test_store_rows(memory_path: Path) -> None:
-    found = mutate_store_rows(memory_path, 120, 2)
-    assert sum(found.values()) == 120
+    found = mutate_store_rows(memory_path, 60, 2)
+    assert sum(found.values()) == 60
     assert found["missed"] == 0, found
 
 
@@ -229,4 +227,4 @@ def test_ten_thousand_mutations(memory_path: Path) -> None:
         print(name, dict(found))
         totals.update(found)
     assert totals["missed"] == 0
-    assert sum(totals.values()) >= 10_000
+    assert sum(totals.values()) - totals["no content"] >= 10_000

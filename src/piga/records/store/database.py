@@ -102,7 +102,7 @@ def open_database(where: str | Path, *, create: bool = False, identity: bytes | 
     Parameters
     ----------
     where:
-        File of an SQLite store, or URL of a PostgreSQL database.
+        SQLite file, or URL of a PostgreSQL database.
     create:
         Make the store where there is none.
     identity:

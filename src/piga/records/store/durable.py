@@ -23,9 +23,9 @@ def write_durably(target: Path, write: Callable[[Path], object], *, replace: boo
     Parameters
     ----------
     target:
-        The file to make.
+        File to be.
     write:
-        Fills the temporary file it is given.
+        Fills the file whose path it gets.
     replace:
         False: an existing ``target`` is never touched.
 
