@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.budget import budget_row, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.design import Design
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
@@ -30,10 +31,11 @@ from piga.calibration.revolutions import (
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
-from piga.calibration.weighting import reduce_segments, weighting_mode
+from piga.calibration.weighting import weighting_mode
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -88,9 +90,9 @@ def calibrate(
     fit = fit_run(run, request, groups, per_segment)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, float(np.abs(run.f).max()), float(np.ptp(run.t)), spread)
+    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
-    budget, type_b = _budget(fit, groups, per_segment, coefficients, type_a)
+    budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
     coefficients = tuple(
         replace(c, std=float(s)) for c, s in zip(coefficients, np.sqrt(np.diag(covariance)), strict=True)
@@ -100,41 +102,6 @@ def calibrate(
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
     return _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
-
-
-def _budget(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...], type_a: Array
-) -> tuple[tuple[dict[str, Any], ...], Array]:
-    """Budget rows (one per source, contribution to every coefficient) and the covariance of Type B."""
-    keys = [coefficient.key for coefficient in coefficients]
-    base = np.array([coefficient.value for coefficient in coefficients])
-    turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
-
-    def estimate(run: Run) -> Array:
-        design = Design(run, fit.design.request, fit.design.scale_factor)
-        solution = solve(design, reduce_segments(design, fit.mode, fit.noise), groups)
-        named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
-        values = np.array([coefficient.value for coefficient in named])
-        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
-
-    rows = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
-    covariance = np.zeros((len(keys), len(keys)))
-    for source, change in contributions(fit.design.run, base, estimate):
-        covariance += np.outer(change, change)
-        rows.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
-    return tuple(rows), covariance
-
-
-def _budget_row(
-    source: str, kind: str, distribution: str, value: float | None, unit: str, keys: list[str], change: Array
-) -> dict[str, Any]:
-    return {
-        "source": source,
-        "type": kind,
-        "distribution": distribution,
-        "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
-        "contributions": {key: float(c) for key, c in zip(keys, change, strict=True)},
-    }
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
@@ -227,10 +194,10 @@ def _joint_calibration(
     keys = [coefficient.key for coefficient in fit.coefficients]
     covariance = fit.covariance.copy()
     type_a = np.sqrt(np.diag(covariance))
-    budget = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
     for source, change in joint_contributions(fit):
         covariance += np.outer(change, change)
-        budget.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
     return joint_result(fit, covariance, tuple(budget))
 
 
@@ -242,10 +209,10 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
     type_a = np.sqrt(np.diag(covariance))
-    budget = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
     for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
         covariance = covariance + np.outer(change, change)
-        budget.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
     std = np.sqrt(np.diag(covariance))
     coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
@@ -287,9 +254,7 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (
-        _budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),
-    )
+    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 

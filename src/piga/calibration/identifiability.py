@@ -158,6 +158,8 @@ def refuse_useless(
 
     Parameters
     ----------
+    coefficients:
+        Estimates with their standard uncertainties.
     largest:
         Largest specific force of the record [m/s^2].
     duration, spread:

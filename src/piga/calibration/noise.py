@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.whitening import LANES, likelihoods
+from piga.records.median import exact_median
+from piga.records.spool import spans
 
 Array = NDArray[np.float64]
 Information = Callable[[Array], Array]
@@ -72,10 +74,9 @@ def find_noise(
     left out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
     around levels found before.
     """
-    formed = h > 0.0
-    count = int(np.count_nonzero(formed))
+    count = sum(int(np.count_nonzero(h[rows] > 0.0)) for rows in spans(h.size))
     freedom = max(count - parameters, 1)
-    step = float(np.median(h[formed]))
+    step = exact_median(lambda: (part[part > 0.0] for part in (h[rows] for rows in spans(h.size))))
     low, high, passes = LOWEST, HIGHEST, REFINEMENTS
     if near is not None and near.white > 0.0 and near.walk > 0.0:
         centre = math.log10(near.walk * step / near.white)

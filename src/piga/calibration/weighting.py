@@ -13,6 +13,7 @@ from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.records.spool import arrays_like
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,8 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     """Observed less modelled increments and their intervals; ``values`` (segments, m) per segment."""
-    d, h = np.zeros(design.run.size), np.zeros(design.run.size)
+    arrays = arrays_like(design.run.t)
+    d, h = arrays.zeros(design.run.size), arrays.zeros(design.run.size)
     for block in design.blocks():
         rows = slice(block.start, block.stop)
         d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]

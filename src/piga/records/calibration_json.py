@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, UnitError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
@@ -209,8 +209,13 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
     """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
+    path.write_bytes(calibration_to_bytes(calibration))
+
+
+def calibration_to_bytes(calibration: Calibration) -> bytes:
+    """The bytes of ``calibration.json``."""
     text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    return f"{text}\n".encode()
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -221,6 +226,25 @@ def read_calibration(path: Path) -> Calibration:
     CalibrationError
         If the file is missing, is no calibration record, or is of a newer schema.
     """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
+        ) from None
+    return calibration_from_bytes(raw, path)
+
+
+def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
+    """Read a record from the bytes of its file; ``path`` names it in messages.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
     from piga.records.calibration import (
         Calibration,
         Coefficient,
@@ -230,8 +254,13 @@ def read_calibration(path: Path) -> Calibration:
         SegmentSummary,
     )
 
-    document = _decode(path)
-    matrix = np.array(document.covariance.matrix, dtype=float)
+    document = _decode(raw, path)
+    try:
+        matrix = np.array(document.covariance.matrix, dtype=float)
+    except ValueError:
+        raise CalibrationError(
+            f"{path}: the covariance is not a full square matrix", remedy="calibrate again"
+        ) from None
     _check(path, document, matrix)
     hashes = document.provenance.input_sha256
     return Calibration(
@@ -283,11 +312,8 @@ def _quality(found: _Quality) -> Quality:
     return Quality(found.rows, found.used, found.masked, events)
 
 
-def _decode(path: Path) -> _Document:
+def _decode(raw: bytes, path: Path) -> _Document:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
-        raw = path.read_bytes()
         kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
         if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
             raise CalibrationError(
@@ -299,10 +325,6 @@ def _decode(path: Path) -> _Document:
                 f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
             )
         return msgspec.json.decode(raw, type=_Document)
-    except OSError as error:
-        raise CalibrationError(
-            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
-        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CalibrationError(
             f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
@@ -310,7 +332,10 @@ def _decode(path: Path) -> _Document:
 
 
 def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
-    return quantity.value * conversion_factor(quantity.unit, like, what=str(path))
+    try:
+        return quantity.value * conversion_factor(quantity.unit, like)
+    except UnitError as error:
+        raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
 def _check(path: Path, document: _Document, matrix: Any) -> None:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,36 @@ import numpy as np
 from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.limits import CPU_BASE, CPU_PER_MIB, MEMORY_LIMIT
+from piga.records.stream import CHUNK_ROWS, Chunk
 from piga.records.table import RawTable
 
 SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
 """File name endings of the containers that are read."""
+
+
+class ContainerStream:
+    """A container, read whole in its own process, handed on in chunks; see :class:`piga.records.stream.RecordStream`."""
+
+    def __init__(
+        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
+    ) -> None:
+        self._table = read_container(path, kind, numeric, label, sheet)
+        self._label = label
+        self.units, self.expected_rows = self._table.units, self._table.rows
+        self.label_names = list(self._table.labels[label][1]) if label else []
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows in order."""
+        table, rows = self._table, self._table.file_rows()
+        codes = table.labels[self._label][0] if self._label else None
+        for start in range(0, table.rows, CHUNK_ROWS):
+            part = slice(start, start + CHUNK_ROWS)
+            numbers = {name: np.asarray(column[part], dtype=float) for name, column in table.numbers.items()}
+            yield Chunk(numbers, None if codes is None else codes[part], rows[part])
+
+    def events(self) -> list[Event]:
+        """What was found."""
+        return list(self._table.events)
 
 
 def read_container(
@@ -28,6 +55,8 @@ def read_container(
 
     Parameters
     ----------
+    path:
+        The file.
     kind:
         One of :data:`SUFFIXES`.
     numeric, label:
@@ -42,8 +71,6 @@ def read_container(
     """
     if not path.is_file():
         raise DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
-    if sheet is not None and kind != ".xlsx":
-        raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
     if kind == ".xlsx" and path.with_name(f"~${path.name}").exists():
         raise DataError(f"{path}: is open in a spreadsheet program", remedy="close it there, then try again")
     with tempfile.TemporaryDirectory(prefix="piga-") as name:

@@ -16,7 +16,7 @@ MAX_MEMBERS = 4096
 """Parts of a ZIP container."""
 MEMORY_LIMIT = 6 << 30
 """Address space of the process that reads a container [bytes]."""
-CPU_BASE, CPU_PER_MIB = 8.0, 4.0
+CPU_BASE, CPU_PER_MIB = 5.0, 4.0
 """CPU time for reading a container [s], and per MiB of file."""
 
 

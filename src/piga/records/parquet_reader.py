@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,40 +11,71 @@ import numpy as np
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.table import RawTable
-from piga.records.text_reader import encode_labels
+from piga.records.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount
 
 
-def read_parquet(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
-    """Read the named columns of a Parquet file.
+class ParquetStream:
+    """The named columns of a Parquet file, chunk by chunk; see :class:`piga.records.stream.RecordStream`.
 
     Raises
     ------
     DataError
         If the file is no Parquet, lacks a column, or a column holds no numbers.
     """
+
+    def __init__(
+        self, path: Path, numeric: tuple[str, ...], label: str | None, chunk_rows: int = CHUNK_ROWS
+    ) -> None:
+        self._path, self._numeric, self._label = path, tuple(dict.fromkeys(numeric)), label
+        self._chunk_rows = chunk_rows
+        with _open(path) as source:
+            schema = source.schema_arrow
+            _check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
+            self.expected_rows = source.metadata.num_rows
+        self.units = _units(schema, self._numeric)
+        self.label_names: list[str] = []
+        self._codes, self._missed = LabelCodes(self.label_names), MissingCount()
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows in order."""
+        if self.expected_rows == 0:
+            raise DataError(f"{self._path}: no data row", remedy="check that the logger wrote data")
+        wanted = list(dict.fromkeys([*self._numeric, *([self._label] if self._label else [])]))
+        row = 1
+        with _open(self._path) as source:
+            for batch in source.iter_batches(self._chunk_rows, columns=wanted):
+                rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
+                row += batch.num_rows
+                numbers = {name: self._column(batch.column(name), name, rows) for name in self._numeric}
+                codes = self._codes.of(batch.column(self._label)) if self._label else None
+                yield Chunk(numbers, codes, rows)
+
+    def events(self) -> list[Event]:
+        """What was found, after the last chunk."""
+        return self._missed.events(self._numeric)
+
+    def _column(self, column: Any, name: str, rows: Any) -> Any:
+        if str(column.type) == "double" and column.null_count == 0:
+            values = np.frombuffer(column.buffers()[1], dtype=np.float64)
+            return values[column.offset : column.offset + len(column)].copy()
+        if column.null_count:
+            self._missed.add(name, column.is_null().to_numpy(zero_copy_only=False), rows)
+        return column.to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[Any]:
     import pyarrow as pa
     from pyarrow import parquet
 
-    wanted = list(dict.fromkeys([*numeric, *([label] if label else [])]))
     try:
-        with parquet.ParquetFile(path, memory_map=True) as source:
-            schema = source.schema_arrow
-            _check_columns(path, schema, wanted, numeric)
-            table = source.read(columns=wanted)
+        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20) as source:
+            yield source
     except FileNotFoundError:
         raise DataError(f"{path}: no such file", remedy="[data] file is relative to the run file") from None
-    except (pa.ArrowException, OSError) as error:
-        message = str(error).splitlines()[0]
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        message = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(f"{path}: not a readable Parquet file ({message})", remedy="export it again") from None
-    if table.num_rows == 0:
-        raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
-    events: list[Event] = []
-    numbers: dict[str, Any] = {}
-    for name in dict.fromkeys(numeric):
-        numbers[name] = _column(table.column(name), name, events)
-    labels = {label: encode_labels(table.column(label))} if label else {}
-    return RawTable(path, numbers, labels, table.num_rows, 1, _units(schema, numeric), tuple(events))
 
 
 def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[str, ...]) -> None:
@@ -65,17 +98,10 @@ def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[st
             )
 
 
-def _column(column: Any, name: str, events: list[Event]) -> Any:
-    import pyarrow as pa
-
-    if column.null_count:
-        mask = column.is_null().to_numpy(zero_copy_only=False)
-        events.append(Event("missing-value", column.null_count, int(np.argmax(mask)) + 1, f"column '{name}'"))
-    if pa.types.is_integer(column.type) and not column.null_count:
-        return column.to_numpy().astype(np.int64, copy=False)
-    return column.to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
-
-
 def _units(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:
     metadata = {name: schema.field(name).metadata or {} for name in numeric}
-    return {name: found[b"unit"].decode() for name, found in metadata.items() if b"unit" in found}
+    return {
+        name: found[b"unit"].decode("utf-8", errors="replace")
+        for name, found in metadata.items()
+        if b"unit" in found
+    }

@@ -285,6 +285,10 @@ def _check_faults(run_file: RunFile) -> None:
             )
         if not low < high:
             raise RunFileError(f"[data] range: '{name}': {low:g} is not below {high:g}", remedy="swap them")
+    if data.segment in data.number_columns():
+        raise RunFileError(
+            f"[data] segment: '{data.segment}' is read as numbers already", remedy="name a column of its own"
+        )
     if data.sequence is not None and data.sequence.wraps_at is not None and data.sequence.wraps_at < 2:
         raise RunFileError("[data] sequence: wraps_at must be 2 or more", remedy="e.g. 65536")
     for word in data.missing:

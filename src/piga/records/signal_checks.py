@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Event
+from piga.records.spool import spans, steps
 from piga.units import G0
 
 Array = NDArray[np.float64]
 
 STUCK = 8
 """Equal extreme values in a row that are reported."""
+SAMPLED = 1 << 17
+"""Rows of a long record that are looked at for mistaken units."""
 FACTORS = {9.80665: "9.80665 (g and m/s^2)", 57.29577951: "57.2958 (deg and rad)", 1e3: "1000 (mg and g)",
            1e6: "10^6 (ug and g)", 3600.0: "3600 (per hour and per second)",
            57.29577951 * 3600: "206265 (deg/h and rad/s, or arcsec and rad)",
@@ -21,115 +25,189 @@ FACTORS = {9.80665: "9.80665 (g and m/s^2)", 57.29577951: "57.2958 (deg and rad)
 """Factors between units that are often mistaken for each other."""
 
 
+@dataclass
+class LongestRun:
+    """Longest run of True in masks given one after the other: its ``start`` and ``length``, and all ``count``."""
+
+    start: int = 0
+    length: int = 0
+    count: int = 0
+    _open: int = 0
+    _next: int = 0
+
+    def see(self, mask: NDArray[np.bool_], offset: int) -> None:
+        """The mask of the rows from ``offset`` on."""
+        held = self._open if offset == self._next else 0
+        self._next, self._open = offset + mask.size, 0
+        at = np.flatnonzero(mask)
+        if not at.size:
+            return
+        ends = np.flatnonzero(np.diff(at) != 1)
+        starts = at[np.concatenate(([0], ends + 1))]
+        lengths = at[np.append(ends, at.size - 1)] - starts + 1
+        self.count += at.size
+        if at[-1] == mask.size - 1:
+            self._open = int(lengths[-1]) + (held if starts[-1] == 0 else 0)
+        if starts[0] == 0:
+            starts[0], lengths[0] = -held, lengths[0] + held
+        starts = starts + offset
+        longest = int(np.argmax(lengths))
+        if lengths[longest] > self.length:
+            self.start, self.length = int(starts[longest]), int(lengths[longest])
+
+
 def beyond_limits(
-    numbers: Mapping[str, NDArray], limits: Mapping[str, tuple[float, float]], rows: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], list[Event]]:
-    """Rows with a value at or beyond its declared limits (saturated), and their count for each column."""
-    bad = np.zeros(rows.size, dtype=bool)
+    numbers: Mapping[str, NDArray],
+    limits: Mapping[str, tuple[float, float]],
+    usable: NDArray[np.bool_],
+    rows: NDArray[np.int64],
+) -> list[Event]:
+    """Take rows with a value at or beyond its declared limits (saturated) out of ``usable``; counted by column."""
     events = []
     for name, (low, high) in limits.items():
-        values = np.asarray(numbers[name], dtype=float)
-        out = (values <= low) | (values >= high)
-        if out.any():
-            first = int(rows[np.argmax(out)])
+        count, first = 0, 0
+        for part in spans(rows.size):
+            out = (numbers[name][part] <= low) | (numbers[name][part] >= high)
+            if out.any():
+                first = first or int(rows[part.start + int(np.argmax(out))])
+                count += int(out.sum())
+                usable[part] &= ~out
+        if count:
             detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
-            events.append(Event("saturated", int(out.sum()), first, detail))
-            bad |= out
-    return bad, events
-
-
-def stuck_extremes(numbers: Mapping[str, NDArray], rows: NDArray[np.int64]) -> list[Event]:
-    """Runs of the largest or smallest value in columns that otherwise move all the time."""
-    events = []
-    for name, column in numbers.items():
-        values = np.asarray(column, dtype=float)
-        values = values[np.isfinite(values)]
-        if values.size < 4 * STUCK or np.count_nonzero(np.diff(values)) < 0.5 * values.size:
-            continue
-        for word, extreme in (("largest", values.max()), ("smallest", values.min())):
-            start, length = _longest_run(np.asarray(column, dtype=float) == extreme)
-            if length >= STUCK:
-                detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
-                events.append(Event("stuck-value", length, int(rows[start]), detail))
+            events.append(Event("saturated", count, first, detail))
     return events
 
 
-def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    """Start and length of the longest run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    if not edges.size:
-        return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    longest = int(np.argmax(lengths))
-    return int(edges[::2][longest]), int(lengths[longest])
+@dataclass
+class Extremes:
+    """Smallest and largest value of each block of a column, how often it changes, and what is not finite."""
+
+    lows: list[float]
+    highs: list[float]
+    size: int = 0
+    changes: int = 0
+    bad: list[tuple[slice, NDArray[np.bool_]]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, values: Array) -> Extremes:
+        """Examine a column."""
+        found = cls([], [])
+        last = np.zeros(0)
+        for part in spans(values.size):
+            block = values[part]
+            finite = np.isfinite(block)
+            if not finite.all():
+                found.bad.append((part, finite))
+                block = block[finite]
+            found.lows.append(float(block.min()) if block.size else np.nan)
+            found.highs.append(float(block.max()) if block.size else np.nan)
+            found.size += block.size
+            found.changes += int(np.count_nonzero(block[1:] != block[:-1]))
+            if block.size:
+                found.changes += int(np.count_nonzero(last != block[0]))
+                last = block[-1:]
+        return found
+
+    def mask(self, usable: NDArray[np.bool_]) -> None:
+        """Take rows without a finite value out of ``usable``."""
+        for part, finite in self.bad:
+            usable[part] &= finite
+        self.bad.clear()
+
+
+def stuck_extremes(name: str, values: Array, found: Extremes, rows: NDArray[np.int64]) -> list[Event]:
+    """Runs of the largest or smallest value of a column that otherwise moves all the time."""
+    if found.size < 4 * STUCK or found.changes < 0.5 * found.size:
+        return []
+    events = []
+    for word, bounds, best in (("largest", found.highs, np.nanmax), ("smallest", found.lows, np.nanmin)):
+        extreme, run = float(best(bounds)), LongestRun()
+        for part, bound in zip(spans(values.size), bounds, strict=True):
+            if bound == extreme:
+                run.see(values[part] == extreme, part.start)
+        if run.length >= STUCK:
+            detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
+            events.append(Event("stuck-value", run.length, int(rows[run.start]), detail))
+    return events
 
 
 def stopped_output(
-    reading: Array, step: Array, a_x: Array, per_step: float, rows: NDArray[np.int64]
+    output: Array, t: Array, begins: NDArray[np.bool_], a_x: Array, per_step: float, rows: NDArray[np.int64]
 ) -> list[Event]:
     """An output that stands still while the reference wants it to turn: locked, stuck, or not connected.
 
     Parameters
     ----------
-    reading, a_x:
-        Output and reference along X0 [m/s^2] of the used samples, shape (n,).
-    step:
-        Interval before each sample [s], zero where a stretch begins.
+    output, t, a_x:
+        Output, time [s] and reference along X0 [m/s^2] of the used samples, shape (n,).
+    begins:
+        True where a stretch begins.
     per_step:
         Output units per (m/s^2) and second.
+    rows:
+        File row of each sample.
     """
-    moves = np.abs(a_x) > 0.05 * np.abs(a_x).max()
-    still = np.concatenate(([False], np.diff(reading) == 0.0)) & (step > 0.0) & moves
-    start, length = _longest_run(still)
-    if length < STUCK:
+    least, run = 0.05 * largest_size(a_x), LongestRun()
+    for part in spans(t.size):
+        still = (steps(output, part) == 0.0) & ~begins[part]
+        if still.any():
+            run.see(still & (np.abs(a_x[part]) > least), part.start)
+    if run.length < STUCK:
         return []
-    part = slice(start, start + length)
-    expected = abs(per_step) * float(np.sum(np.abs(a_x[part]) * step[part]))
+    expected = 0.0
+    for part in spans(run.length):
+        rows_of_run = slice(run.start + part.start, run.start + part.stop)
+        expected += float(np.sum(np.abs(a_x[rows_of_run]) * steps(t, rows_of_run)))
+    expected *= abs(per_step)
     if expected < 10.0:
         return []
     detail = f"the output stands still, the reference wants {expected:.3g} counts: locked or stuck"
-    return [Event("stopped-output", int(np.count_nonzero(still)), int(rows[start]), detail)]
+    return [Event("stopped-output", run.count, int(rows[run.start]), detail)]
+
+
+def largest_size(values: Array) -> float:
+    """Largest absolute value; nan when there is a nan."""
+    found = 0.0
+    for part in spans(values.shape[0]):
+        found = float(np.maximum(found, np.maximum(values[part].max(), -values[part].min())))
+    return found
 
 
 def sequence_breaks(
-    number: NDArray, wraps_at: int | None, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], list[Event]]:
-    """Samples whose sequence number does not follow the one before; lost, repeated and disordered counted."""
-    step = np.diff(np.asarray(number, dtype=float))
-    if wraps_at is not None:
-        step = np.mod(step, wraps_at)
-    breaks = np.concatenate(([False], step != 1.0))
+    number: Array, wraps_at: int | None, begins: NDArray[np.bool_], rows: NDArray[np.int64]
+) -> list[Event]:
+    """Begin a stretch where a sequence number does not follow the one before; lost and disordered ones counted."""
+    counts, first_rows, missing = [0, 0], [0, 0], 0
+    for part in spans(number.size):
+        step = steps(number, part)
+        if part.start == 0:
+            step[0] = 1.0
+        if wraps_at is not None:
+            step = np.mod(step, wraps_at)
+        wrong = step != 1.0
+        if not wrong.any():
+            continue
+        begins[part] |= wrong
+        for kind, found in enumerate((step > 1.0, step <= 0.0)):
+            if found.any() and not counts[kind]:
+                first_rows[kind] = int(rows[part.start + int(np.argmax(found))])
+            counts[kind] += int(found.sum())
+        missing += int(min(step[step > 1.0].sum() - np.count_nonzero(step > 1.0), 1e18))
     events = []
-    lost = step > 1.0
-    if lost.any():
-        first = int(rows[1:][lost][0])
-        detail = f"{int(step[lost].sum() - lost.sum())} samples missing; no increment is formed across it"
-        events.append(Event("sequence-gap", int(lost.sum()), first, detail))
-    wrong = step <= 0.0
-    if wrong.any():
-        first = int(rows[1:][wrong][0])
-        events.append(Event("sequence-back", int(wrong.sum()), first, "no increment is formed across it"))
-    return breaks, events
+    if counts[0]:
+        detail = f"{missing} samples missing; no increment is formed across it"
+        events.append(Event("sequence-gap", counts[0], first_rows[0], detail))
+    if counts[1]:
+        events.append(Event("sequence-back", counts[1], first_rows[1], "no increment is formed across it"))
+    return events
 
 
-def resets_inside(step: Array, reading: Array, largest: float) -> NDArray[np.int64]:
-    """Indices where a counter jumped to (about) zero by more than it can have moved, and went on from there.
-
-    ``step`` is the (folded) change into each sample, zero where a stretch begins; ``largest`` the largest
-    change that the reference allows. Both in counts.
-    """
-    size = np.abs(step)
-    near_zero = np.abs(reading) <= largest + 2.0
-    candidates = np.flatnonzero(near_zero & (size > 1.5 * largest + 10.0))
-    return np.array([k for k in candidates if _stands_out(size, int(k))], dtype=np.int64)
+def sampled(count: int) -> slice:
+    """Every row of a short record, rows at equal distances of a long one."""
+    return slice(0, count, max(1, -(-count // SAMPLED)))
 
 
-def _stands_out(size: Array, k: int) -> bool:
-    around = np.concatenate((size[max(0, k - 3) : k], size[k + 1 : k + 4]))
-    return bool(around.size and around.max() < size[k] / 3.0)
-
-
-def mistaken_unit(f: Array, row: int) -> list[Event]:
+def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:
     """A static reference whose norm is not g, but is g times a factor between units."""
     norm = np.sqrt(np.einsum("ij,ij->i", f, f))
     typical = float(np.median(norm))
@@ -139,14 +217,14 @@ def mistaken_unit(f: Array, row: int) -> list[Event]:
         for ratio, sense in ((typical / G0, "large"), (G0 / typical, "small")):
             if abs(ratio / factor - 1.0) < 0.01:
                 detail = f"|f| = {typical / G0:.5g} g in all positions: too {sense} by {words}? check [data] reference unit"
-                return [Event("implausible-unit", f.shape[0], row, detail)]
+                return [Event("implausible-unit", count, row, detail)]
     return []
 
 
-def mistaken_rate(f: Array, rate: Array, scale_factor: float, row: int) -> list[Event]:
+def mistaken_rate(a_x: Array, rate: Array, scale_factor: float, count: int, row: int) -> list[Event]:
     """A mean output rate [rad/s] that misses K a_x by a factor between units."""
-    wanted = scale_factor * f[:, 0]
-    strong = np.abs(wanted) > 0.2 * np.abs(wanted).max()
+    wanted = scale_factor * a_x
+    strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
     if strong.sum() < STUCK:
         return []
     ratio = abs(float(np.median(rate[strong] / wanted[strong])))
@@ -154,5 +232,5 @@ def mistaken_rate(f: Array, rate: Array, scale_factor: float, row: int) -> list[
         for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
             if abs(value / factor - 1.0) < 0.05:
                 detail = f"the output is too {sense} by {words}? check its unit, scale_factor and counts_per_revolution"
-                return [Event("implausible-unit", f.shape[0], row, detail)]
+                return [Event("implausible-unit", count, row, detail)]
     return []

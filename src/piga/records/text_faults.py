@@ -5,7 +5,7 @@ Slow and thorough; used only when the fast reader has complained, or bytes are t
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,23 +13,28 @@ from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.table import column_letter
 from piga.records.text_format import INFINITE, MISSING, TextFormat
+from piga.records.text_source import Bytes
 
 MAX_LISTED = 100
 """Faults listed in one message; the rest is counted."""
+_NUMBER = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf|infinity|nan)", re.IGNORECASE | re.ASCII)
 
 
 @dataclass
 class Faults:
-    """``rows``: file rows that cannot be used, with the kind of fault; ``listed``: in words."""
+    """Faults of a file, added piece by piece: ``listed`` in words, rows left out counted by kind."""
 
-    rows: dict[int, str] = field(default_factory=dict)
     listed: list[str] = field(default_factory=list)
     total: int = 0
     hint: str = ""
+    kinds: dict[str, list[int]] = field(default_factory=dict)
+    last_row: int = 0
 
     def add(self, row: int, kind: str, words: str, hint: str = "") -> None:
-        """One more fault."""
-        self.rows.setdefault(row, kind)
+        """One more fault; a row counts once, by its first."""
+        if row != self.last_row:
+            self.kinds.setdefault(kind, [0, row])[0] += 1
+            self.last_row = row
         self.total += 1
         if len(self.listed) < MAX_LISTED:
             self.listed.append(words)
@@ -45,40 +50,76 @@ class Faults:
 
     def events(self) -> list[Event]:
         """Rows left out, counted by kind."""
-        counts = Counter(self.rows.values())
-        first = {kind: min(row for row, k in self.rows.items() if k == kind) for kind in counts}
-        return [Event(kind, count, first[kind], "the row is not used") for kind, count in counts.items()]
+        return [Event(kind, count, first, "the row is not used") for kind, (count, first) in self.kinds.items()]
+
+    @property
+    def rows(self) -> int:
+        """Rows with a fault."""
+        return sum(count for count, _ in self.kinds.values())
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a piece of text begins: file row (1-based) and byte offset of its first line."""
+
+    row: int
+    byte: int
 
 
 def find_faults(
-    raw: bytes, form: TextFormat, numeric: tuple[str, ...], missing: tuple[str, ...] = ()
-) -> Faults:
-    """Look at every cell that is needed."""
-    found = Faults()
+    found: Faults,
+    raw: Bytes,
+    place: Place,
+    form: TextFormat,
+    numeric: tuple[str, ...],
+    missing: tuple[str, ...] = (),
+) -> list[int]:
+    """Look at every cell of a piece that is needed; adds to ``found`` and gives the lines (0-based) with faults."""
     tokens = {*MISSING, *INFINITE, *missing}
     places = [(name, form.names.index(name)) for name in dict.fromkeys(numeric)]
-    for row, line in enumerate(raw.split(b"\n"), start=1):
-        if row <= form.skip or not line.strip():
-            continue
-        if b"\0" in line:
-            offset = sum(len(part) + 1 for part in raw.split(b"\n", row - 1)[: row - 1]) + line.find(b"\0")
-            words = f"row {row}: {line.count(0)} NUL bytes from byte {offset} (the logger lost power?)"
-            found.add(row, "nul-bytes", words)
-            continue
-        try:
-            text = line.decode("utf-8")
-        except UnicodeDecodeError as error:
-            words = f"row {row}: byte {error.start} of the row is no UTF-8 text"
-            found.add(row, "bad-encoding", words, "; or add [data] encoding = '...'")
-            continue
-        _look_at(found, row, text.rstrip("\r"), form, places, tokens)
-    return found
+    damaged = []
+    offset = place.byte
+    for index, line in enumerate(bytes(raw).split(b"\n")):
+        before = found.total
+        if line.strip():
+            _look_at_line(found, place.row + index, offset, line, form, places, tokens)
+        if found.total > before:
+            damaged.append(index)
+        offset += len(line) + 1
+    return damaged
+
+
+def _look_at_line(
+    found: Faults,
+    row: int,
+    offset: int,
+    line: Bytes,
+    form: TextFormat,
+    places: list[tuple[str, int]],
+    tokens: set[str],
+) -> None:
+    if b"\0" in line:
+        words = (
+            f"row {row}: {line.count(0)} NUL bytes from byte {offset + line.find(0)} (the logger lost power?)"
+        )
+        found.add(row, "nul-bytes", words)
+        return
+    try:
+        text = line.decode("utf-8")
+    except UnicodeDecodeError as error:
+        words = f"row {row}: byte {error.start} of the row is no UTF-8 text"
+        found.add(row, "bad-encoding", words, "; or add [data] encoding = '...'")
+        return
+    _look_at(found, row, text.rstrip("\r"), form, places, tokens)
 
 
 def _look_at(
     found: Faults, row: int, line: str, form: TextFormat, places: list[tuple[str, int]], tokens: set[str]
 ) -> None:
-    cells = line.split(form.separator)
+    cells = split_cells(line, form.separator)
+    if cells is None:
+        found.add(row, "open-quote", f"row {row}: a quotation mark is not closed")
+        return
     if len(cells) != len(form.names):
         many = form.separator == "," and len(cells) > len(form.names)
         found.add(
@@ -96,15 +137,32 @@ def _look_at(
         found.add(row, "not-a-number", words, _cell_hint(cell, form))
 
 
+def split_cells(line: str, separator: str) -> list[str] | None:
+    """Cells of a line, those in quotation marks whole; None when a mark is not closed."""
+    if '"' not in line:
+        return line.split(separator)
+    cells, at = [], 0
+    while at <= len(line):
+        if line[at : at + 1] == '"':
+            closing = re.compile(r'(?:[^"]|"")*"').match(line, at + 1)
+            if closing is None:
+                return None
+            end = line.find(separator, closing.end())
+        else:
+            end = line.find(separator, at)
+        end = len(line) if end < 0 else end
+        cells.append(line[at:end])
+        at = end + 1
+    return cells
+
+
 def is_number(cell: str, decimal: str) -> bool:
     """Whether a cell holds a number in plain digits with this decimal mark."""
-    if not cell.isascii() or "_" in cell or (decimal == "," and "." in cell):
-        return False
-    try:
-        float(cell.replace(decimal, ".") if decimal != "." else cell)
-    except ValueError:
-        return False
-    return True
+    if decimal != ".":
+        if "." in cell:
+            return False
+        cell = cell.replace(decimal, ".")
+    return _NUMBER.fullmatch(cell) is not None
 
 
 def _cell_hint(cell: str, form: TextFormat) -> str:

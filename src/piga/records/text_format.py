@@ -17,6 +17,7 @@ from piga.units import parse_unit
 SNIFF_BYTES = 1 << 16
 MAX_COLUMNS = 4096
 SEPARATORS = ";\t,|"
+LINE_END = re.compile(r"\r\n|\n|\r")
 _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
 _NUMBER_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
 _THOUSANDS = re.compile(r"^[-+]?[1-9]\d{0,2},\d{3}$")
@@ -71,7 +72,7 @@ def find_format(text: str, path: Path, encoding: str, separator: str | None, dec
     DataError
         If there is no header or no data, a column name is repeated, or two readings are possible.
     """
-    lines = text.splitlines()
+    lines = LINE_END.split(text)
     header_at = next(
         (i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None
     )

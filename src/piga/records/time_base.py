@@ -6,12 +6,15 @@ that repeats, jumps back or leaves a gap is found here and counted, nothing is i
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Event
+from piga.records.median import exact_median
+from piga.records.spool import Arrays, spans, steps
 
 Array = NDArray[np.float64]
 
@@ -21,87 +24,99 @@ GAP = 1.5
 
 @dataclass(frozen=True)
 class TimeBase:
-    """``keep``: samples used; ``begins``: kept samples that begin a stretch; ``nominal`` step [s]."""
+    """``begins``: used samples that begin a stretch; ``nominal`` step [s]; what was found."""
 
-    keep: NDArray[np.bool_]
     begins: NDArray[np.bool_]
     nominal: float
     events: tuple[Event, ...]
 
 
-def examine_time(
+def drop_repeats(
     t: Array,
     segment: NDArray[np.int32],
     usable: NDArray[np.bool_],
     values: list[Array],
     rows: NDArray[np.int64],
-) -> TimeBase:
-    """Find repeats, backward jumps and gaps.
+) -> list[Event]:
+    """Take rows whose time repeats out of ``usable``: the copy of an identical row, both of conflicting ones.
 
     Parameters
     ----------
     t, segment:
         Time [s] and segment index of every row, shape (n,).
     usable:
-        False where a row was masked already (missing values).
+        False where a row was masked already (missing values); changed here.
     values:
-        The other columns, to tell a repeated row from a conflicting one.
+        All columns, to tell a repeated row from a conflicting one.
     rows:
         File row of each sample, for the messages.
     """
-    index = np.flatnonzero(usable)
-    events: list[Event] = []
-    drop = _repeats(t, segment, index, values, rows, events)
-    index = index[~drop]
-    step, same = np.diff(t[index]), np.diff(segment[index]) == 0
-    forward = step[same & (step > 0.0)]
-    nominal = float(np.median(forward)) if forward.size else 0.0
-    back, gap = same & (step <= 0.0), same & (step > GAP * nominal)
-    begins = np.ones(index.size, dtype=bool)
-    begins[1:] = ~same | back | gap
-    if back.any():
-        first = int(np.argmax(back)) + 1
-        events.append(
-            Event(
-                "time-jump-back", int(back.sum()), int(rows[index[first]]), "no increment is formed across it"
-            )
-        )
-    if gap.any():
-        first = int(np.argmax(gap)) + 1
-        longest = float(step[gap].max())
-        missing = int(np.round(step[gap] / nominal - 1.0).sum())
+    counts, first_rows = [0, 0], [0, 0]
+    last = np.zeros(0, dtype=np.int64)
+    for part in spans(t.size):
+        index = np.concatenate((last, part.start + np.flatnonzero(usable[part])))
+        last = index[-1:]
+        at, places = t[index], segment[index]
+        same = (np.diff(at) == 0.0) & (np.diff(places) == 0)
+        if not same.any():
+            continue
+        first, second = index[:-1][same], index[1:][same]
+        identical = np.ones(first.size, dtype=bool)
+        for column in values:
+            identical &= column[first] == column[second]
+        usable[second] = False
+        usable[first[~identical]] = False
+        for kind, found in enumerate((second[identical], second[~identical])):
+            if found.size and not counts[kind]:
+                first_rows[kind] = int(rows[found[0]])
+            counts[kind] += int(found.size)
+    events = []
+    if counts[0]:
+        events.append(Event("repeated-row", counts[0], first_rows[0], "the copy is not used"))
+    if counts[1]:
+        detail = "same time, other values: neither is used"
+        events.append(Event("conflicting-row", counts[1], first_rows[1], detail))
+    return events
+
+
+def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], arrays: Arrays) -> TimeBase:
+    """Find backward jumps and gaps among the used samples; the nominal step is the median of all forward ones."""
+    nominal = exact_median(lambda: _forward(t, segment))
+    begins = arrays.empty(t.size, np.bool_)
+    gaps = backs = missing = 0
+    first_gap = first_back = None
+    longest = 0.0
+    for part in spans(t.size):
+        step, same = steps(t, part), steps(segment, part) == 0
+        gap = step > GAP * nominal
+        back = step <= 0.0
+        if part.start == 0:
+            same[0] = False
+        begins[part] = ~same | back | gap
+        if not (same & (gap | back)).any():
+            continue
+        gap &= same
+        back &= same
+        if back.any():
+            backs += int(back.sum())
+            first_back = part.start + int(np.argmax(back)) if first_back is None else first_back
+        if gap.any():
+            gaps += int(gap.sum())
+            first_gap = part.start + int(np.argmax(gap)) if first_gap is None else first_gap
+            longest = max(longest, float(step[gap].max()))
+            missing += int(np.round(step[gap] / nominal - 1.0).sum()) if nominal > 0.0 else 0
+    events = []
+    if first_back is not None:
+        row = int(rows[first_back])
+        events.append(Event("time-jump-back", backs, row, "no increment is formed across it"))
+    if first_gap is not None:
         detail = f"longest {longest:.6g} s, about {missing} samples missing; no increment is formed across it"
-        events.append(Event("gap", int(gap.sum()), int(rows[index[first]]), detail))
-    keep = np.zeros(t.size, dtype=bool)
-    keep[index] = True
-    return TimeBase(keep, begins, nominal, tuple(events))
+        events.append(Event("gap", gaps, int(rows[first_gap]), detail))
+    return TimeBase(begins, nominal, tuple(events))
 
 
-def _repeats(
-    t: Array, segment: NDArray[np.int32], index: NDArray[np.int64], values: list[Array], rows: NDArray[np.int64],
-    events: list[Event],
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Rows to drop because their time repeats: the copy of an identical row, both of conflicting ones."""
-    drop = np.zeros(index.size, dtype=bool)
-    same_time = (np.diff(t[index]) == 0.0) & (np.diff(segment[index]) == 0)
-    if not same_time.any():
-        return drop
-    first, second = index[:-1][same_time], index[1:][same_time]
-    identical = np.ones(first.size, dtype=bool)
-    for column in values:
-        identical &= column[first] == column[second]
-    position = np.flatnonzero(same_time)
-    drop[position[identical] + 1] = True
-    conflict = position[~identical]
-    drop[conflict] = True
-    drop[conflict + 1] = True
-    if identical.any():
-        events.append(
-            Event("repeated-row", int(identical.sum()), int(rows[second[identical][0]]), "the copy is not used")
-        )
-    if conflict.size:
-        at = int(rows[index[conflict[0] + 1]])
-        events.append(
-            Event("conflicting-row", int(conflict.size), at, "same time, other values: neither is used")
-        )
-    return drop
+def _forward(t: Array, segment: NDArray[np.int32]) -> Iterator[Array]:
+    """Steps forward inside segments."""
+    for part in spans(t.size):
+        step = steps(t, part)
+        yield step[(steps(segment, part) == 0) & (step > 0.0)]

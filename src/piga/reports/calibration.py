@@ -25,6 +25,7 @@ from piga.reports.calibration_tables import (
     segment_table,
 )
 from piga.reports.figure import Figure
+from piga.reports.long_record import leading_part, outline
 from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
@@ -86,7 +87,11 @@ def _files(cal: Calibration) -> str:
 def _duration(cal: Calibration) -> float:
     if cal.segments:
         return math.fsum(segment.duration for segment in cal.segments)
-    return float(elapsed_time(cal.residuals)[-1]) if cal.residuals is not None and cal.residuals.t.size else 0.0
+    return (
+        float(elapsed_time(outline(cal.residuals))[-1])
+        if cal.residuals is not None and cal.residuals.t.size
+        else 0.0
+    )
 
 
 def _period(seconds: float) -> str:
@@ -168,9 +173,11 @@ def _condition_tile(cal: Calibration) -> Tile:
 
 
 def _whiteness_tile(cal: Calibration) -> Tile | None:
-    if cal.residuals is None or not np.isfinite(cal.residuals.innovation).any():
+    if cal.residuals is None:
         return None
-    innovation = np.asarray(cal.residuals.innovation, dtype=float)
+    innovation = np.asarray(leading_part(cal.residuals).innovation, dtype=float)
+    if not np.isfinite(innovation).any():
+        return None
     rms = math.sqrt(float(np.nanmean(innovation**2)))
     fits = 0.9 < rms < 1.1
     words = "model and noise levels agree" if fits else "1 expected: model or noise levels do not fit"

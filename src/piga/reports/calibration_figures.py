@@ -13,6 +13,7 @@ from piga.records.calibration import Calibration, Residuals
 from piga.reports.calibration_tables import residual_quantity
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.long_record import leading_part, outline
 from piga.reports.numbers import friendly, pretty_unit
 from piga.reports.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
 from piga.units import ARCSEC, G0, conversion_factor
@@ -30,9 +31,12 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        figures += run_figures(cal) if cal.runs else [residual_figure(cal.residuals, residual_quantity(cal))]
-        figures += [whiteness_figure(cal.residuals)] if np.isfinite(cal.residuals.innovation).any() else []
-        angles = residual_angles(cal)
+        whole = (residual_figure(outline(cal.residuals), residual_quantity(cal)),)
+        figures += run_figures(cal) if cal.runs else whole
+        part = replace(cal, residuals=leading_part(cal.residuals))
+        assert part.residuals is not None  # noqa: S101 - made from residuals
+        figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
+        angles = residual_angles(part)
         spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
         turned = ripple(angles, scale_factor(cal))
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []
@@ -182,7 +186,7 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
                 found.row[rows], found.t[rows], found.psi[rows], found.a_x[rows], found.before[rows],
                 found.after[rows], found.innovation[rows], found.segment[rows],
             )  # fmt: skip
-            figure = residual_figure(own, residual_quantity(cal))
+            figure = residual_figure(outline(own), residual_quantity(cal))
             figures.append(
                 replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")
             )

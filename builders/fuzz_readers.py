@@ -1,0 +1,338 @@
+"""Coverage-guided fuzzing of every reader: ``python builders/fuzz_readers.py TARGET --runs N --seed S``.
+
+Needs ``pip install atheris``. Each input is read as the program would read it; a refusal must be a ``PigaError``
+with a remedy. Anything else is a finding: the run stops and the input is left in ``--findings``. What was found is
+kept in ``tests/records/findings`` and read again by the tests.
+
+Containers are read in the fuzzing process, under the limit on memory that their own process has, so that a run of
+1e5 takes minutes. Where the library itself hangs or crashes, the input is read again as the program does, in a
+process of its own: when that ends in a refusal within 10 s of computing it is counted as contained and the run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import atheris
+
+with atheris.instrument_imports(include=["piga.records", "piga.units"]):
+    from piga.records.calibration_json import read_calibration
+    from piga.records.container import read_container
+    from piga.records.container_child import READERS
+    from piga.records.parquet_reader import ParquetStream
+    from piga.records.run_file import read_run_file
+    from piga.records.stream import RecordStream
+    from piga.records.text_reader import TextStream
+
+import h5py
+import numpy as np
+import openpyxl
+import pyarrow as pa
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow import parquet
+from scipy.io import savemat
+
+import piga
+from piga.errors import PigaError
+
+NAMES = ("t", "n", "fx", "fy", "fz")
+HEADS = (
+    b"t,n,fx,fy,fz\n",
+    b"t;n;fx;fy;fz\n",
+    b"t [s],n,fx [g],fy [g],fz [g],seg\n",
+    b"# log\nt\tn\tfx\tfy\tfz\n",
+)
+MEMORY = 4 << 30
+"""Address space [bytes]; the process that reads containers has 6 GiB."""
+RUN = """\
+[instrument]
+serial = "T-1"
+scale_factor = "0.8884 rad/s/g"
+counts_per_revolution = 72000
+counter_bits = 24
+[data]
+file = "run.csv"
+time = { column = "t", unit = "s" }
+output = { column = "n", kind = "counts" }
+reference = { columns = ["fx", "fy", "fz"], unit = "g" }
+range = { fx = [-2.0, 2.0] }
+sequence = { column = "k", wraps_at = 65536 }
+missing = ["ERR"]
+[model]
+terms = ["scale_factor", "k0", "tan_beta"]
+[uncertainty]
+reference_scale = "2 ppm"
+[stand]
+kind = "dividing-head"
+"""
+
+
+def columns(count: int = 8) -> dict[str, np.ndarray]:
+    """A short log."""
+    i = np.arange(count)
+    return {
+        "t": i / 20.0, "n": np.round(10179.0 * i / 20.0).astype(np.int64), "fx": np.ones(count),
+        "fy": np.full(count, 0.1), "fz": np.zeros(count),
+    }  # fmt: skip
+
+
+def seeds(target: str) -> list[bytes]:
+    """Sound files that the mutations start from."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "seed"
+        return SEEDS[target](path) if target in SEEDS else []
+
+
+def _text(_path: Path) -> list[bytes]:
+    rows = b"".join(b"%.4f,%d,1.0,0.1,0.0\n" % (i / 20.0, round(10179.0 * i / 20.0)) for i in range(6))
+    found = [
+        HEADS[0] + rows,
+        HEADS[1] + rows.replace(b",", b";").replace(b".", b","),
+        HEADS[3] + rows.replace(b",", b"\t"),
+    ]
+    found.append(HEADS[2] + b"".join(line + b",A\n" for line in rows.splitlines()))
+    found.append((HEADS[0] + rows).decode().encode("utf-16"))
+    found.append((HEADS[0] + rows).replace(b"\n", b"\r\n"))
+    return [
+        *found,
+        b'"t","n","fx","fy","fz"\n' + rows,
+        HEADS[0] + b"s,1,g,g,g\n" + rows + b"NaN,OVER,,-,#N/A\n",
+    ]
+
+
+def _run_file(_path: Path) -> list[bytes]:
+    return [RUN.encode()]
+
+
+def _parquet(path: Path) -> list[bytes]:
+    table = pa.table(columns())
+    found = []
+    for packed in ("none", "snappy", "zstd"):
+        parquet.write_table(table, path, compression=packed)
+        found.append(path.read_bytes())
+    return found
+
+
+def _hdf5(path: Path) -> list[bytes]:
+    found = []
+    for options in ({}, {"compression": "gzip", "shuffle": True}):
+        with h5py.File(path, "w") as out:
+            for name, values in columns().items():
+                out.create_dataset(name, data=values, **options).attrs["units"] = "s" if name == "t" else "1"
+        found.append(path.read_bytes())
+    return found
+
+
+def _mat(path: Path) -> list[bytes]:
+    found = []
+    for options in ({}, {"do_compression": True}, {"format": "4"}):
+        savemat(path, columns(), appendmat=False, **options)
+        found.append(path.read_bytes())
+    savemat(path, {"log": columns()} | columns(), appendmat=False)
+    return [*found, path.read_bytes()]
+
+
+def _tdms(path: Path) -> list[bytes]:
+    with TdmsWriter(path) as out:
+        out.write_segment(
+            [ChannelObject("log", name, values, {"unit_string": "1"}) for name, values in columns().items()]
+        )
+    return [path.read_bytes()]
+
+
+def _xlsx(path: Path) -> list[bytes]:
+    book = openpyxl.Workbook()
+    data = columns()
+    book.active.append(list(data))
+    for row in zip(*(values.tolist() for values in data.values()), strict=True):
+        book.active.append(list(row))
+    book.save(path)
+    return [path.read_bytes()]
+
+
+def _calibration(path: Path) -> list[bytes]:
+    t = np.arange(200) / 20.0
+    angle = 0.45 * np.sin(0.1 * t)
+    f = 9.8 * np.column_stack([np.cos(angle), np.sin(angle), 0.1 * t])
+    run = piga.Run.from_arrays(
+        t, np.cumsum(0.05 * 0.0906 * f[:, 0]) + 1e-6 * np.sin(9.0 * t), f, scale_factor="0.8884 rad/s/g"
+    )
+    piga.calibrate(run, ["scale_factor", "k0"]).to_json(path)
+    return [path.read_bytes()]
+
+
+SEEDS: dict[str, Callable[[Path], list[bytes]]] = {
+    "csv": _text, "run-file": _run_file, "parquet": _parquet, "hdf5": _hdf5, "mat": _mat, "tdms": _tdms,
+    "xlsx": _xlsx, "calibration": _calibration,
+}  # fmt: skip
+SUFFIX = {"csv": ".csv", "run-file": ".toml", "calibration": ".json", "hdf5": ".h5"}
+
+
+def drain(stream: RecordStream) -> None:
+    """Take every chunk and what was found."""
+    for _ in stream.chunks():
+        pass
+    stream.events()
+
+
+def reader(target: str, path: Path) -> Callable[[int], object]:
+    """How the target reads ``path``; the number varies the options."""
+    if target == "csv":
+        return lambda choice: drain(
+            TextStream(
+                path,
+                NAMES,
+                "seg" if choice & 1 else None,
+                mask_damaged=bool(choice & 2),
+                piece=600 if choice & 4 else 1 << 20,
+            )
+        )
+    if target == "run-file":
+        return lambda _: read_run_file(path)
+    if target == "parquet":
+        return lambda choice: drain(ParquetStream(path, NAMES, "n" if choice & 1 else None))
+    if target == "calibration":
+        return lambda _: read_calibration(path)
+    return lambda choice: READERS[path.suffix](path, NAMES, "n" if choice & 1 else None)
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description="Coverage-guided fuzzing of a reader")
+    options.add_argument("target", choices=list(SEEDS))
+    options.add_argument("--runs", type=int, default=100_000)
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--findings", type=Path, default=Path("findings"))
+    options.add_argument("--inside", action="store_true", help="this is the fuzzing process itself")
+    chosen = options.parse_args()
+    chosen.findings.mkdir(parents=True, exist_ok=True)
+    if not chosen.inside:
+        sys.exit(supervise(chosen))
+    warnings.simplefilter("ignore")
+    logging.disable(logging.CRITICAL)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.RLIM_INFINITY))
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as name:
+        fuzz(chosen, Path(name))
+
+
+def supervise(chosen: argparse.Namespace) -> int:
+    """Run the fuzzing process until it has done its executions; 1 when there is a finding."""
+    left, seed, contained = chosen.runs, chosen.seed, 0
+    corpus = chosen.findings / f"corpus-{chosen.target}"
+    corpus.mkdir(exist_ok=True)
+    while left > 0:
+        before = set(chosen.findings.iterdir())
+        command = [sys.executable, __file__, chosen.target, "--inside", f"--runs={left}", f"--seed={seed}"]
+        done = subprocess.run(
+            [*command, f"--findings={chosen.findings}"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace", check=False,
+        )  # fmt: skip
+        counted = re.findall(r"number_of_executed_units: (\d+)", done.stdout)
+        left -= max(int(counted[-1]) if counted else 1, 1)
+        lines = [line for line in done.stdout.splitlines() if " executions, " in line]
+        print(f"seed {seed}: {lines[-1] if lines else done.stdout[-300:]}", flush=True)
+        new = sorted(set(chosen.findings.iterdir()) - before)
+        if done.returncode and (
+            not new or not all(is_contained(chosen.target, path, contained) for path in new)
+        ):
+            print(done.stdout[-3000:], flush=True)
+            return 1
+        contained += len(new)
+        seed += 1
+    print(
+        f"{chosen.target}: {chosen.runs - left} executions, {contained} ended by the reading process",
+        flush=True,
+    )
+    return 0
+
+
+def is_contained(target: str, path: Path, before: int) -> bool:
+    """Whether the program, which reads containers in a process of their own, refuses this input within 10 s of computing.
+
+    After the first ten, endless loops are taken as ended by the limit on computing time, which knows no exception.
+    """
+    if target not in ("hdf5", "mat", "tdms", "xlsx"):
+        return False
+    if before >= 10 and "-timeout-" in path.name:
+        return True
+    with tempfile.TemporaryDirectory() as name:
+        copy = Path(name) / f"run{SUFFIX.get(target, '.' + target)}"
+        copy.write_bytes(path.read_bytes()[1:])
+        begun = _computing()
+        try:
+            read_container(copy, copy.suffix, NAMES, None)
+        except PigaError as error:
+            print(
+                f"{path.name}: {error.message[-120:]} ({_computing() - begun:.1f} s of computing)", flush=True
+            )
+            return bool(error.remedy) and _computing() - begun < 10.0
+    return True
+
+
+def _computing() -> float:
+    """Computing time of the processes started here [s]: the machine may be busy with others."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def fuzz(chosen: argparse.Namespace, folder: Path) -> None:
+    """Run atheris on one target."""
+    corpus = chosen.findings / f"corpus-{chosen.target}"
+    corpus.mkdir(exist_ok=True)
+    for index, seed in enumerate(seeds(chosen.target)):
+        (corpus / f"{index}").write_bytes(b"\0" + seed)
+    path = folder / f"run{SUFFIX.get(chosen.target, '.' + chosen.target)}"
+    read = reader(chosen.target, path)
+    slowest, started, count = 0.0, time.monotonic(), 0
+
+    def report() -> None:
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        words = f"{time.monotonic() - started:.0f} s, slowest {slowest:.3f} s, {peak:.0f} MB"
+        print(f"{count} executions, {words}", flush=True)
+
+    def one(data: bytes) -> None:
+        nonlocal slowest, count
+        path.write_bytes(data[1:])
+        begun = time.monotonic()
+        try:
+            read(data[0] if data else 0)
+        except PigaError as error:
+            if not error.remedy:
+                raise
+        except MemoryError:
+            if chosen.target not in ("hdf5", "mat", "tdms", "xlsx"):
+                raise
+        count += 1
+        slowest = max(slowest, time.monotonic() - begun)
+        if count % 5000 == 0 or count == chosen.runs:
+            report()
+
+    patience = 1 if chosen.target == "hdf5" else 10
+    arguments = [
+        sys.argv[0],
+        str(corpus),
+        f"-runs={chosen.runs}",
+        f"-seed={chosen.seed}",
+        f"-timeout={patience}",
+        "-rss_limit_mb=2048",
+        f"-max_len={4000 if chosen.target in ('csv', 'run-file') else 20000}",
+        "-len_control=0",
+        f"-artifact_prefix={chosen.findings}/{chosen.target}-",
+        "-verbosity=0",
+        "-print_final_stats=1",
+    ]
+    atheris.Setup(arguments, one)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

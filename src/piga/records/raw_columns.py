@@ -1,0 +1,134 @@
+"""All chunks of a data file put together: its columns as read, in the units of the file."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.records.calibration import Event
+from piga.records.run_file import DataTable
+from piga.records.spool import Arrays
+from piga.records.stream import TEXT_SUFFIXES, RecordStream, file_kind, open_stream
+from piga.records.visits import Visits
+
+Array = NDArray[np.float64]
+
+LARGE_BYTES = 192 << 20
+"""Data files larger than this are worked on in columns on disk."""
+MAX_SEGMENTS = 100_000
+
+
+@dataclass
+class RawColumns:
+    """``numbers`` in the units of the file (n,), ``segment`` (n,) with ``labels``, 1-based file ``rows`` (n,)."""
+
+    path: Path
+    numbers: dict[str, Array]
+    segment: NDArray[np.int32]
+    labels: tuple[str, ...]
+    rows: NDArray[np.int64]
+    units: dict[str, str]
+    events: list[Event]
+    arrays: Arrays
+    digest: str
+
+    @property
+    def count(self) -> int:
+        """Rows read."""
+        return int(self.rows.size)
+
+
+def read_columns(folder: Path, data: DataTable) -> RawColumns:
+    """Read the data file of a run file whole; a large one into columns on disk beside it.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as the run file says, is not the one of its ``.sha256``, or changes meanwhile.
+    """
+    path = folder / data.file
+    before = _state(path)
+    _check_sidecar(path)
+    text = file_kind(path) in TEXT_SUFFIXES
+    arrays = Arrays(path.parent if before[0] > LARGE_BYTES else None)
+    seen = hashlib.sha256()
+    with ThreadPoolExecutor(1) as pool:
+        digest = None if text else pool.submit(file_digest, path)
+        stream = open_stream(folder, data, seen.update)
+        raw = _collect(path, data, stream, arrays)
+    raw.digest = digest.result() if digest else seen.hexdigest()
+    if _state(path) != before:
+        raise DataError(f"{path}: the file changed while it was read", remedy="stop the logger, then try again")
+    return raw
+
+
+def _collect(path: Path, data: DataTable, stream: RecordStream, arrays: Arrays) -> RawColumns:
+    names = data.number_columns()
+    numbers = {name: arrays.growing() for name in names}
+    segment, rows = arrays.growing(np.int32), arrays.growing(np.int64)
+    visits = Visits(stream.label_names)
+    for chunk in stream.chunks():
+        room = stream.expected_rows
+        for name in names:
+            numbers[name].append(chunk.numbers[name], room)
+        rows.append(chunk.rows, room)
+        if chunk.codes is None:
+            segment.append(np.zeros(chunk.rows.size, np.int32), room)
+            continue
+        if len(stream.label_names) > MAX_SEGMENTS:
+            raise DataError(
+                f"{path}: column '{data.segment}' has more than {MAX_SEGMENTS} different segments",
+                remedy="name the column that numbers the positions",
+            )
+        segment.append(visits.segment(chunk.codes, chunk.rows), room)
+    visits.finish()
+    return RawColumns(
+        path,
+        {name: column.finish() for name, column in numbers.items()},
+        segment.finish(),
+        ("all",) if data.segment is None else tuple(visits.names),
+        rows.finish(),
+        stream.units,
+        [*stream.events(), *visits.events],
+        arrays,
+        "",
+    )
+
+
+def _state(path: Path) -> tuple[int, int, int, int]:
+    """What changes when a file is written to: size, times, and which file it is."""
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: is no regular file", remedy="name the data file in [data] file")
+    try:
+        found = os.stat(path)  # noqa: PTH116 - one call for all four
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror})", remedy="[data] file is relative to the run file"
+        ) from None
+    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, as hexadecimal digits."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _check_sidecar(path: Path) -> None:
+    """Compare with ``FILE.sha256`` where the logger wrote one."""
+    sidecar = path.with_name(path.name + ".sha256")
+    if not sidecar.is_file():
+        return
+    words = sidecar.read_bytes()[:4096].decode("ascii", errors="replace").split()
+    if not words or words[0].lower() != file_digest(path):
+        raise DataError(
+            f"{path}: its SHA-256 is not the one in {sidecar.name}",
+            remedy="the file was damaged or changed: copy it again",
+        )

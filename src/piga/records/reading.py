@@ -1,0 +1,185 @@
+"""From a counter, a folded angle or a rate to the output in SI, or the reason why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.records.calibration import Event
+from piga.records.spool import Arrays, spans, steps
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a reading becomes an output.
+
+    ``factor``: SI per unit of the reading; ``span``: range at which the reading folds back, in its own unit
+    (None: never); ``keeps_phase``: the span is a whole number of revolutions; ``counts``: the reading is counted.
+    """
+
+    factor: float
+    span: float | None = None
+    keeps_phase: bool = True
+    counts: bool = False
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A logged output with all that its checks need.
+
+    ``values`` (n,) in the unit of the column ``name``, file ``rows``, ``begins`` of stretches, ``largest``: the
+    largest output step [rad] between samples that the reference allows, nan without one; ``nominal`` step [s].
+    """
+
+    path: Path
+    name: str
+    values: Array
+    rows: NDArray[np.int64]
+    begins: NDArray[np.bool_]
+    largest: float
+    nominal: float
+    scale: Scale
+
+    def output(self, arrays: Arrays) -> tuple[Array, NDArray[np.bool_], list[Event]]:
+        """Output angle [rad], unwrapped; samples where the whole turns were lost; what is to be said.
+
+        A folded reading is unwrapped by the nearest turn inside stretches. Between samples it must move by less
+        than half its range: that is checked with the largest rate that the reference allows.
+
+        Raises
+        ------
+        DataError
+            If the reading is no whole count, outside its range, too fast to be unwrapped, jumps, or was reset.
+        """
+        if self.scale.counts:
+            self._check_counts()
+        if self.scale.span is not None:
+            self._check_span(self.scale.span)
+        lost = arrays.zeros(self.values.size, np.bool_)
+        psi, wraps, jump, resets = self._unwrap(arrays, lost)
+        if self.scale.span is None:
+            self._check_jump(jump)
+        self._check_resets(resets)
+        self._check_jump(jump)
+        events = [Event("counter-roll-over", wraps, None, "unwrapped")] if wraps else []
+        return psi, lost, events
+
+    def _unwrap(
+        self, arrays: Arrays, lost: NDArray[np.bool_]
+    ) -> tuple[Array, int, tuple[float, int], list[int]]:
+        """The output; roll-overs; largest step inside a stretch and where; where the counter may have been reset."""
+        span, factor = self.scale.span, self.scale.factor
+        psi = arrays.empty(self.values.size)
+        wraps, turned, start = 0, 0.0, float(self.values[0])
+        jump, resets = (0.0, 0), []
+        for part in spans(self.values.size):
+            inside = ~self.begins[part]
+            if span is None:
+                psi[part] = self.values[part] * factor
+            else:
+                step = steps(self.values, part)
+                folded = self._folded(part)
+                wraps += int(np.count_nonzero((np.abs(step - folded) > 0.5 * span) & inside))
+                folded[0] += turned
+                turns = np.cumsum(folded)
+                turned = float(turns[-1])
+                psi[part] = (start + turns) * factor
+                if not self.scale.keeps_phase:
+                    lost[part] = ~inside
+            size = np.abs(steps(psi, part))
+            size *= inside
+            at = int(np.argmax(size))
+            if size[at] > jump[0]:
+                jump = float(size[at]), part.start + at
+            if self.scale.counts and size[at] > 1.4 * self.largest + 9.0 * factor:
+                resets += self._reset_candidates(part)
+        lost[0] = False
+        return psi, wraps, jump, resets
+
+    def _folded(self, part: slice) -> Array:
+        """Change into each sample, a roll-over taken out."""
+        step = steps(self.values, part)
+        span = self.scale.span
+        return step if span is None else step - span * np.round(step / span)
+
+    def _check_counts(self) -> None:
+        for part in spans(self.values.size):
+            reading = self.values[part]
+            bad = (reading != np.rint(reading)) | (np.abs(reading) >= 2.0**53)
+            if bad.any():
+                at = int(np.argmax(bad))
+                raise DataError(
+                    f"{self.path}: row {self.rows[part][at]}, column '{self.name}': {reading[at]!r} is no whole count",
+                    remedy="set kind to 'angle' or 'rate' with its unit",
+                )
+
+    def _check_span(self, span: float) -> None:
+        low, high, at = np.inf, -np.inf, 0
+        fastest = 0.0
+        for part in spans(self.values.size):
+            reading = self.values[part]
+            low = min(low, float(reading.min()))
+            top = int(np.argmax(reading))
+            if reading[top] > high:
+                high, at = float(reading[top]), part.start + top
+            if np.isnan(self.largest):
+                fastest = max(fastest, float(np.abs(self._folded(part) * ~self.begins[part]).max()))
+        if high - low > span:
+            raise DataError(
+                f"{self.path}: row {self.rows[at]}, column '{self.name}': {high:.17g} lies outside the range of "
+                f"{span:.17g}",
+                remedy="correct [instrument] counter_bits (or wraps_at)",
+            )
+        factor = self.scale.factor
+        largest = 1.2 * factor * fastest if np.isnan(self.largest) else self.largest
+        if largest >= 0.5 * span * factor:
+            rate = largest / self.nominal / (0.5 * span * factor)
+            raise DataError(
+                f"{self.path}: column '{self.name}': between samples the output may move by {largest:.3g} rad, more "
+                f"than half of the counter's range ({span * factor:.3g} rad): a roll-over cannot be told",
+                remedy=f"sample at {1.2 * rate:.3g} Hz or more, or use a wider counter",
+            )
+
+    def _check_jump(self, jump: tuple[float, int]) -> None:
+        """Refuse an output that jumps as only a folded counter or a reset can."""
+        size, at = jump
+        if size > 10.0 * self.largest + 2.0:
+            raise DataError(
+                f"{self.path}: row {self.rows[at]}, column '{self.name}': the output jumps by "
+                f"{size:.4g} rad in one sample, the reference allows {self.largest:.3g} rad",
+                remedy="if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
+                "if it was reset, start a new segment there; otherwise check scale_factor and the units",
+            )
+
+    def _reset_candidates(self, part: slice) -> list[int]:
+        """Rows where a counter jumped to (about) zero by more than it can have moved, and went on from there."""
+        largest = self.largest / self.scale.factor
+        size = np.abs(self._folded(part)) * ~self.begins[part]
+        found = (size > 1.5 * largest + 10.0) & (np.abs(self.values[part]) <= largest + 2.0)
+        return [part.start + at for at in np.flatnonzero(found).tolist() if self._stands_out(part.start + at)]
+
+    def _stands_out(self, k: int) -> bool:
+        window = slice(max(k - 3, 0), min(k + 4, self.values.size))
+        size = np.abs(self._folded(window)) * ~self.begins[window]
+        around = np.delete(size, k - window.start)
+        return bool(around.size and around.max() < size[k - window.start] / 3.0)
+
+    def _check_resets(self, found: list[int]) -> None:
+        """Refuse a counter that went back to zero inside a stretch: that is neither roll-over nor motion."""
+        if not found:
+            return
+        listed = "; ".join(
+            f"row {self.rows[k]}, column '{self.name}': the counter goes to {self.values[k]:.17g}, by "
+            f"{self._folded(slice(k, k + 1))[0]:+.0f} counts"
+            for k in found[:100]
+        )
+        raise DataError(
+            f"{self.path}: {listed}: it was reset there",
+            remedy="start a new segment there (a segment column) and use phase = 'per-segment'",
+        )

@@ -1,0 +1,193 @@
+"""Arrays of a long record: in memory, or mapped to files without a name when the record is larger than that.
+
+The files vanish with the process, however it ends. What is mapped and resident is kept small by a thread of its own,
+so that a record of any length is worked on in a bounded memory; the pages stay in the system's file cache as long as
+there is room.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from piga.errors import DataError
+
+BLOCK = 1 << 16
+"""Rows worked on at a time: a few columns of them stay in the second-level cache."""
+RESIDENT_BYTES = 192 << 20
+"""Mapped bytes that may be resident before they are given back."""
+
+
+def spans(count: int) -> Iterator[slice]:
+    """Slices of at most :data:`BLOCK` rows, in order."""
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(start + BLOCK, count))
+
+
+def steps(values: NDArray, part: slice) -> NDArray:
+    """``values[i] - values[i - 1]`` for the rows of a slice; the first row of all has 0."""
+    if part.start > 0:
+        return np.diff(values[part.start - 1 : part.stop])
+    return np.diff(values[part], prepend=values[:1])
+
+
+class Arrays:
+    """Makes the arrays of one record; ``folder`` is where the files of a large one lie, None: in memory."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+
+    def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+        """A new array, its values undefined."""
+        if self.folder is None:
+            return np.empty(shape, dtype)
+        count = math.prod(shape) if isinstance(shape, tuple) else shape
+        size = max(count * np.dtype(dtype).itemsize, 1)
+        with _nameless(self.folder) as stream:
+            _reserve(stream.fileno(), size, self.folder)
+            return _map(stream.fileno(), size, self.folder, shape, dtype)
+
+    def zeros(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+        """A new array of zeros."""
+        made = self.empty(shape, dtype)
+        if self.folder is None:
+            made[...] = 0
+        return made
+
+    def growing(self, dtype: DTypeLike = np.float64) -> Growing:
+        """An array that rows are put to the end of."""
+        return Growing(self.folder, np.dtype(dtype))
+
+
+def arrays_like(values: NDArray[Any]) -> Arrays:
+    """Makes arrays of the kind that ``values`` is: in memory or mapped."""
+    owner: Any = values
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    return Arrays(owner.folder if isinstance(owner, _Map) else None)
+
+
+class Growing:
+    """Rows put to the end of an array whose length is not known; :meth:`finish` gives it."""
+
+    def __init__(self, folder: Path | None, dtype: np.dtype) -> None:
+        self._folder, self._dtype, self._count = folder, dtype, 0
+        self._held = np.empty(0, dtype)
+        self._stream = None if folder is None else _nameless(folder)
+
+    def append(self, values: NDArray[Any], expected: int = 0) -> None:
+        """Put rows to the end; ``expected`` is about how many there will be in all."""
+        stop = self._count + values.size
+        if self._stream is not None:
+            try:
+                self._stream.write(np.ascontiguousarray(values, dtype=self._dtype).data)
+            except OSError as error:
+                raise _no_room(self._folder, error) from None
+        else:
+            if stop > self._held.size:
+                larger = np.empty(max(stop, expected, 2 * self._held.size), self._dtype)
+                larger[: self._count] = self._held[: self._count]
+                self._held = larger
+            self._held[self._count : stop] = values
+        self._count = stop
+
+    def __del__(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def finish(self) -> NDArray[Any]:
+        """All rows."""
+        if self._stream is None or self._folder is None:
+            return self._held[: self._count]
+        with self._stream as stream:
+            stream.flush()
+            size = max(self._count * self._dtype.itemsize, 1)
+            stream.truncate(size)
+            return _map(stream.fileno(), size, self._folder, self._count, self._dtype)
+
+
+class _Map(mmap.mmap):
+    """A mapping that knows where its file lies."""
+
+    folder: Path
+
+
+def _nameless(folder: Path) -> Any:
+    try:
+        return tempfile.TemporaryFile(dir=folder, buffering=1 << 20)
+    except OSError:
+        return tempfile.TemporaryFile(buffering=1 << 20)
+
+
+def _reserve(number: int, size: int, folder: Path) -> None:
+    """Take the room on the disk now: a write to a mapping cannot report that there is none."""
+    try:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(number, 0, size)
+        else:
+            os.truncate(number, size)
+    except OSError as error:
+        raise _no_room(folder, error) from None
+
+
+def _no_room(folder: Path | None, error: OSError) -> DataError:
+    return DataError(
+        f"{folder}: no room for the columns of a long record ({error.strerror})",
+        remedy="free about three times the size of the data file there, or copy the test to a larger disk",
+    )
+
+
+def _map(number: int, size: int, folder: Path, shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    mapping = _Map(number, size)
+    mapping.folder = folder
+    _watch.add(mapping)
+    return np.ndarray(shape, dtype, buffer=mapping)
+
+
+class _Watch:
+    """Gives resident pages of the mappings back when there are too many of them."""
+
+    def __init__(self) -> None:
+        self._maps: weakref.WeakSet[_Map] = weakref.WeakSet()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    def add(self, mapping: _Map) -> None:
+        """Look after one more; where the platform can tell."""
+        if not hasattr(mmap, "MADV_DONTNEED") or not Path("/proc/self/statm").exists():
+            return
+        with self._lock:
+            self._maps.add(mapping)
+            if self._thread is None or not self._thread.is_alive():
+                self._thread = threading.Thread(target=self._run, daemon=True, name="piga-spool")
+                self._thread.start()
+
+    def _run(self) -> None:
+        page = mmap.PAGESIZE
+        with Path("/proc/self/statm").open("rb", buffering=0) as status:
+            while True:
+                with self._lock:
+                    maps = list(self._maps)
+                    if not maps:
+                        self._thread = None
+                        return
+                status.seek(0)
+                if int(status.read(200).split()[2]) * page > RESIDENT_BYTES:
+                    for mapping in maps:
+                        mapping.madvise(mmap.MADV_DONTNEED)
+                del maps
+                time.sleep(0.01)
+
+
+_watch = _Watch()

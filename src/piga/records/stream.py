@@ -1,0 +1,167 @@
+"""Any data file as chunks of columns: the one way that record files are read.
+
+:func:`open_stream` gives a :class:`RecordStream`; its ``chunks()`` are the rows in order, in the units of the file.
+Text and Parquet are read piece by piece, so that a file of any length needs a bounded memory; containers (HDF5,
+MATLAB, TDMS, XLSX), which cannot be larger than 2 GiB, are read in a process of their own and then handed on in
+chunks. What is read, what is found and what is refused do not depend on the size of the pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.records.calibration import Event
+
+if TYPE_CHECKING:
+    from piga.records.run_file import DataTable
+
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
+CHUNK_ROWS = 1 << 16
+"""Rows of a chunk of Parquet or a container."""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Rows that follow each other in a file.
+
+    Attributes
+    ----------
+    numbers:
+        Column name to float64 values, shape (n,), in the unit of the file; a missing value is nan.
+    codes:
+        Index into the stream's ``label_names`` for the segment column (-1 where there is none), or None.
+    rows:
+        1-based file row of each.
+    """
+
+    numbers: dict[str, NDArray[np.float64]]
+    codes: NDArray[np.int32] | None
+    rows: NDArray[np.int64]
+
+
+class RecordStream(Protocol):
+    """A data file being read.
+
+    ``units``: unit of a column where the file has one. ``label_names``: segment labels met so far, in order of
+    appearance. ``chunks()`` gives the rows once; ``events()``, after the last chunk, what was found and left out.
+    """
+
+    units: dict[str, str]
+    label_names: list[str]
+
+    @property
+    def expected_rows(self) -> int:
+        """About how many rows there will be; 0 when nothing is known."""
+        ...
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows in order."""
+        ...
+
+    def events(self) -> list[Event]:
+        """What was found, after the last chunk."""
+        ...
+
+
+def open_stream(
+    folder: Path, data: DataTable, see: Callable[[bytes | bytearray], object] | None = None
+) -> RecordStream:
+    """Open the data file of a run file.
+
+    Parameters
+    ----------
+    folder:
+        Where the run file lies; the data file is looked for there.
+    data:
+        The run file's ``[data]`` table: ``read_run_file(path).data``.
+    see:
+        Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as asked; here, or while its chunks are taken. Names file, row and column.
+    """
+    path = folder / data.file
+    numeric = tuple(data.number_columns())
+    kind = file_kind(path)
+    if data.sheet is not None and kind != ".xlsx":
+        raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
+    if kind in TEXT_SUFFIXES:
+        from piga.records.text_reader import TextStream
+
+        return TextStream(
+            path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
+            missing=data.missing, mask_damaged=data.damaged_rows == "mask", see=see or len,
+        )  # fmt: skip
+    if kind in (".parquet", ".pq"):
+        from piga.records.parquet_reader import ParquetStream
+
+        return ParquetStream(path, numeric, data.segment)
+    from piga.records.container import SUFFIXES, ContainerStream
+
+    if kind in SUFFIXES:
+        return ContainerStream(path, kind, numeric, data.segment, data.sheet)
+    spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
+    raise DataError(
+        f"{path}: files of kind '{kind}' are not read",
+        remedy="open it in the spreadsheet program and save it as .xlsx or .csv"
+        if spreadsheet
+        else f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",
+    )
+
+
+def file_kind(path: Path) -> str:
+    """The ending that says what a file is, ``.gz`` looked through."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes[-1:] == [".gz"] and len(suffixes) > 1:
+        return suffixes[-2]
+    return (suffixes[-1:] or [""])[0]
+
+
+@dataclass
+class LabelCodes:
+    """Codes of label cells, the same name the same code through all chunks; fills ``names``."""
+
+    names: list[str]
+    known: dict[str, int] = field(default_factory=dict)
+
+    def of(self, column: Any) -> NDArray[np.int32]:
+        """Codes of an Arrow array; -1 where it is null."""
+        import pyarrow as pa
+
+        encoded = column.cast(pa.string()).dictionary_encode()
+        words = [str(word) for word in encoded.dictionary.to_pylist()]
+        table = np.array([self.code(word) for word in words] + [-1], dtype=np.int32)
+        return table[encoded.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)]
+
+    def code(self, word: str) -> int:
+        """Code of a label, a new one at the end."""
+        if word not in self.known:
+            self.known[word] = len(self.names)
+            self.names.append(word)
+        return self.known[word]
+
+
+@dataclass
+class MissingCount:
+    """Missing values by column: how many, and the file row of the first."""
+
+    found: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, name: str, mask: NDArray[np.bool_], rows: NDArray[np.int64]) -> None:
+        """Count a chunk's missing values."""
+        count, first = self.found.get(name, (0, int(rows[np.argmax(mask)])))
+        self.found[name] = count + int(np.count_nonzero(mask)), first
+
+    def events(self, order: tuple[str, ...]) -> list[Event]:
+        """One event for each column with missing values."""
+        counts = [(name, *self.found[name]) for name in order if name in self.found]
+        return [Event("missing-value", count, first, f"column '{name}'") for name, count, first in counts]

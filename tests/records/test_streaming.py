@@ -1,0 +1,158 @@
+"""What is read, found and refused does not depend on the size of the pieces, nor on where the columns lie."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from builders.build_damaged_files import cases
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pyarrow import parquet
+
+import piga
+from piga.records import raw_columns, spool, text_source
+from piga.records.median import exact_median
+from piga.records.run_file import read_run_file
+from piga.records.stream import open_stream
+from piga.records.text_reader import TextStream
+from tests.records.files import lines, write_log, write_run
+from tests.records.test_fuzz import LOG, NAMES, mutated, seeded
+
+QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
+
+
+def outcome(path: Path) -> dict[str, Any] | str:
+    """Everything about a run, or the error."""
+    try:
+        run = piga.read_run(path)
+    except piga.PigaError as error:
+        return str(error)
+    return {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}
+
+
+def assert_same(first: dict[str, Any] | str, second: dict[str, Any] | str) -> None:
+    if isinstance(first, str) or isinstance(second, str):
+        assert first == second
+        return
+    for name, value in first.items():
+        if isinstance(value, np.ndarray):
+            assert value.dtype == second[name].dtype, name
+            np.testing.assert_array_equal(value, second[name], err_msg=name)
+        else:
+            assert value == second[name], name
+
+
+@pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
+def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = case.write(tmp_path)
+    whole = outcome(path)
+    for piece, block in ((37, 5), (200, 16), (1000, 3)):
+        monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
+        monkeypatch.setattr(spool, "BLOCK", block)
+        assert_same(whole, outcome(path))
+    monkeypatch.setattr(raw_columns, "LARGE_BYTES", 0)
+    assert_same(whole, outcome(path))
+
+
+@settings(QUICK, max_examples=60)
+@given(seed=st.integers(0, 2**32), piece=st.integers(20, 500), block=st.integers(2, 50), disk=st.booleans())
+def test_any_size_of_pieces(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, piece: int, block: int, disk: bool
+) -> None:
+    folder = tmp_path_factory.getbasetemp() / "pieces"
+    folder.mkdir(exist_ok=True)
+    draw = random.Random(seed)  # noqa: S311 - no cryptography
+    rows = [line + f",{'AB'[i // 12 % 2]}" for i, line in enumerate(lines(60))]
+    for _ in range(draw.randint(0, 4)):
+        edit(rows, draw)
+    write_log(folder, rows, header="t,n,fx,fy,fz,s")
+    data = 'segment = "s"\nrange = { fx = [-2.0, 2.0] }' + (
+        '\ndamaged_rows = "mask"' if draw.random() < 0.5 else ""
+    )
+    bits = "counter_bits = 16" if draw.random() < 0.3 else ""
+    path = write_run(folder, data=data, instrument=bits)
+    whole = outcome(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(text_source, "PIECE_BYTES", piece)
+        patch.setattr(spool, "BLOCK", block)
+        if disk:
+            patch.setattr(raw_columns, "LARGE_BYTES", 0)
+        assert_same(whole, outcome(path))
+
+
+def edit(rows: list[str], draw: random.Random) -> None:
+    """One thing that a log may have wrong."""
+    at = draw.randrange(2, len(rows) - 2)
+    cells = rows[at].split(",")
+    kinds: list[Callable[[], object]] = [
+        lambda: rows.insert(at, ""),
+        lambda: rows.insert(at, rows[at]),
+        lambda: rows.__setitem__(at, ",".join([cells[0], "x", *cells[2:]])),
+        lambda: rows.__setitem__(at, ",".join([cells[0], "NaN", *cells[2:]])),
+        lambda: rows.__setitem__(at, ",".join([rows[at - 1].split(",")[0], *cells[1:]])),
+        lambda: rows.__setitem__(at, ",".join([*cells[:2], "5.0", *cells[3:]])),
+        lambda: rows.__delitem__(slice(at, at + draw.randint(1, 5))),
+        lambda: rows.__setitem__(slice(at, at + 2), rows[at : at + 2][::-1]),
+        lambda: rows.__setitem__(at, ",".join(cells[:3])),
+        lambda: rows.__setitem__(at, ",".join([cells[0], "0", *cells[2:]])),
+        lambda: rows.__setitem__(at, rows[at] + "\0"),
+        lambda: rows.__setitem__(at, rows[at] + "\r"),
+        lambda: rows.__setitem__(at, rows[at].replace(",A", ',"A').replace(",B", ',"B"')),
+    ]
+    draw.choice(kinds)()
+
+
+def test_mutated_text_in_small_pieces(tmp_path: Path) -> None:
+    draw, path = seeded(9), tmp_path / "log.csv"
+    for _ in range(800):
+        path.write_bytes(mutated(LOG, draw))
+        mask = draw.random() < 0.5
+        assert taken(path, 1 << 20, mask=mask) == taken(path, draw.randint(20, 200), mask=mask)
+
+
+def taken(path: Path, piece: int, *, mask: bool) -> object:
+    try:
+        stream = TextStream(path, NAMES[:4], "fz", mask_damaged=mask, piece=piece)
+        chunks = list(stream.chunks())
+    except piga.PigaError as error:
+        return str(error)
+    columns = [np.concatenate([chunk.numbers[name] for chunk in chunks]).tobytes() for name in NAMES[:4]]
+    codes = np.concatenate([chunk.codes for chunk in chunks if chunk.codes is not None]).tolist()
+    rows = np.concatenate([chunk.rows for chunk in chunks]).tolist()
+    return columns, codes, rows, stream.events(), stream.label_names
+
+
+def test_containers_and_parquet_give_the_same_chunks(tmp_path: Path) -> None:
+    rows = lines(50)
+    table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
+    write_log(tmp_path, rows)
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress((tmp_path / "run.csv").read_bytes()))
+    parquet.write_table(
+        pa.table(dict(zip(NAMES, table.T, strict=True))), tmp_path / "run.parquet", row_group_size=7
+    )
+    for file in ("run.csv", "run.csv.gz", "run.parquet"):
+        path = write_run(tmp_path, file)
+        stream = open_stream(tmp_path, read_run_file(path).data)
+        found = list(stream.chunks())
+        for name, column in zip(NAMES, table.T, strict=True):
+            np.testing.assert_array_equal(np.concatenate([chunk.numbers[name] for chunk in found]), column)
+
+
+@given(st.lists(st.floats(0.0, 1e300, allow_subnormal=True), max_size=40), st.integers(1, 7))
+@QUICK
+def test_median_of_numbers_that_do_not_fit(values: list[float], size: int) -> None:
+    array = np.array(values)
+    expected = float(np.median(array)) if values else 0.0
+    parts = [array[start : start + size] for start in range(0, array.size, size)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("piga.records.median.WHOLE", 0)
+        patch.setattr("piga.records.median._BITS", (12, 12, 12, 12, 16))
+        assert exact_median(lambda: iter(parts)) == expected
