@@ -79,7 +79,7 @@ def find_noise(
     left out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
     around levels found before.
     """
-    count = int(np.count_nonzero(h))
+    count = sum(int(np.count_nonzero(h[rows] > 0.0)) for rows in spans(h.size))
     freedom = max(count - parameters, 1)
     step = exact_median(lambda: (part[part > 0.0] for part in (h[rows] for rows in spans(h.size))))
     low, high, passes = LOWEST, HIGHEST, REFINEMENTS

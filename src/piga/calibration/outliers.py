@@ -21,6 +21,7 @@ from piga.calibration.weighting import Whitener, residual_increments
 from piga.errors import DataError
 from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
+from piga.records.spool import spans
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -75,22 +76,28 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
     Cheap: one pass. Half the limit is enough for the tails where the core is narrower than the noise found,
     for bad samples inflate that; so do equal ones without tails, which a core far narrower than all shows.
     """
-    formed = h > 0.0
-    if float(np.abs(d).max()) <= LEAST:
+    every = max(1, d.size // 100_000)
+    whitener = Whitener("increments", noise, 1)
+    largest = biggest = 0.0
+    misses, whitened = [np.zeros(0)], [np.zeros(0)]
+    for rows in spans(d.size):
+        part, interval = np.asarray(d[rows]), np.asarray(h[rows])
+        formed = interval > 0.0
+        white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
+        for values, kept in ((np.abs(part[formed]), misses), (np.abs(white[formed]), whitened)):
+            kept.append(values[::every])
+        biggest = max(biggest, float(np.abs(part).max()))
+        largest = max(largest, float(np.abs(white).max()))
+    size, shown = np.concatenate(misses), np.concatenate(whitened)
+    spread = float(np.sqrt(np.mean(size**2))) if size.size else 0.0
+    if biggest <= LEAST or spread == 0.0:
         return False
-    part = np.abs(d[formed])[:: max(1, d.size // 100_000)]
-    spread = float(np.sqrt(np.mean(part**2)))
-    narrow = float(np.median(part)) / 0.6745 < NARROW * spread and spread > 10.0 * LEAST
+    narrow = float(np.median(size)) / 0.6745 < NARROW * spread and spread > 10.0 * LEAST
     if narrow and spread > 1.5 * resolution_of(run):
         return True
-    if mode == "samples":
-        whitened = d[formed] / (np.sqrt(np.mean(d[formed] ** 2)) or 1.0)
-    else:
-        whitened = Whitener("increments", noise, 1).apply_columns(d[None, :], h)[0]
-    size = np.abs(whitened)
-    part = size[:: max(1, size.size // 100_000)]
-    core = float(np.median(part[part > 0.0])) / 0.6745 if part.any() else 1.0
-    return bool(size.max() > limit(size.size) * min(max(core, 0.5), 1.0))
+    unit = spread if mode == "samples" else 1.0
+    core = float(np.median(shown)) / 0.6745 / unit
+    return largest / unit > limit(d.size) * min(max(core, 0.5), 1.0)
 
 
 def robust_values(design: Design, groups: tuple[int, ...]) -> Array:

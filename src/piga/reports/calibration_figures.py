@@ -186,7 +186,7 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
                 found.row[rows], found.t[rows], found.psi[rows], found.a_x[rows], found.before[rows],
                 found.after[rows], found.innovation[rows], found.segment[rows],
             )  # fmt: skip
-            figure = residual_figure(own, residual_quantity(cal))
+            figure = residual_figure(outline(own), residual_quantity(cal))
             figures.append(
                 replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")
             )

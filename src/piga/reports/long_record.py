@@ -48,4 +48,5 @@ def _starts(segment: NDArray[np.int32]) -> NDArray[np.int64]:
 
 def _rows(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
-    return replace(residuals, **{name: getattr(residuals, name)[rows] for name in names})
+    run = None if residuals.run is None else residuals.run[rows]
+    return replace(residuals, run=run, **{name: getattr(residuals, name)[rows] for name in names})
