@@ -51,6 +51,14 @@ def make_budget(
     return tuple(rows), covariance
 
 
+def propagate(sensitivities: Array, covariance: Array) -> Array:
+    """Covariance of results from that of their inputs, first order (JCGM 100, eq. 13 and H.9): ``C V C'``.
+
+    ``sensitivities`` (results, inputs) are partial derivatives.
+    """
+    return sensitivities @ covariance @ sensitivities.T
+
+
 def combined(
     coefficients: tuple[Coefficient, ...], covariance: Array, budget: tuple[dict[str, Any], ...], type_a: Array
 ) -> tuple[Coefficient, ...]:

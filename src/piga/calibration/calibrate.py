@@ -19,6 +19,7 @@ from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions
 from piga.calibration.joint_result import joint_result
+from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
 from piga.calibration.request import Request, make_request
@@ -97,11 +98,13 @@ def calibrate(
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
     coefficients = combined(coefficients, covariance, budget, type_a_degrees(fit, groups, per_segment))
+    coefficients, tested = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     history = _history(fit, groups) if request.method == "recursive" else None
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
-    return _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+    result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+    return replace(result, diagnostics=result.diagnostics | tested)
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:

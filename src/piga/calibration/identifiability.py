@@ -216,7 +216,7 @@ def notes_in_words(
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
             notes.append(
-                "tan_beta is not well above its uncertainty: phi is not determined, its interval is not valid"
+                "tan_beta is not well above its uncertainty: phi is not determined; their intervals are by Monte Carlo"
             )
         elif coefficient.name not in ("phi", "scale_factor") and abs(coefficient.value) < 2.0 * coefficient.std:
             notes.append(

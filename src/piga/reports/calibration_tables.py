@@ -70,7 +70,7 @@ def coefficient_table(cal: Calibration) -> Table:
         Column("Expanded uncertainty U"),
         Column("Unit", align="text"),
         Column("u / value"),
-        Column("Degrees of freedom"),
+        Column("ν"),
         Column("k"),
         Column("Meaning", align="text"),
     )
@@ -106,7 +106,7 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
 
 
 def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
-    basis = "k from Student's t with the effective degrees of freedom of each coefficient (JCGM 100, G.4)"
+    basis = "k from Student's t with the effective degrees of freedom ν of each coefficient (JCGM 100, G.4)"
     notes = [f"U = k u is for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."]
     for coefficient in common_coefficients(cal):
         if coefficient.name == "tan_beta":

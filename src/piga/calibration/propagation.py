@@ -1,0 +1,122 @@
+"""First-order intervals put to the test by Monte Carlo, and replaced where they do not hold (JCGM 101, clause 8)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit import Fit
+from piga.calibration.monte_carlo import Contribution, propagate_distributions
+from piga.records.calibration import Coefficient
+from piga.records.terms import si_factor
+
+Array = NDArray[np.float64]
+
+DOUBTFUL = 6.0
+"""tan_beta below this many of its standard uncertainties: its interval is no longer linear (Rice-like)."""
+
+
+def put_to_the_test(
+    fit: Fit, coefficients: tuple[Coefficient, ...], budget: tuple[dict[str, Any], ...], wanted: str
+) -> tuple[tuple[Coefficient, ...], dict[str, Any]]:
+    """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
+
+    ``wanted`` is "gum", "monte-carlo" or "auto" (when tan_beta is not well above its noise). Several phases
+    and methods other than whitened least squares are left to the first order.
+    """
+    coupling = [c for c in coefficients if c.name == "tan_beta"]
+    weak = any(c.value < DOUBTFUL * c.std for c in coupling)
+    able = fit.mode == "increments" and len(fit.solution.jacobians) == 1
+    if wanted == "gum" or not able or (wanted == "auto" and not weak):
+        return coefficients, {}
+    results = _results(fit, coefficients)
+    jacobian = fit.solution.jacobians[0]
+    base = fit.solution.values[0]
+    type_a = jacobian @ fit.covariance @ jacobian.T
+    derivative = _derivative(results, base, np.sqrt(np.diag(type_a)))
+    std = np.sqrt(np.diag(type_a))
+    sources = [_contribution(row, coefficients, derivative, std) for row in budget[1:]]
+    degrees = min(c.degrees_of_freedom for c in coefficients)
+    limits = np.array(
+        [(c.value - c.coverage_factor * c.std, c.value + c.coverage_factor * c.std) for c in coefficients]
+    )
+    found = propagate_distributions(base, type_a, max(degrees, 3.0), sources, results, limits.T)
+    table = {
+        c.key: {
+            "mean": float(found.mean[i]),
+            "std": float(found.std[i]),
+            "symmetric": found.symmetric[:, i].tolist(),
+            "shortest": found.shortest[:, i].tolist(),
+            "first_order": limits[i].tolist(),
+            "tolerance": float(found.tolerance[i]),
+            "validated": bool(found.validated[i]),
+        }
+        for i, c in enumerate(coefficients)
+    }
+    checked = tuple(
+        c
+        if found.validated[i]
+        else replace(c, interval=(float(found.shortest[0, i]), float(found.shortest[1, i])))
+        for i, c in enumerate(coefficients)
+    )
+    return checked, {"monte_carlo": {"trials": found.trials, "coefficients": table}}
+
+
+def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array], Array]:
+    """From column coefficients (trials, m) to coefficients in file units (trials, n), phi near its estimate."""
+    design = fit.design
+    at = {name: index for index, name in enumerate(design.names)}
+    near = {c.name: c.value for c in coefficients}
+
+    def results(linear: Array) -> Array:
+        scale = (
+            linear[:, at["scale_factor"]]
+            if "scale_factor" in at
+            else np.full(len(linear), design.run.scale_factor)
+        )
+        found = {"scale_factor": scale}
+        phase = np.zeros(len(linear))
+        if "p" in at:
+            p, q = linear[:, at["p"]], linear[:, at["q"]]
+            phase = np.arctan2(q, p)
+            found["tan_beta"] = np.hypot(p, q) / scale
+            found["phi"] = near["phi"] + np.angle(np.exp(1j * (phase - near["phi"])))
+        for order in design.request.harmonics:
+            s, c = linear[:, at[f"s{order}"]], linear[:, at[f"c{order}"]]
+            cosine, sine = np.cos(order * phase), np.sin(order * phase)
+            found[f"s{order}"], found[f"c{order}"] = (
+                (s * cosine + c * sine) / scale,
+                (c * cosine - s * sine) / scale,
+            )
+        for name in design.shared_names:
+            found.setdefault(name, linear[:, at[name]] / scale)
+        return np.stack(
+            [found[c.name] / (1.0 if c.name == "phi" else si_factor(c.name)) for c in coefficients], axis=1
+        )
+
+    return results
+
+
+def _derivative(results: Callable[[Array], Array], base: Array, std: Array) -> Array:
+    """Derivative of the results by the column coefficients (n, m), central differences of a thousandth of u."""
+    steps = np.diag(1e-3 * np.maximum(std, 1e-300))
+    moved = results(base + steps) - results(base - steps)
+    return (moved / (2.0 * np.diag(steps))[:, None]).T
+
+
+def _contribution(
+    row: dict[str, Any], coefficients: tuple[Coefficient, ...], derivative: Array, std: Array
+) -> Contribution:
+    """A row of the budget as a change of the column coefficients."""
+    change = np.array([row["contributions"][c.key] for c in coefficients])
+    degrees = row["degrees_of_freedom"]
+    return Contribution(
+        std * np.linalg.lstsq(derivative * std, change, rcond=None)[0],
+        row["distribution"],
+        math.inf if degrees is None else float(degrees),
+    )
