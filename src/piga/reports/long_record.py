@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +33,7 @@ def leading_part(residuals: Residuals) -> Residuals:
         return residuals
     edges = np.append(_starts(residuals.segment), residuals.t.size)
     share = max(SHOWN // (edges.size - 1), 8)
-    rows = [
-        np.arange(left, min(left + share, right)) for left, right in zip(edges[:-1], edges[1:], strict=True)
-    ]
+    rows = [np.arange(left, min(left + share, right)) for left, right in pairwise(edges.tolist())]
     return _rows(residuals, np.concatenate(rows))
 
 
