@@ -1,29 +1,40 @@
 """Set up and run: ``python3 dev.py demo`` or ``python3 dev.py test``. Needs nothing but Python 3.11 or later.
 
-Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs.
+Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs. Further tasks:
+slow (long statistical tests), docs (the site, in site/), coverage (by room, JIT off), mutation (of the numerics), package
+(wheel and sdist, installed and run on every Python there is).
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
+PIP_INSTALL = ["install", "--quiet", "--disable-pip-version-check"]
+PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
+
+
+def programs_of(folder: Path) -> Path:
+    """Where a virtual environment keeps its programs."""
+    return folder / ("Scripts" if os.name == "nt" else "bin")
 
 
 def environment(name: str, requirements: str) -> Path:
     """A virtual environment ``name`` with the pinned requirements and piga itself; returns its programs."""
     folder = ROOT / name
-    programs = folder / ("Scripts" if os.name == "nt" else "bin")
+    programs = programs_of(folder)
     python = programs / ("python.exe" if os.name == "nt" else "python")
     if not python.exists():
         print(f"setting up {folder.name} ...", flush=True)
         venv.create(folder, with_pip=True, clear=True)
-    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [str(python), "-m", "pip", *PIP_INSTALL]
     call([*pip, "--require-hashes", "--only-binary", ":all:", "-r", str(ROOT / requirements)])
     call([*pip, "--no-deps", "--force-reinstall", str(ROOT)])
     return programs
@@ -63,9 +74,90 @@ def slow(arguments: list[str]) -> None:
     call([str(programs / "python"), "-m", "pytest", "-m", "slow", *arguments])
 
 
+def docs(arguments: list[str]) -> None:
+    """Build the documentation into site/; a warning is an error."""
+    programs = environment(".venv-docs", "requirements-docs.txt")
+    call(
+        [
+            str(programs / "python"),
+            "-m",
+            "sphinx",
+            "-q",
+            "-W",
+            "--keep-going",
+            "-b",
+            "html",
+            *arguments,
+            "docs",
+            "site",
+        ]
+    )
+    print("open site/index.html")
+
+
+def coverage(arguments: list[str]) -> None:
+    """Branch coverage by room: all tests with the JIT off, then those that only run compiled."""
+    programs = environment(".venv-test", "requirements-dev.txt")
+    measured = [str(programs / "python"), "-m", "coverage", "run", "-m", "pytest", "-n", "2", *arguments]
+    call([str(programs / "coverage"), "erase"])
+    source = str(ROOT / "src")  # the tests of the checkout, not of what is installed
+    call([*measured, "-m", "not slow"], NUMBA_DISABLE_JIT="1", PYTHONPATH=source)
+    call([*measured, "-m", "only_compiled and not slow"], PYTHONPATH=source)
+    call([str(programs / "coverage"), "combine", "--quiet"])
+    call([str(programs / "python"), "builders/coverage_by_room.py"])
+
+
+def mutation(arguments: list[str]) -> None:
+    """Mutation testing of the numerics: which small changes would no test notice."""
+    programs = environment(".venv-test", "requirements-dev.txt")
+    call([str(programs / "python"), "builders/mutate.py", *arguments])
+
+
+def package(arguments: list[str]) -> None:
+    """Build wheel and sdist; install and run each on every Python that is found (or named)."""
+    programs = environment(".venv-test", "requirements-dev.txt")
+    shutil.rmtree(ROOT / "dist", ignore_errors=True)
+    call([str(programs / "python"), "-m", "hatchling", "build", "--directory", "dist"])
+    found = [python for python in arguments or PYTHONS if runs(python)]
+    for python in found:
+        for built in sorted((ROOT / "dist").iterdir()):
+            with tempfile.TemporaryDirectory() as folder:
+                call([python, "-m", "venv", f"{folder}/venv"])
+                try_package(built, Path(folder))
+    print(f"wheel and sdist install and run on: {', '.join(found)}")
+
+
+def runs(python: str) -> bool:
+    """True when there is such a Python and it starts."""
+    path = shutil.which(python)
+    return (
+        path is not None
+        and subprocess.run([path, "--version"], capture_output=True, check=False).returncode == 0
+    )
+
+
+def try_package(built: Path, folder: Path) -> None:
+    """Install a built file with its pinned requirements into ``folder/venv``; run what a user runs first."""
+    programs = programs_of(folder / "venv")
+    pip = [str(programs / "python"), "-m", "pip", *PIP_INSTALL]
+    call([*pip, "--require-hashes", "--only-binary", ":all:", "-r", "requirements.txt"])
+    call([*pip, "--no-deps", str(built)])
+    call([str(programs / "python"), "-P", "-c", "import piga; print(piga.__version__, piga.__file__)"])
+    call([str(programs / "piga"), "--version"])
+    call([str(programs / "piga"), "demo", "--out", str(folder / "demo")])
+
+
 def main() -> None:
     """Pick the task."""
-    tasks = {"demo": demo, "test": test, "slow": slow}
+    tasks = {
+        "demo": demo,
+        "test": test,
+        "slow": slow,
+        "docs": docs,
+        "coverage": coverage,
+        "mutation": mutation,
+        "package": package,
+    }
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("task", choices=tasks)
     task, rest = parser.parse_known_args()

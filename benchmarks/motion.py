@@ -4,7 +4,7 @@ Run: python benchmarks/motion.py [--out FILE.json] [--quick]
 
 Every time is the median of at least five repetitions, with the smallest beside it (on a busy machine the
 better guide). Baselines: numpy.sin and a memory copy for the machine, a compiled Runge-Kutta of order
-4, SciPy's DOP853. docs/benchmarks-motion.md shows the output of one run.
+4, SciPy's DOP853. docs/benchmarks.md shows the output of one run.
 """
 
 from __future__ import annotations

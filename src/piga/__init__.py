@@ -14,8 +14,10 @@ Outer-gimbal frame ``X1 Y1 Z1``
 Rotor axis ``z``
     ``z = sin(beta) X1 + cos(beta) Z1``.
 
-Symbols (SI inside; units exist only at the edges: files, command line, reports)
+Symbols
 -------
+SI inside; units exist only at the edges: files, command line, reports.
+
 ``alpha`` [rad]
     outer-gimbal angle about ``X0``, positive from ``Y0`` towards ``Z0``; the output; unwrapped.
 ``psi`` [rad]
@@ -55,6 +57,7 @@ A first look
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from piga._version import __version__
@@ -63,10 +66,13 @@ from piga.errors import (
     CalibrationError,
     DataError,
     IdentifiabilityError,
+    MissingPackageError,
     PigaError,
     PigaWarning,
     RunFileError,
+    StoreError,
     UnitError,
+    missing_package,
 )
 
 if TYPE_CHECKING:
@@ -74,6 +80,7 @@ if TYPE_CHECKING:
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run
+    from piga.records.store import open_store
     from piga.stand import read_run
 
 _LAZY = {
@@ -88,7 +95,11 @@ _LAZY = {
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
     "Compensator": "piga.compensation",
+    "open_store": "piga.records.store",
 }
+
+_NEEDS = {"read_run": "pyarrow", "calibrate": "scipy"}
+"""Packages beyond the small core that a public name cannot do without."""
 
 __all__ = [
     "ArgumentError",
@@ -99,15 +110,18 @@ __all__ = [
     "DataError",
     "IdentifiabilityError",
     "Instrument",
+    "MissingPackageError",
     "PigaError",
     "PigaWarning",
     "Run",
     "RunFileError",
+    "StoreError",
     "UnitError",
     "__version__",
     "calibrate",
     "closed_form",
     "compensate",
+    "open_store",
     "propagate",
     "read_run",
     "regime",
@@ -117,6 +131,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name from its room on first use: ``import piga`` itself stays light."""
     if name in _LAZY:
+        if name in _NEEDS and find_spec(_NEEDS[name]) is None:
+            raise missing_package(_NEEDS[name])
         return getattr(import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'piga' has no attribute '{name}'")
 

@@ -24,6 +24,10 @@ class PigaError(Exception):
         super().__init__(message if remedy is None else f"{message}\n  remedy: {remedy}")
 
 
+class MissingPackageError(PigaError, ImportError):
+    """A package that the small core leaves out is not installed; the message names the extra that brings it."""
+
+
 class UnitError(PigaError):
     """A quantity has no unit, an unknown unit, or a unit of the wrong dimension."""
 
@@ -41,12 +45,47 @@ class DataError(PigaError):
 
 
 class IdentifiabilityError(PigaError):
-    """The record cannot tell the requested coefficients apart."""
+    """The record cannot tell the requested coefficients apart; ``terms`` names them."""
+
+    def __init__(self, message: str, *, remedy: str | None = None, terms: tuple[str, ...] = ()) -> None:
+        self.terms = terms
+        super().__init__(message, remedy=remedy)
 
 
 class CalibrationError(PigaError):
     """A calibration cannot be computed, read or applied."""
 
 
+class StoreError(PigaError):
+    """A store or an export of records cannot be opened, read, written or trusted."""
+
+
 class PigaWarning(UserWarning):
     """Something was repaired, left out or assumed; the result says so too."""
+
+
+EXTRAS = {
+    "scipy": "lab",
+    "pyarrow": "lab",
+    "jinja2": "lab",
+    "matplotlib": "report",
+    "h5py": "hdf5",
+    "nptdms": "tdms",
+    "openpyxl": "xlsx",
+    "pysolid": "tide",
+    "sqlalchemy": "records",
+    "alembic": "records",
+    "psycopg": "postgres",
+    "lxml": "certificate",
+    "signxml": "certificate",
+    "cryptography": "certificate",
+}
+"""Extra of the distribution that brings a package which the core leaves out."""
+
+
+def missing_package(package: str) -> MissingPackageError:
+    """The error for a package of :data:`EXTRAS` that is not installed."""
+    return MissingPackageError(
+        f"this needs the package {package}, which the small core leaves out",
+        remedy=f"pip install 'piga[{EXTRAS[package]}]'",
+    )

@@ -79,6 +79,9 @@ _ATOMS: dict[str, tuple[float, tuple[float, ...]]] = {
     "Nm": (1.0, _TORQUE),
     "mNm": (1e-3, _TORQUE),
     "uNm": (1e-6, _TORQUE),
+    "Pa": (1.0, _dim(kg=1, m=-1, s=-2)),
+    "hPa": (1e2, _dim(kg=1, m=-1, s=-2)),
+    "kPa": (1e3, _dim(kg=1, m=-1, s=-2)),
     "K": (1.0, _KELVIN),
     "degC": (1.0, _KELVIN),
     "V": (1.0, _dim(V=1)),
@@ -213,7 +216,7 @@ def conversion_factor(unit: str, to: str, *, what: str = "quantity") -> float:
 
 
 def offset_to_si(unit: str) -> float:
-    """Offset [K] to add after scaling: 273.15 for ``degC``, otherwise 0."""
+    """Offset [K] to add after scaling from ``unit``: 273.15 for ``degC``, otherwise 0."""
     return 273.15 if parse_unit(unit).text == "degC" else 0.0
 
 

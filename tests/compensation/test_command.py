@@ -12,8 +12,10 @@ import pytest
 
 import piga
 from piga.cli.main import main
-from piga.compensation import file_to_file, large_file
+from piga.compensation import file_to_file
 from piga.compensation.live import compensate_arrow, compensate_lines
+from piga.records import text_reader
+from piga.records.parquet_reader import ParquetStream
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -56,6 +58,12 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
         folder / (name.split(".")[0] + ".json")
     )
     return path
+
+
+def small_chunks(monkeypatch, rows: int) -> None:
+    """Readers give so many rows at a time."""
+    monkeypatch.setattr(ParquetStream.__init__, "__defaults__", (rows,))
+    monkeypatch.setattr(text_reader, "BLOCK_BYTES", 100 * rows)
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
@@ -105,7 +113,7 @@ def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed
 def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monkeypatch, capsys):
     run, out = write(tmp_path, rows=1000), tmp_path / "out.parquet"
     monkeypatch.setattr("piga.cli.compensate.STREAM_BYTES", 0)
-    monkeypatch.setattr(large_file, "CHUNK_ROWS", 100)
+    small_chunks(monkeypatch, 100)
     words = (run, "--calibration", tmp_path / "run.json", "--out", out)
     out.write_bytes(b"older")
     step, calls = file_to_file.run_kernel, []
@@ -145,8 +153,7 @@ def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch
 @pytest.mark.parametrize("counts", [False, True])
 @pytest.mark.parametrize("chunk", [37, 1 << 18])
 def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts, chunk):
-    monkeypatch.setattr(large_file, "CHUNK_ROWS", chunk)
-    monkeypatch.setattr(large_file, "BLOCK_BYTES", 20 * chunk)
+    small_chunks(monkeypatch, chunk)
     path = write(tmp_path, name, rows=1500, counts=counts)
     cal = calibration_of(CAL, {"phi": 1e-4}, serial="A", angle_rms=1e-6)
     summary = file_to_file.compensate_file(path, cal, tmp_path / "o.parquet", "parquet")

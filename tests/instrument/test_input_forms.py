@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import piga
 from piga.instrument import (
@@ -210,3 +211,40 @@ def test_a_tolerance_that_noise_forbids_is_refused(monkeypatch):
     monkeypatch.setattr("piga.instrument.function_input._MOST_EVALUATIONS", 30_000)
     with pytest.raises(piga.ArgumentError, match="cannot be reached at t = "):
         propagate_function(INST, [0.0, 1.0], lambda s: (0.0, 50.0 * math.sin(1e18 * s), 0.0), tolerance=1e-12)
+
+
+def test_function_is_called_less_often_than_by_dop853(smooth):
+    t, reference = smooth
+    calls = 0
+
+    def counted(at):
+        nonlocal calls
+        calls += np.size(at)
+        return force(at)
+
+    def slope(s, x):
+        nonlocal calls
+        calls += 1
+        u = INST.scale_factor * np.asarray(force(s))
+        return [u[0] + INST.tan_beta * (u[1] * math.sin(x[0]) - u[2] * math.cos(x[0]))]
+
+    alpha = propagate_function(INST, [t[0], t[-1]], counted, tolerance=1e-10, max_step=1.0, vectorized=True)
+    ours, calls = calls, 0
+    run = solve_ivp(slope, (t[0], t[-1]), [INST.alpha0], method="DOP853", rtol=1e-11, atol=1e-11)
+    assert abs(alpha[-1] - reference[-1]) <= abs(run.y[0, -1] - reference[-1]) + 1e-12
+    assert ours < 0.5 * calls
+
+
+def test_function_far_from_time_zero_is_not_halved_for_the_rounding_of_time():
+    start = 1e6
+    calls = 0
+
+    def late(at):
+        nonlocal calls
+        calls += at.size
+        return force(at - start)
+
+    t = start + np.linspace(0.0, 3.0, 4)
+    near = propagate_function(INST, t - start, force, tolerance=1e-11, vectorized=True)
+    assert propagate_function(INST, t, late, tolerance=1e-11, vectorized=True) == pytest.approx(near, abs=1e-9)
+    assert calls <= 2 * 128 * 17

@@ -45,7 +45,7 @@ def test_concise_form(value, uncertainty, concise):
 @given(VALUES, SPREADS)
 def test_rounding_moves_value_by_less_than_a_twentieth_of_its_uncertainty(value, uncertainty):
     text = rounded(value, uncertainty)
-    margin = Decimal(uncertainty) / 20 * Decimal("1.000001")
+    margin = Decimal(text.uncertainty) / 20 * Decimal("1.000001")
     assert abs(Decimal(text.value) - Decimal(repr(value))) <= margin
     assert abs(Decimal(text.uncertainty) - Decimal(uncertainty)) <= Decimal(uncertainty) / 20 * Decimal(
         "1.000001"

@@ -6,7 +6,8 @@ import numba
 import numpy as np
 import pytest
 
-from piga.stable_platform import Scenario
+from piga.stable_platform import Scenario, true_knowledge
+from piga.stable_platform.observation import Tip
 from piga.stable_platform.scenario import Gyro, Harmonic, Place, Rotation, Sensors
 
 DEG = np.pi / 180.0
@@ -42,3 +43,26 @@ def wobbling(**changes) -> Scenario:
         "sensors": noise,
     }
     return published(**(values | changes))
+
+
+HARMONICS = (Harmonic(1, 0.2 * ARCMIN, 0.3), Harmonic(2, 0.25 * ARCMIN, 1.0), Harmonic(3, 0.05 * ARCMIN, 2.0))
+NOISE = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4)
+
+
+def calibration(**changes) -> Scenario:
+    """A short static run with harmonics in both gyros, for identification."""
+    values = {
+        "duration": 3600.0 if INTERPRETED else 7200.0,
+        "step": 8.0 if INTERPRETED else 1.0,
+        "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG, HARMONICS),
+        "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, HARMONICS[::-1], drift=(0.01 * DEG / 3600.0, 0.0)),
+        "triad": (0.02, -0.03, 0.01),
+    }
+    return published(**(values | changes))
+
+
+def truth(s, orders=3):
+    """The Cartesian unknowns that an identification should find."""
+    known = true_knowledge(s)
+    tips = [Tip.of(known.polar, orders).vector, Tip.of(known.equatorial, orders).vector]
+    return np.concatenate([*tips, [known.eta0, known.eta_rate]])

@@ -52,7 +52,8 @@ def test_the_covariance_is_that_of_repeated_alignments():
         run = simulate(replace(s, seed=seed))
         found = align(run.readouts, s.place, true_knowledge(s))
         off = matrix_to_rotation_vector(found.triad.T @ run.truth.triad_start.T)
-        scores.append(np.concatenate([off, found.drift]) / found.std[:6])
+        base = (found.base_angles - [0.02, -0.03, 2.0]) / found.base_stds
+        scores.append(np.concatenate([off / found.std[:3], found.drift / found.std[3:6], base]))
     scores = np.array(scores)
     assert np.all(np.abs(scores.std(axis=0) - 1.0) < 0.35)
     assert 0.90 < np.mean(np.abs(scores) < 1.96) < 0.99

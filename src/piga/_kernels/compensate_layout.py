@@ -8,13 +8,16 @@ to sample ``j - 1`` of the block, or to the interval that ends there.
 from __future__ import annotations
 
 BLOCK = 1024
-"""Samples worked off at a time: the work array stays in the fast caches."""
+"""Samples worked off at a time, whole tiles: the rows in use stay in the fast caches."""
 TILE = 64
 """The contracted loops run over a multiple of this many samples, the last sample repeated: no remainder loop is
 entered, and a sample is computed alike wherever it stands in a chunk."""
-STRIDE = BLOCK + 8
+PAST = 8
+STRIDE = BLOCK + TILE + PAST
+"""A row has room for a tile more than a block; entries -1, -2, ... of a row (what came before the last sample) lie in
+the spare end of the row before it."""
 
-TIME = 0 * STRIDE
+SPARE = 0 * STRIDE  # its end is the past of the row behind it
 PSI = 1 * STRIDE
 RATE_Y = 2 * STRIDE  # tan_beta u_Y (+ harmonic) [rad/s]
 RATE_Z = 3 * STRIDE
@@ -23,13 +26,13 @@ FORCE_Z = 5 * STRIDE
 OMEGA_X = 6 * STRIDE  # base rate about X0 [rad/s]
 WARMTH = 7 * STRIDE  # temperature less its reference [K]
 STEP = 8 * STRIDE  # interval [s]; 0 where no increment is formed
-FIRST = 9 * STRIDE  # first estimate of the mean u_x [rad/s]
+FIRST = 9 * STRIDE  # mean u_x [rad/s]
 SINE = 10 * STRIDE  # of the effective angle
 COSINE = 11 * STRIDE
 SLOPE = 12 * STRIDE  # change of a_x over the interval [m/s^2]
 INPUT = 13 * STRIDE  # indicated mean specific force along X0 [m/s^2]
 FORCE = 14 * STRIDE  # compensated a_x [m/s^2]
-LENGTH = 15 * STRIDE  # time that a row stands for in the noise [s]
+CONSTANT = 15 * STRIDE  # mean u_x if the input were constant in the interval [rad/s]
 TURN = 16 * STRIDE  # output rate over K [m/s^2]
 MEAN_Y = 17 * STRIDE
 MEAN_Z = 18 * STRIDE
@@ -38,8 +41,7 @@ CHANGE_Z = 20 * STRIDE
 MEAN_T = 21 * STRIDE
 CHANGE_T = 22 * STRIDE
 MEAN_TIME = 23 * STRIDE
-DERIVATIVE = 24 * STRIDE  # of the indicated force by a_x [1]
-REGRESSOR = 25 * STRIDE
+DERIVATIVE = 24 * STRIDE  # of a_x by the indicated force [1]
 SQUARE = 26 * STRIDE
 PARTIAL = 27 * STRIDE
 ANGLE = 28 * STRIDE  # effective angle [rad]
@@ -51,7 +53,16 @@ BASE_X, BASE_Y, BASE_Z = 35 * STRIDE, 36 * STRIDE, 37 * STRIDE  # sets: what bas
 ERROR = 38 * STRIDE  # sets: error model at the force [m/s^2]
 HARMONICS = 39 * STRIDE  # sets: second and higher harmonics [m/s^2]
 ANGLE_TURNED = 40 * STRIDE  # A: integral of u_x over the interval [rad]
-WORK = 41 * STRIDE
+TIME = 41 * STRIDE
+NODE_SINE, NODE_COSINE = 42 * STRIDE, 43 * STRIDE  # of the angle read at the samples
+COUPLING = 44 * STRIDE  # tan_beta (u_Y sin - u_Z cos) at the samples [rad/s]
+ACROSS = 45 * STRIDE  # tan_beta (u_Y cos + u_Z sin) at the samples [rad/s]
+EARLY = 46 * STRIDE  # mean u_x by the trapezoid of the coupling [rad/s]
+PER = 47 * STRIDE  # 1 over the time that a row stands for in the noise [1/s]
+FAR_INPUT, FAR_SLOPE = 48 * STRIDE, 49 * STRIDE  # INPUT and SLOPE of intervals that turn far
+REGRESSORS = 50 * STRIDE
+MOST_TERMS = 40
+WORK = (50 + MOST_TERMS) * STRIDE
 
 P_K = 0
 P_TAN_BETA = 1
@@ -67,9 +78,9 @@ TERMS = (
     "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
 )  # fmt: skip
 """Terms of the error model in the order of their codes; SI."""
-SCALE_FACTOR = 20
-TAN_BETA = 21
-PHI = 22
+SCALE_FACTOR = 40  # codes behind those of the terms
+TAN_BETA = 41
+PHI = 42
 HARMONIC = 100  # 100 + 2 n sine, 101 + 2 n cosine of order n
 PARAMETERS = 32
 
@@ -82,7 +93,6 @@ S_OMEGA_X = 5
 S_OMEGA_Y = 6
 S_OMEGA_Z = 7
 S_WARMTH = 8
-S_STEP = 9  # last interval [s]; 0 when there was none
 S_FIRST = 10
 S_FORCE = 11
 S_TURNS = 12  # rate logs: whole turns and rest of alpha
@@ -90,7 +100,12 @@ S_REST = 13
 S_START = 14  # published formula: psi of the first sample
 S_PHI = 15  # phase that S_REST holds
 S_NOMINAL = 16  # nominal interval [s] to tell gaps; 0 until known
-STATE = 20
+S_PSI_BEFORE = 17  # angle and transverse input one sample before the last
+S_RATE_Y_BEFORE = 18
+S_RATE_Z_BEFORE = 19
+S_EARLY = 20  # mean u_x of the last three intervals, the latest first
+S_STEPS = 23  # their lengths
+STATE = 26
 
 EXACT, PUBLISHED = 0, 1
 

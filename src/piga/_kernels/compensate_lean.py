@@ -104,9 +104,6 @@ def compensate_samples(
         return
     if state[at.S_VALID] == 0.0:
         dv[0] = 0.0
-    begun = (state[at.S_VALID] == 0.0) if n == 1 else False
-    begun |= begins[n - 1] if begins.size else False
-    state[at.S_STEP] = 0.0 if begun else t[n - 1] - (t[n - 2] if n > 1 else state[at.S_TIME])
     state[at.S_VALID], state[at.S_TIME], state[at.S_PSI] = 1.0, t[n - 1], psi[n - 1]
     state[at.S_FORCE_Y], state[at.S_FORCE_Z], state[at.S_FORCE] = y[n - 1], z[n - 1], ax[n - 1]
     state[at.S_FIRST] = ax[n - 1] * p[at.P_K]

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from piga._kernels import compensate as angle
 from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_lean as lean
+from piga._kernels import compensate_near as near
 from piga._kernels import compensate_terms as terms
+from piga._kernels import compensate_uncertainty as known
 from piga._kernels.jit import exact, kernel
 from piga._kernels.motion import advance, magnus_increments, unwrapped
 from piga._kernels.sine_cosine import LIMIT, fast_sine_cosine, sine_cosine
@@ -20,31 +22,42 @@ Array = NDArray[np.float64]
 
 @exact
 def finish_block(
-    n: int,
-    p: Array,
-    has_terms: bool,
-    orders: Array,
-    sines: Array,
-    cosines: Array,
-    codes: NDArray[np.int64],
-    factor: Array,
-    limits: Array,
-    base_flag: int,
-    warm: bool,
-    w: Array,
-    u: Array,
-    flags: NDArray[np.int32],
-) -> None:
+    n: int, per: int, p: Array, has_terms: bool, codes: NDArray[np.int64], factor: Array, limits: Array,
+    base_flag: int, warm: bool, w: Array, u: Array, flags: NDArray[np.int32],
+) -> None:  # fmt: skip
     """Error model, uncertainty and flags of a block whose indicated force is known."""
-    terms.subtract_harmonics(n, orders, sines, cosines, w)
     if has_terms:
         terms.invert_terms(n, p, w)
     else:
         terms.take_input(n, w)
     if u.size:
-        terms.find_uncertainty(n, p, codes, factor, w, u)
+        known.find_uncertainty(n, per, has_terms, p, codes, factor, w, u)
     if flags.size:
-        terms.find_flags(n, p[at.P_TAN_BETA], limits, w, base_flag, warm, flags)
+        known.find_flags(n, p[at.P_TAN_BETA], limits, w, base_flag, warm, flags)
+
+
+@exact
+def indicate_intervals(n: int, formula: int, phi: float, K: float, wanted: bool, w: Array) -> None:
+    """Indicated mean force of every interval; ``wanted``: angles in the middle, too."""
+    if formula == at.PUBLISHED:
+        near.find_nodes(angle.padded(n + 1), phi, w)
+        angle.find_angles(1, angle.padded(n) + 1, phi, w)
+        near.find_early(n + 1, w)
+        angle.take_early(n, w)
+        angle.published_formula(n, K, w)
+        return
+    stop = angle.padded(n) + 1
+    near.find_nodes(angle.padded(n + 1), phi, w)
+    far = near.find_early(stop, w)
+    if far:
+        angle.find_angles(0, angle.padded(n + 1), phi, w)
+        angle.estimate_first(0, angle.padded(n + 1), w)
+        angle.invert_motion(stop, K, w)
+    near.invert_near(stop, K, w)
+    if far:
+        near.take_far(stop, w)
+    if wanted:
+        near.middle_angles(n, phi, w)
 
 
 @exact
@@ -79,6 +92,7 @@ def compensate_angles(
     """
     K = p[at.P_K]
     light = not (has_terms or orders.size or u.size or flags.size)
+    full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n
@@ -89,24 +103,19 @@ def compensate_angles(
             t[start:stop], psi[start:stop], y[start:stop], z[start:stop], omega[start:stop],
             temperature[start:stop], p, light, state, w,
         )  # fmt: skip
-        rows = angle.padded(n)
         angle.find_steps(n, begins[start:stop], valid, w)
-        angle.find_angles(rows, p[at.P_PHI] - state[at.S_START], w)
-        angle.estimate_first(rows, w)
-        if formula == at.PUBLISHED:
-            angle.published_formula(n, K, w)
-        else:
-            angle.invert_motion(rows, K, w)
+        indicate_intervals(n, formula, p[at.P_PHI] - state[at.S_START], K, not light, w)
         if omega.shape[0]:
             angle.add_base_rate(n, K, w)
-        if light:
-            terms.take_input(n, w)
-        else:
-            angle.describe_intervals(n, K, w)
-            finish_block(
-                n, p, has_terms, orders, sines, cosines, codes, factor, limits, base_flag, temperature.size > 0,
-                w, u[start:stop], flags[start:stop],
-            )  # fmt: skip
+        if not light:
+            angle.describe_means(n, K, w)
+            if full:
+                angle.describe_changes(n, w)
+        terms.subtract_harmonics(n, orders, sines, cosines, w)
+        finish_block(
+            n, at.INVERSE, p, has_terms, codes, factor, limits, base_flag, temperature.size > 0,
+            w, u[start:stop], flags[start:stop],
+        )  # fmt: skip
         write_intervals(n, w, ax[start:stop], dv[start:stop], u[start:stop], flags[start:stop])
         angle.save_last(n, y[start:stop], z[start:stop], omega[start:stop], state, w)
 
@@ -191,7 +200,7 @@ def find_samples(rows: int, phi: float, w: Array) -> None:
         w[at.SINE + j], w[at.COSINE + j] = sine, cosine
         far |= abs(alpha) > LIMIT
     if far:
-        angle.library_angles(rows, w)
+        angle.library_angles(1, rows + 1, w)
     for j in range(1, rows + 1):
         w[at.FIRST + j] -= w[at.RATE_Y + j] * w[at.SINE + j] - w[at.RATE_Z + j] * w[at.COSINE + j]
 
@@ -217,14 +226,17 @@ def write_samples(n: int, w: Array, ax: Array, dv: Array, flags: NDArray[np.int3
 
 
 @exact
-def describe_samples(n: int, rate: Array, K: float, typical: float, w: Array) -> None:
-    """The inputs at the samples, in the rows that hold means for intervals."""
+def describe_samples(n: int, full: bool, rate: Array, K: float, typical: float, w: Array) -> None:
+    """The inputs at the samples, in the rows that hold means for intervals; ``full``: for the error model, too."""
+    inverse, usual = 1.0 / K, 1.0 / typical
     for j in range(1, n + 1):
         w[at.MEAN_Y + j], w[at.MEAN_Z + j] = w[at.FORCE_Y + j], w[at.FORCE_Z + j]
-        w[at.CHANGE_Y + j] = w[at.CHANGE_Z + j] = w[at.CHANGE_T + j] = w[at.SLOPE + j] = 0.0
-        w[at.MEAN_T + j], w[at.MEAN_TIME + j] = w[at.WARMTH + j], w[at.TIME + j]
-        w[at.TURN + j] = rate[j - 1] / K
-        w[at.LENGTH + j] = w[at.STEP + j] if w[at.STEP + j] != 0.0 else typical
+        w[at.TURN + j] = rate[j - 1] * inverse
+        w[at.PER + j] = w[at.INVERSE + j] if w[at.STEP + j] != 0.0 else usual
+    if full:
+        for j in range(1, n + 1):
+            w[at.CHANGE_Y + j] = w[at.CHANGE_Z + j] = w[at.CHANGE_T + j] = w[at.SLOPE + j] = 0.0
+            w[at.MEAN_T + j], w[at.MEAN_TIME + j] = w[at.WARMTH + j], w[at.TIME + j]
 
 
 @exact
@@ -271,7 +283,7 @@ def compensate_rates(
     if light and psi.size and omega.shape[0] == 0:
         lean.compensate_samples(t, rate, y, z, begins, psi, p, state, w, ax, dv)
         return
-    none = np.zeros(0)
+    full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n
@@ -287,14 +299,13 @@ def compensate_rates(
         else:
             follow_rate(n, rate[start:stop], p, valid, state, w)
         indicate_samples(n, p[at.P_K], w)
-        if light:
-            terms.take_input(n, w)
-        else:
-            describe_samples(n, rate[start:stop], p[at.P_K], typical, w)
-            sample_harmonics(n, orders, sines, cosines, w)
-            finish_block(
-                n, p, has_terms, none, none, none, codes, factor, limits, base_flag, temperature.size > 0, w,
-                u[start:stop], flags[start:stop],
-            )  # fmt: skip
+        if not light:
+            angle.find_inverse(n, w)
+            describe_samples(n, full, rate[start:stop], p[at.P_K], typical, w)
+        sample_harmonics(n, orders, sines, cosines, w)
+        finish_block(
+            n, at.PER, p, has_terms, codes, factor, limits, base_flag, temperature.size > 0, w,
+            u[start:stop], flags[start:stop],
+        )  # fmt: skip
         write_samples(n, w, ax[start:stop], dv[start:stop], flags[start:stop])
         angle.save_last(n, y[start:stop], z[start:stop], omega[start:stop], state, w)

@@ -13,6 +13,7 @@ from piga._kernels import compensate_record as single
 from piga._kernels import compensate_set as set_of
 from piga._kernels import compensate_terms as terms
 from piga._kernels import compensate_triad as triad
+from piga._kernels import compensate_uncertainty as known
 from piga._kernels.jit import exact
 
 Array = NDArray[np.float64]
@@ -32,16 +33,18 @@ def load_instrument(
     n, rows = t.size, angle.padded(t.size)
     angle.load_block(t, psi, zeros[:n], zeros[:n], omega, temperature, p, False, state, w)
     angle.find_steps(n, begins, state[at.S_VALID] != 0.0, w)
+    angle.find_inverse(n, w)
     if rate.size:
         single.take_angles(n, psi, rate, w)
         single.find_samples(rows, p[at.P_PHI], w)
-        single.describe_samples(n, rate, p[at.P_K], math.nan, w)
+        single.describe_samples(n, True, rate, p[at.P_K], math.nan, w)
         single.take_rates(n, rate, w)
         set_of.sample_axis(rows, p, axes, w)
         set_of.sample_base(rows, w)
     else:
-        angle.find_angles(rows, p[at.P_PHI], w)
-        angle.describe_intervals(n, p[at.P_K], w)
+        angle.find_angles(1, rows + 1, p[at.P_PHI], w)
+        angle.describe_means(n, p[at.P_K], w)
+        angle.describe_changes(n, w)
         set_of.interval_axis(rows, p, axes, w)
         set_of.mean_base(rows, w)
     for j in range(1, rows + 1):
@@ -86,7 +89,7 @@ def solve_rounds(
 
 @exact
 def weigh(
-    n: int, i: int, axes: Array, parameters: Array, codes: NDArray[np.int64], factor: Array, weights: Array,
+    n: int, i: int, per: int, axes: Array, parameters: Array, codes: NDArray[np.int64], factor: Array, weights: Array,
     scratch: Array, w: Array, c: Array,
 ) -> None:  # fmt: skip
     """Weights ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
@@ -95,7 +98,7 @@ def weigh(
     for j in range(1, n + 1):
         w[i, at.RATE_Y + j] = K * tangent * w[i, at.MEAN_Y + j] + w[i, at.BASE_Y + j]
         w[i, at.RATE_Z + j] = K * tangent * w[i, at.MEAN_Z + j] + w[i, at.BASE_Z + j]
-    terms.find_uncertainty(n, parameters[i], codes, factor, w[i], scratch)
+    known.find_uncertainty(n, per, False, parameters[i], codes, factor, w[i], scratch[:n])
     for j in range(1, n + 1):
         weights[i, j] = 1.0 / (scratch[j - 1] * scratch[j - 1]) if scratch[j - 1] > 0.0 else 1.0
 
@@ -109,7 +112,19 @@ def weigh_all(
     """Weights of all instruments; a redundant set is solved again with them."""
     count = parameters.shape[0]
     for i in range(count):
-        weigh(n, i, axes, parameters, codes[i], factors[i], weights, scratch, w, c)
+        weigh(
+            n,
+            i,
+            at.PER if sampled else at.INVERSE,
+            axes,
+            parameters,
+            codes[i],
+            factors[i],
+            weights,
+            scratch,
+            w,
+            c,
+        )
     if count > 3:
         set_of.start_force(angle.padded(n), c)
         solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
@@ -192,7 +207,7 @@ def compensate_set(
             if flags.size == 0:
                 continue
             set_of.turn_force(angle.padded(n), axes[i], w[i], c)
-            terms.find_flags(
+            known.find_flags(
                 n, parameters[i, at.P_TAN_BETA], limits[i], w[i], base_flag, temperature.shape[1] > 0,
                 block_flags,
             )  # fmt: skip

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import compensate_layout as at
 from piga._kernels.compensate_set import FORCE_X, FORCE_Y, FORCE_Z
-from piga._kernels.compensate_terms import NEAR
+from piga._kernels.compensate_uncertainty import NEAR
 from piga._kernels.jit import exact, kernel
 from piga._kernels.sine_cosine import LIMIT, fast_sine_cosine
 

@@ -71,6 +71,13 @@ def compensation_angles(
     return ex, ey, m2 * (tips[3] * c2 + tips[2] * s2) * sec_eta - ex * tan_eta
 
 
+@inline
+def moved(h: float, v: float, d: float, d1: float, d2: float, g: float, g1: float, g2: float) -> float:
+    """Change of one coordinate over a step, from increments ``d`` and gravitations ``g``, now and before."""
+    h24 = h / 24.0
+    return h * v + h24 * (9.0 * d + 4.0 * d1 - d2) + h * h24 * (19.0 * g - 10.0 * g1 + 3.0 * g2)
+
+
 @kernel
 def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     dv: Array,
@@ -122,7 +129,7 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     c20, c21, c22 = c_gi[2, 0], c_gi[2, 1], c_gi[2, 2]
     eta_stride = 1 if tan_eta.shape[0] > 1 else 0
     altitude_stride = 1 if altitude.shape[0] > 1 else 0
-    hh, h24 = h * h / 24.0, h / 24.0
+    h24 = h / 24.0
     written, left = 0, every
     for i in range(n):
         k = i * eta_stride
@@ -137,27 +144,9 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
         dy = c10 * bx + c11 * by + c12 * bz
         dz = c20 * bx + c21 * by + c22 * bz
         kick1, kick2 = k1 * height_error, k2 * height_error
-        x += (
-            h * u
-            + h24 * (9.0 * dx + 4.0 * d1x - d2x)
-            + hh * (3.0 * rx - 10.0 * px)
-            - kick1 * nx
-            + 19.0 * hh * gx
-        )
-        y += (
-            h * v
-            + h24 * (9.0 * dy + 4.0 * d1y - d2y)
-            + hh * (3.0 * ry - 10.0 * py)
-            - kick1 * ny
-            + 19.0 * hh * gy
-        )
-        z += (
-            h * w
-            + h24 * (9.0 * dz + 4.0 * d1z - d2z)
-            + hh * (3.0 * rz - 10.0 * pz)
-            - kick1 * nz
-            + 19.0 * hh * gz
-        )
+        x += moved(h, u, dx, d1x, d2x, gx, px, rx) - kick1 * nx
+        y += moved(h, v, dy, d1y, d2y, gy, py, ry) - kick1 * ny
+        z += moved(h, w, dz, d1z, d2z, gz, pz, rz) - kick1 * nz
         u += dx - kick2 * nx + h24 * (19.0 * gx - 5.0 * px + rx)
         v += dy - kick2 * ny + h24 * (19.0 * gy - 5.0 * py + ry)
         w += dz - kick2 * nz + h24 * (19.0 * gz - 5.0 * pz + rz)
@@ -212,6 +201,68 @@ def geodetic(x: float, y: float, z: float, semi_major: float, e2: float) -> tupl
     return sine, cosine, axis, axis * cosine + z * sine - semi_major * root
 
 
+@inline
+def turn(
+    x: float, y: float, z: float, ax: float, ay: float, az: float, angle: float
+) -> tuple[float, float, float]:
+    """Vector turned by ``angle`` about the unit axis ``a`` (Rodrigues)."""
+    c, s = math.cos(angle), math.sin(angle)
+    dot = (ax * x + ay * y + az * z) * (1.0 - c)
+    return (
+        c * x + s * (ay * z - az * y) + dot * ax,
+        c * y + s * (az * x - ax * z) + dot * ay,
+        c * z + s * (ax * y - ay * x) + dot * az,
+    )
+
+
+@inline
+def base_angles(
+    ci: float,
+    si: float,
+    cl: float,
+    sl: float,
+    c_gi: Array,
+    drift: Array,
+    rate: float,
+    t: float,
+    ex: float,
+    ey: float,
+    ez: float,
+    gimbals: Array,
+) -> tuple[float, float, float]:
+    """Roll, pitch, heading [rad]: local axes turned to triad, platform and, by the gimbals, body axes.
+
+    ``ci, si`` cosine and sine of the inertial longitude, ``cl, sl`` of the latitude; body axes by
+    ``(R3(sigma) R2(theta) R3(psi))^T``; other arguments as in :func:`local_level`.
+    """
+    ci1, si1 = math.cos(gimbals[0]), math.sin(gimbals[0])
+    ci2, si2 = math.cos(gimbals[1]), math.sin(gimbals[1])
+    ci3, si3 = math.cos(gimbals[2]), math.sin(gimbals[2])
+    for column in range(3):
+        if column == 0:
+            ax, ay, az = -sl * ci, -sl * si, cl
+        elif column == 1:
+            ax, ay, az = -si, ci, 0.0
+        else:
+            ax, ay, az = -cl * ci, -cl * si, -sl
+        bx = c_gi[0, 0] * ax + c_gi[1, 0] * ay + c_gi[2, 0] * az
+        by = c_gi[0, 1] * ax + c_gi[1, 1] * ay + c_gi[2, 1] * az
+        bz = c_gi[0, 2] * ax + c_gi[1, 2] * ay + c_gi[2, 2] * az
+        if rate > 0.0:
+            bx, by, bz = turn(bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * t)
+        px, py, pz = bx - ey * bz + ez * by, by - ez * bx + ex * bz, bz - ex * by + ey * bx
+        px, py = ci3 * px - si3 * py, si3 * px + ci3 * py
+        px, bodyz = ci2 * px + si2 * pz, ci2 * pz - si2 * px
+        bodyx, bodyy = ci1 * px - si1 * py, si1 * px + ci1 * py
+        if column == 0:
+            b00 = bodyx
+        elif column == 1:
+            b01 = bodyx
+        else:
+            b02, b12, b22 = bodyx, bodyy, bodyz
+    return math.atan2(b12, b22), math.atan2(-b02, math.hypot(b12, b22)), math.atan2(b01, b00)
+
+
 @kernel
 def local_level(
     r: Array,
@@ -260,49 +311,6 @@ def local_level(
         ex, ey, ez = compensation_angles(
             z1[i, 0], z1[i, 1], z2[i, 0], z2[i, 1], tan_eta[k], sec_eta[k], tips, a1, b1, a2, b2
         )
-        ci1, si1 = math.cos(gimbals[i, 0]), math.sin(gimbals[i, 0])
-        ci2, si2 = math.cos(gimbals[i, 1]), math.sin(gimbals[i, 1])
-        ci3, si3 = math.cos(gimbals[i, 2]), math.sin(gimbals[i, 2])
-        # local axes in inertial, then triad, platform and, by (R3(sigma) R2(theta) R3(psi))^T, body axes
-        ci, si = ce * co - se * so, se * co + ce * so
-        for column in range(3):
-            if column == 0:
-                ax, ay, az = -sl * ci, -sl * si, cl
-            elif column == 1:
-                ax, ay, az = -si, ci, 0.0
-            else:
-                ax, ay, az = -cl * ci, -cl * si, -sl
-            bx = c_gi[0, 0] * ax + c_gi[1, 0] * ay + c_gi[2, 0] * az
-            by = c_gi[0, 1] * ax + c_gi[1, 1] * ay + c_gi[2, 1] * az
-            bz = c_gi[0, 2] * ax + c_gi[1, 2] * ay + c_gi[2, 2] * az
-            if rate > 0.0:
-                bx, by, bz = turn(
-                    bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * times[i]
-                )
-            px, py, pz = bx - ey * bz + ez * by, by - ez * bx + ex * bz, bz - ex * by + ey * bx
-            px, py = ci3 * px - si3 * py, si3 * px + ci3 * py
-            px, bodyz = ci2 * px + si2 * pz, ci2 * pz - si2 * px
-            bodyx, bodyy = ci1 * px - si1 * py, si1 * px + ci1 * py
-            if column == 0:
-                b00 = bodyx
-            elif column == 1:
-                b01 = bodyx
-            else:
-                b02, b12, b22 = bodyx, bodyy, bodyz
-        out[i, 6] = math.atan2(b12, b22)
-        out[i, 7] = math.atan2(-b02, math.hypot(b12, b22))
-        out[i, 8] = math.atan2(b01, b00)
-
-
-@inline
-def turn(
-    x: float, y: float, z: float, ax: float, ay: float, az: float, angle: float
-) -> tuple[float, float, float]:
-    """Vector turned by ``angle`` about the unit axis ``a`` (Rodrigues)."""
-    c, s = math.cos(angle), math.sin(angle)
-    dot = (ax * x + ay * y + az * z) * (1.0 - c)
-    return (
-        c * x + s * (ay * z - az * y) + dot * ax,
-        c * y + s * (az * x - ax * z) + dot * ay,
-        c * z + s * (ax * y - ay * x) + dot * az,
-    )
+        out[i, 6], out[i, 7], out[i, 8] = base_angles(
+            ce * co - se * so, se * co + ce * so, cl, sl, c_gi, drift, rate, times[i], ex, ey, ez, gimbals[i]
+        )

@@ -30,9 +30,14 @@ def innovation_weights(
 
     ``white`` = r, ``walk`` = q. ``previous`` is the variance of the last innovation before the block (0
     when a stretch begins). Writes ``carry[i]``: factor on the innovation before row i; ``scale[i]``: one
-    over the standard deviation. Rows with ``h = 0`` get zeros. Returns the last variance.
+    over the standard deviation. Rows with ``h = 0`` get zeros; those with ``h < 0`` (samples left out) pass
+    the innovation on. Returns the last variance.
     """
     for i in range(h.size):
+        if h[i] < 0.0:
+            carry[i] = 1.0
+            scale[i] = 0.0
+            continue
         if h[i] == 0.0:
             carry[i] = 0.0
             scale[i] = 0.0
@@ -73,6 +78,8 @@ def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: A
     square = np.zeros(LANES)
     count = 0
     for i in range(d.size):
+        if h[i] < 0.0:
+            continue
         if h[i] == 0.0:
             for k in range(LANES):
                 inverse[k] = 0.0

@@ -2,5 +2,6 @@
 
 from piga.calibration.calibrate import calibrate
 from piga.calibration.reduction import Reduction
+from piga.calibration.summary import RunSummary
 
-__all__ = ["Reduction", "calibrate"]
+__all__ = ["Reduction", "RunSummary", "calibrate"]

@@ -2,73 +2,55 @@
 
 from __future__ import annotations
 
-import datetime as dt
-import math
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.budget import budget_row, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.design import Design
-from piga.calibration.identifiability import (
-    Examination,
-    examine,
-    notes_in_words,
-    refuse_if_confounded,
-    refuse_useless,
-)
-from piga.calibration.noise import Information, Noise, find_noise, starting_noise
+from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
+from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
+from piga.calibration.joint import check_items, fit_jointly, joint_contributions
+from piga.calibration.joint_result import joint_result
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
-from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.revolutions import (
+    clean_record,
+    estimate_again,
+    fit_revolutions,
+    name_revolutions,
+    revolutions_result,
+)
 from piga.calibration.solution import Solution, solve
+from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
-from piga.calibration.weighting import reduce_segments, residual_increments, weighted_blocks, weighting_mode
+from piga.calibration.weighting import weighting_mode
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
-from piga.records.spool import spans
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
 
-MAX_REFITS = 4
-"""Fits at most: the noise levels settle after two or three."""
-SMALL = 200_000
-"""Records up to this many increments get the restricted likelihood; in longer ones the few parameters take
-no noticeable part of the slow noise."""
-RATIOS = np.linspace(-9.0, 3.0, 9)
-"""Points of ``log10(q h/r)`` at which the restricted likelihood's information term is computed."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A finished fit: the model, its noise levels, summaries per segment, solution and covariance."""
-
-    design: Design
-    mode: str
-    noise: Noise
-    summaries: list[Reduction]
-    solution: Solution
-    covariance: Array
-    examination: Examination
-
 
 def calibrate(
-    run: Run,
+    run: Run | RunSummary | Sequence[Run | RunSummary],
     terms: list[str] | tuple[str, ...] | None = None,
     method: str | None = None,
     *,
     phase: str | None = None,
     phase_source: str | None = None,
+    per_run: list[str] | tuple[str, ...] | None = None,
 ) -> Calibration:
-    """Estimate the coefficients of an instrument from a recorded test.
+    """Estimate the coefficients of an instrument from a recorded test, or from several together.
 
     The error model of ``physics.md`` is linear in its coefficients once the measured output angle is
     used as phase: no first guess, one optimum. Increments of the angle are whitened with the noise levels
@@ -77,9 +59,10 @@ def calibrate(
     Parameters
     ----------
     run:
-        The record, from :func:`piga.read_run` or :meth:`piga.Run.from_arrays`.
-    terms, method, phase, phase_source:
-        Override the wishes of the run file.
+        The record, from :func:`piga.read_run` or :meth:`piga.Run.from_arrays`; or a list of records and
+        :class:`piga.calibration.RunSummary` of one instrument, calibrated jointly.
+    terms, method, phase, phase_source, per_run:
+        Override the wishes of the run files. ``per_run`` names terms that may differ between the runs.
 
     Returns
     -------
@@ -93,17 +76,23 @@ def calibrate(
     CalibrationError, ArgumentError
         If the request does not fit the record.
     """
-    request = make_request(run, terms, method, phase, phase_source)
+    if not isinstance(run, Run):
+        runs = check_items(run)
+        if len(runs) > 1 or not isinstance(runs[0], Run):
+            return _joint_calibration(runs, terms, method, phase, phase_source, per_run)
+        run = runs[0]
+    request = make_request(run, terms, method, phase, phase_source, per_run)
     if request.method == "published":
         return _published_calibration(run, request)
-    per_segment = request.phase == "per-segment" and ("tan_beta" in request.terms or bool(request.harmonics))
-    groups = tuple(range(len(run.labels))) if per_segment else (0,) * len(run.labels)
-    fit = _fit(run, request, groups, per_segment)
+    if request.method == "revolutions":
+        return _revolutions_calibration(run, request)
+    groups, per_segment = phase_groups(run, request)
+    fit = fit_run(run, request, groups, per_segment)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
     refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
-    budget, type_b = _budget(fit, groups, per_segment, coefficients, type_a)
+    budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
     coefficients = tuple(
         replace(c, std=float(s)) for c, s in zip(coefficients, np.sqrt(np.diag(covariance)), strict=True)
@@ -113,139 +102,6 @@ def calibrate(
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
     return _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
-
-
-def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool) -> Fit:
-    """Alternate between the linear fit and the noise levels until they agree."""
-    design = Design(run, request, run.scale_factor)
-    mode = weighting_mode(design, request.method)
-    if design.rows <= len(design.names) + len(set(groups)):
-        raise CalibrationError(
-            f"the record has {design.rows} increments for {len(design.names)} parameters",
-            remedy="record longer",
-        )
-    given = _given_noise(request)
-    step = run.median_step
-    noise = given or starting_noise(run.resolution, step)
-    information = None
-    for refit in range(MAX_REFITS):
-        summaries = reduce_segments(design, mode, noise)
-        examination = examine(design, summaries, per_segment)
-        refuse_if_confounded(examination)
-        solution = solve(design, summaries, groups)
-        refined = design.with_scale_factor(_scale_factor(design, solution))
-        if refit == 0 and given is None:
-            information = _information(design, mode, groups, step)
-        found = given or _noise_of(design, solution, mode, noise if refit else None, information)
-        settled = refined is design and (mode != "increments" or found.close_to(noise, step))
-        if settled:
-            noise = noise if mode == "increments" else found
-            break
-        noise, design = found, refined
-    covariance = _covariance(design, mode, noise, solution, groups)
-    return Fit(design, mode, noise, summaries, solution, covariance, examination)
-
-
-def _given_noise(request: Request) -> Noise | None:
-    if request.angle_rms is None or request.angle_random_walk is None:
-        return None
-    return Noise(request.angle_rms**2, request.angle_random_walk**2)
-
-
-def _scale_factor(design: Design, solution: Solution) -> float:
-    if not design.estimates_scale_factor:
-        return design.run.scale_factor
-    coupled = 1 if "p" in design.local_names else 0
-    local = len(design.local_names) - 2 * coupled
-    return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
-
-
-def _information(design: Design, mode: str, groups: tuple[int, ...], step: float) -> Information | None:
-    """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``, for records that are small enough to need it."""
-    if mode != "increments" or design.rows > SMALL:
-        return None
-    from scipy.interpolate import CubicSpline
-
-    values = []
-    for ratio in RATIOS:
-        noise = Noise(1.0, 10.0**ratio / step)
-        values.append(-_log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
-    return cast("Information", CubicSpline(RATIOS, values, bc_type="natural"))
-
-
-def _log_determinant(solution: Solution) -> float:
-    """Of the covariance, its rows and columns scaled to one first."""
-    std = np.sqrt(np.diag(solution.covariance))
-    return float(np.linalg.slogdet(solution.covariance / np.outer(std, std))[1] + 2.0 * np.log(std).sum())
-
-
-def _noise_of(
-    design: Design,
-    solution: Solution,
-    mode: str,
-    near: Noise | None = None,
-    information: Information | None = None,
-) -> Noise:
-    d, h = residual_increments(design, solution.values)
-    parameters = len(solution.amplitudes) + len(solution.phases)
-    if mode == "samples":
-        variance = float(d @ d) / max(d.size - parameters, 1)
-        return Noise(0.0, variance * design.run.median_step)
-    scale = largest_size(design.run.output)
-    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
-
-
-def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]) -> Array:
-    """Covariance of the internal parameters; the rate method accounts for the colour of its noise."""
-    if mode == "increments":
-        return solution.covariance
-    if mode == "samples":
-        return solution.covariance * (noise.walk / design.run.median_step)
-    size, m = solution.covariance.shape[0], len(design.names)
-    meat = np.zeros((size, size))
-    for block, columns in weighted_blocks(design, mode, noise):
-        x = columns[:m]
-        inverse = np.divide(1.0, block.h, out=np.zeros_like(block.h), where=block.h > 0.0)
-        variance = (noise.walk * block.h + 2.0 * noise.white) * inverse**2
-        cross = (x[:, :-1] * inverse[:-1]) @ (x[:, 1:] * inverse[1:]).T * noise.white
-        jacobian = solution.jacobians[groups[block.segment]]
-        meat += jacobian.T @ ((x * variance) @ x.T - cross - cross.T) @ jacobian
-    return solution.covariance @ meat @ solution.covariance
-
-
-def _budget(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...], type_a: Array
-) -> tuple[tuple[dict[str, Any], ...], Array]:
-    """Budget rows (one per source, contribution to every coefficient) and the covariance of Type B."""
-    keys = [coefficient.key for coefficient in coefficients]
-    base = np.array([coefficient.value for coefficient in coefficients])
-    turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
-
-    def estimate(run: Run) -> Array:
-        design = Design(run, fit.design.request, fit.design.scale_factor)
-        solution = solve(design, reduce_segments(design, fit.mode, fit.noise), groups)
-        named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
-        values = np.array([coefficient.value for coefficient in named])
-        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
-
-    rows = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
-    covariance = np.zeros((len(keys), len(keys)))
-    for source, change in contributions(fit.design.run, base, estimate):
-        covariance += np.outer(change, change)
-        rows.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
-    return tuple(rows), covariance
-
-
-def _budget_row(
-    source: str, kind: str, distribution: str, value: float | None, unit: str, keys: list[str], change: Array
-) -> dict[str, Any]:
-    return {
-        "source": source,
-        "type": kind,
-        "distribution": distribution,
-        "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
-        "contributions": {key: float(c) for key, c in zip(keys, change, strict=True)},
-    }
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
@@ -281,7 +137,7 @@ def _assemble(
     notes: tuple[str, ...],
     history: dict[str, Array] | None,
 ) -> Calibration:
-    rows = fit.design.rows
+    rows, figures = fit.design.rows, residual_figures(residuals)
     return Calibration(
         serial=run.serial,
         scale_factor_nominal=run.scale_factor,
@@ -294,15 +150,16 @@ def _assemble(
         degrees_of_freedom=float(rows - len(coefficients)),
         angle_rms=fit.noise.angle_rms,
         angle_random_walk=fit.noise.angle_random_walk,
-        residual_rms=_rms(residuals.after),
-        residual_rms_before=_rms(residuals.before),
-        residual_max_before=largest_size(residuals.before),
-        residual_max_after=largest_size(residuals.after),
-        quality=run.quality,
+        residual_rms=figures["residual_rms"],
+        residual_rms_before=figures["residual_rms_before"],
+        residual_max_before=figures["residual_max_before"],
+        residual_max_after=figures["residual_max_after"],
+        quality=fit.design.run.quality,
+        outliers=fit.outliers,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics={"residual_kind": run.kind, "range": _range(run)}
+        diagnostics={"residual_kind": run.kind, "range": validity_ranges(run)}
         | diagnose(residuals)
         | segment_scatter(fit.design, residuals, fit.noise),
         segments=segment_table(fit.design, residuals),
@@ -314,26 +171,53 @@ def _assemble(
     )
 
 
-def _range(run: Run) -> dict[str, list[float]]:
-    """Range in which the calibration holds (SI): axial and transverse force, temperature."""
-    low, high = math.inf, 0.0
-    for part in spans(run.size):
-        transverse = np.hypot(run.f[part, 1], run.f[part, 2])
-        low, high = min(low, float(transverse.min())), max(high, float(transverse.max()))
-    found = {"a_x": [float(run.f[:, 0].min()), float(run.f[:, 0].max())], "a_t": [low, high]}
-    if run.temperature is not None:
-        found["temperature"] = [float(run.temperature.min()), float(run.temperature.max())]
-    return found
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(values @ values / values.size))
-
-
 def _provenance(run: Run, request: Request) -> Provenance:
-    created = dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     options = {"source": run.source, "noise_given": request.angle_rms is not None}
-    return Provenance(dict(run.input_sha256), f"piga {__version__}", created, options)
+    return Provenance(dict(run.input_sha256), f"piga {__version__}", now(), options)
+
+
+def _joint_calibration(
+    items: list[Run | RunSummary],
+    terms: list[str] | tuple[str, ...] | None,
+    method: str | None,
+    phase: str | None,
+    phase_source: str | None,
+    per_run: list[str] | tuple[str, ...] | None,
+) -> Calibration:
+    """Several runs, or summaries of runs, in one result."""
+    if method not in (None, "information") or phase_source not in (None, "output"):
+        raise CalibrationError(
+            "several runs are calibrated together by method 'information' with phase_source 'output'",
+            remedy="leave method and phase_source out, or calibrate the runs one by one",
+        )
+    fit = fit_jointly(items, terms, phase, per_run)
+    keys = [coefficient.key for coefficient in fit.coefficients]
+    covariance = fit.covariance.copy()
+    type_a = np.sqrt(np.diag(covariance))
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    for source, change in joint_contributions(fit):
+        covariance += np.outer(change, change)
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+    return joint_result(fit, covariance, tuple(budget))
+
+
+def _revolutions_calibration(run: Run, request: Request) -> Calibration:
+    """Mean rates over whole turns; Type B by moving the record."""
+    cleaned = clean_record(run, request)
+    fit = fit_revolutions(cleaned[0], request)
+    coefficients, covariance, note = name_revolutions(fit, request)
+    keys = [coefficient.key for coefficient in coefficients]
+    base = np.array([coefficient.value for coefficient in coefficients])
+    type_a = np.sqrt(np.diag(covariance))
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
+        covariance = covariance + np.outer(change, change)
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+    std = np.sqrt(np.diag(covariance))
+    coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
+    notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
+    notes = (*notes, note) if note else notes
+    return revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)
 
 
 def _published_calibration(run: Run, request: Request) -> Calibration:
@@ -354,17 +238,23 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     design = Design(run, linear_request, run.scale_factor)
     linear = _linear_values(design, dict(zip(found.names, values, strict=True)))
     mode = weighting_mode(design, "rate")
-    noise = _noise_of(design, _fixed_solution(design, linear), mode)
+    noise = noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
     fit = Fit(
-        design, mode, noise, [], _fixed_solution(design, linear), covariance, Examination(float("nan"), ())
+        design,
+        mode,
+        noise,
+        [],
+        _fixed_solution(design, linear),
+        covariance,
+        Examination(float("nan"), ()),
+        np.zeros(0),
+        np.zeros(0),
     )
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (
-        _budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),
-    )
+    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 
@@ -380,4 +270,4 @@ def _linear_values(design: Design, named: dict[str, float]) -> Array:
 def _fixed_solution(design: Design, linear: Array) -> Solution:
     values = np.tile(linear, (len(design.run.labels), 1))
     m = len(linear)
-    return Solution(linear, np.zeros(0), np.zeros((m, m)), values, 0.0, (np.eye(m),))
+    return Solution(linear, np.zeros(0), np.zeros((m, m)), 0.0, (np.eye(m),), values)

@@ -18,11 +18,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from piga._kernels.outliers import merge_rows
 from piga._kernels.regressors import CODES, coupling_columns, product_column
 from piga.calibration.request import Request
 from piga.errors import DataError
 from piga.records.run import Run
-from piga.records.spool import spans, steps
+from piga.records.spool import spans, steps, trim
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,8 @@ CACHE_BYTES = 256 << 20
 MAX_BEND = 0.3
 """Largest sag of the output angle against its chord between samples [rad] that the product integration
 corrects to first order (its error is then below ``bend^2/4`` of tan_beta)."""
+MAX_CHANGE = 0.5
+"""Largest relative change of K inside the regressors; more is a record that the model does not fit."""
 THREADS = 2
 
 
@@ -40,7 +43,8 @@ THREADS = 2
 class Block:
     """Rows ``start`` .. ``stop`` of the record (as interval ends): ``columns`` (m + 1, n) and ``h`` (n,).
 
-    ``h`` is 0 for rows into which no increment is formed; their columns are 0.
+    ``h`` is 0 for rows into which no increment is formed, and -1 for samples that are left out (the next
+    increment reaches across them); their columns are 0.
     """
 
     start: int
@@ -82,14 +86,24 @@ class Design:
     @property
     def rows(self) -> int:
         """Number of observations: increments formed (samples for a rate log)."""
-        return self.run.size if self.point else self.run.size - int(np.count_nonzero(self.run.begins))
+        run = self.run
+        if run.left_out is None:
+            return run.size if self.point else run.size - int(np.count_nonzero(run.begins))
+        return run.size - int(np.count_nonzero(run.left_out if self.point else run.begins | run.left_out))
 
     def with_scale_factor(self, scale_factor: float) -> Design:
         """The same model with another K inside the regressors; itself when they do not depend on K."""
         relative = abs(scale_factor / self.scale_factor - 1.0)
-        if relative < 1e-12 or (self.run.base_rate is None and relative < 1e-3):
+        absurd = relative > MAX_CHANGE
+        if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
             return self
         return Design(self.run, self.request, scale_factor)
+
+    def with_phase_of(self, other: Design) -> Design:
+        """The same observations, with the phase of another reading of the output inside the regressors."""
+        result = Design(self.run, self.request, other.scale_factor)
+        result.phase_angle = other.phase_angle
+        return result
 
     def blocks(self) -> Iterator[Block]:
         """All blocks in order; built ahead on a second thread."""
@@ -114,6 +128,7 @@ class Design:
 
     def _build(self, index: int) -> tuple[int, Block]:
         start, stop, segment = self._ranges[index]
+        trim()
         first = start if self.point else max(start - 1, 0)
         window: slice | NDArray[np.int64] = slice(first, stop)
         if self.point:
@@ -125,7 +140,15 @@ class Design:
         inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
         self._fill_local(columns, window, force, inner_h)
         self._fill_shared(columns, window, force, inner_h)
+        if self.run.left_out is not None:
+            self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
         return index, Block(stop - h.size, stop, segment, h, columns)
+
+    def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
+        if self.point:
+            columns[:, left_out], h[left_out] = 0.0, -1.0
+        else:
+            merge_rows(columns, h, left_out)
 
     def _observation(self, start: int, stop: int, first: int) -> tuple[Array, Array]:
         """Interval lengths (0 where none is formed) and the observed increment of psi plus base rotation."""
@@ -225,10 +248,19 @@ def _end_correction(rate: Array, step: Array) -> Array:
 
 
 def _ranges(run: Run) -> list[tuple[int, int, int]]:
-    """Row ranges of the blocks: inside one segment, at most CHUNK rows; (start, stop, segment)."""
+    """Row ranges of the blocks: inside one segment, about CHUNK rows; (start, stop, segment).
+
+    No block ends at a sample that is left out: its interval belongs to the next.
+    """
     edges = run.segment_edges()
     ranges: list[tuple[int, int, int]] = []
     for left, right in pairwise(edges):
         segment, end = int(run.segment[left]), int(right)
-        ranges += [(start, min(start + CHUNK, end), segment) for start in range(int(left), end, CHUNK)]
+        start = int(left)
+        while start < end:
+            stop = min(start + CHUNK, end)
+            while run.left_out is not None and stop < end and run.left_out[stop - 1]:
+                stop += 1
+            ranges.append((start, stop, segment))
+            start = stop
     return ranges

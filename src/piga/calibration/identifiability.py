@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.design import Design
 from piga.calibration.reduction import Reduction
-from piga.calibration.solution import merged
+from piga.calibration.solution import Layout, layout_of, merged
 from piga.errors import IdentifiabilityError
 from piga.records.calibration import Coefficient
 from piga.records.terms import harmonic
@@ -42,6 +42,23 @@ _REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
     ),
 )
 
+_HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
+    (frozenset({"k0", "k2", "k_YY"}), "a run on a centrifuge or a vibration table (a_x changes, a_Y does not)"),
+    (frozenset({"k0", "k2", "k_ZZ"}), "a run on a centrifuge or a vibration table (a_x changes, a_Z does not)"),
+    (frozenset({"scale_factor", "k0"}), "a run on a dividing head (a_x of both signs)"),
+    (frozenset({"k0", "k1"}), "a run on a dividing head (a_x of both signs)"),
+    (frozenset({"k2", "k2o"}), "a run on a dividing head (a_x of both signs)"),
+    (frozenset({"k0", "k2"}), "a run on a centrifuge (|a_x| of many sizes)"),
+    (frozenset({"scale_factor", "k3"}), "a run on a centrifuge (|a_x| of many sizes)"),
+    (frozenset({"k1", "k3"}), "a run on a centrifuge (|a_x| of many sizes)"),
+    (frozenset({"m_Y"}), "a run on a dividing head that turns in the plane X0 Y0"),
+    (frozenset({"m_Z"}), "a run on a dividing head that turns in the plane X0 Z0"),
+    (frozenset({"tan_beta"}), "a run on a dividing head (transverse force while the gimbal turns)"),
+    (frozenset({"k_YY"}), "a run on a dividing head that turns in the plane X0 Y0"),
+    (frozenset({"k_ZZ"}), "a run on a dividing head that turns in the plane X0 Z0"),
+)
+"""Runs that separate terms, most special first."""
+
 
 @dataclass(frozen=True)
 class Examination:
@@ -57,14 +74,21 @@ def term_of(column: str) -> str:
 
 
 def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Examination:
-    """Rank and condition of what is asked; the terms of the weakest direction when it holds no information.
+    """Rank and condition of what is asked of one run; one phase per segment or one for all."""
+    parts = summaries
+    if not (per_segment and design.local_names):
+        parts = [merged(summaries, list(range(len(summaries))))]
+    return examine_parts(layout_of(design, len(parts)), parts)
 
-    With one phase per segment the coupling columns of all segments count as one direction each.
+
+def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
+    """Rank and condition of what is asked of all phase groups together.
+
+    Names the terms of the weakest direction when it holds no information. With several groups the coupling
+    columns of all of them count as one direction each.
     """
-    names = design.names
-    turned = per_segment and bool(design.local_names)
-    total = _aligned(design, summaries) if turned else merged(summaries, list(range(len(summaries))))
-    factor = total.factor[:-1, :-1]
+    names = layout.columns
+    factor = (_aligned(layout, parts) if len(parts) > 1 else parts[0]).factor[:-1, :-1]
     norms = np.linalg.norm(factor, axis=0)
     zero = [
         term_of(name)
@@ -84,41 +108,47 @@ def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Ex
     return Examination(condition, tuple(dict.fromkeys(named)))
 
 
-def _aligned(design: Design, summaries: list[Reduction]) -> Reduction:
-    """Summary with the local columns of every segment turned to its own best phase."""
-    total = Reduction.empty(design.names)
-    for summary in summaries:
-        turned = np.array(summary.factor)
-        if "p" in design.local_names and turned[0, 0] and turned[1, 1]:
+def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
+    """Summary of all groups with the local columns of each turned to its own best phase."""
+    total = Reduction.empty(layout.columns)
+    for group, part in enumerate(parts):
+        turned = np.array(part.factor)
+        if layout.coupled and turned[0, 0] and turned[1, 1]:
             q = turned[1, -1] / turned[1, 1]
             p = (turned[0, -1] - turned[0, 1] * q) / turned[0, 0]
             phase = np.arctan2(q, p)
             cosine, sine = np.cos(phase), np.sin(phase)
             turned[:, :2] = turned[:, :2] @ np.array([[cosine, -sine], [sine, cosine]])
-        total.absorb(turned.T)
+        total.absorb(layout.embedded(turned, group).T)
     return total
 
 
-def refuse_if_confounded(examination: Examination) -> None:
-    """Raise when the record cannot separate what was asked.
+def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
+    """Raise when the record, or the ``runs`` together, cannot separate what was asked.
 
     Raises
     ------
     IdentifiabilityError
-        Names the terms and the test that would separate them.
+        Names the terms and the test, or the run, that would separate them.
     """
     if examination.null_terms:
-        terms = set(examination.null_terms)
-        listed = ", ".join(sorted(terms))
-        verb = "cannot determine" if len(terms) == 1 else "cannot separate"
-        raise IdentifiabilityError(f"this record {verb} {listed}", remedy=_remedy(terms))
+        terms = {name.split("[", maxsplit=1)[0] for name in examination.null_terms}
+        listed = ", ".join(sorted(examination.null_terms))
+        verb = "cannot determine" if len(examination.null_terms) == 1 else "cannot separate"
+        subject = "this record" if runs == 1 else f"these {runs} runs together"
+        raise IdentifiabilityError(
+            f"{subject} {verb} {listed}", remedy=_remedy(terms, runs), terms=examination.null_terms
+        )
 
 
-def _remedy(terms: set[str]) -> str:
+def _remedy(terms: set[str], runs: int = 1) -> str:
+    helping = next((text for members, text in _HELPING_RUNS if members <= terms), None)
+    if runs > 1:
+        return f"add {helping}" if helping else "leave one of these terms out, or add a run of another kind"
     fitting = [text for members, text in _REMEDIES if members <= terms]
-    if fitting:
-        return fitting[0]
-    return "leave one of these terms out, or record other positions, levels or temperatures"
+    if not fitting:
+        fitting = ["leave one of these terms out, or record other positions, levels or temperatures"]
+    return fitting[0] + (f"; or calibrate it together with {helping}" if helping else "")
 
 
 def refuse_useless(
@@ -128,6 +158,8 @@ def refuse_useless(
 
     Parameters
     ----------
+    coefficients:
+        Estimates with their standard uncertainties.
     largest:
         Largest specific force of the record [m/s^2].
     duration, spread:
@@ -208,3 +240,12 @@ def notes_in_words(
     if phase == "per-segment" and not loose:
         notes.append("every segment has its own phase: nothing is assumed about the counter between segments")
     return tuple(notes)
+
+
+def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """What each run could not have told without the others; ``alone`` by run."""
+    return tuple(
+        f"run '{name}' alone cannot separate {', '.join(terms)}: the other runs do"
+        for name, terms in alone.items()
+        if terms
+    )

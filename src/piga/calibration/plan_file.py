@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from piga.errors import PigaError, RunFileError, UnitError
-from piga.records.run_file import ModelTable, UncertaintyTable
+from piga.records.run_file import ModelTable, Quantity, Table, UncertaintyTable
 from piga.records.terms import check_terms, si_factor, unit_of
 from piga.records.toml_file import read_toml
 from piga.stand.scenario import Scenario, scenario_of
@@ -22,11 +22,9 @@ from piga.stand.scenario_tables import (
     CompositeTable,
     DividingHeadTable,
     ProfileTable,
-    Quantity,
     RateTableTable,
     ScenarioTable,
     SimpleStand,
-    Table,
 )
 from piga.units import to_si
 

@@ -84,6 +84,27 @@ class Reduction:
         gather(self.weight, self.unit, other.unit.copy(), other.weight)
         self.count += other.count
 
+    def select(self, names: tuple[str, ...]) -> Reduction:
+        """The summary of some of the columns: what the same rows without the others would have given."""
+        chosen = [*(self.names.index(name) for name in names), len(self.names)]
+        result = Reduction.empty(names)
+        gather(result.weight, result.unit, np.ascontiguousarray(self.unit[:, :, chosen]), self.weight)
+        result.count = self.count
+        return result
+
+    def less(self, name: str, multiple: float) -> Reduction:
+        """The summary of the observations less ``multiple`` times a column."""
+        unit = self.unit.copy()
+        unit[0, :, -1] -= multiple * self.unit[0, :, self.names.index(name)]
+        result = Reduction.empty(self.names)
+        gather(result.weight, result.unit, unit, self.weight)
+        result.count = self.count
+        return result
+
+    def scaled(self, information: float) -> Reduction:
+        """The summary of the same rows with ``information`` times the weight."""
+        return Reduction(self.names, self.weight * information, self.unit.copy(), self.count)
+
     def solve(self) -> tuple[Array, Array, float]:
         """Estimate (m,), inverse information matrix (m, m) and residual sum of squares.
 

@@ -27,6 +27,7 @@ class Request:
     temperature_reference: float
     x0: tuple[float, ...] | None = None
     P0: float | None = None
+    per_run: tuple[str, ...] = ()
 
     @property
     def harmonics(self) -> tuple[int, ...]:
@@ -45,6 +46,7 @@ def make_request(
     method: str | None,
     phase: str | None,
     phase_source: str | None,
+    per_run: list[str] | tuple[str, ...] | None = None,
 ) -> Request:
     """Merge call arguments over the run file's wishes and check them against the record.
 
@@ -68,6 +70,7 @@ def make_request(
         temperature_reference=to_si(model.temperature_reference, "K"),
         x0=estimation.x0,
         P0=estimation.P0,
+        per_run=tuple(per_run) if per_run is not None else estimation.per_run,
     )
     for name, value, allowed in (
         ("phase", request.phase, PHASES),
@@ -77,8 +80,34 @@ def make_request(
         if value not in allowed:
             raise ArgumentError(f"{name}: '{value}' is not known", remedy=f"one of: {', '.join(allowed)}")
     check_terms(request.terms)
+    check_per_run(request.per_run, request.terms)
     _check_record(run, request)
     return request
+
+
+def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
+    """Terms that may differ between runs: such whose regressor does not turn with the phase, except K.
+
+    Raises
+    ------
+    ArgumentError
+        Naming the term.
+    """
+    for name in per_run:
+        if name not in terms:
+            raise ArgumentError(
+                f"per_run: '{name}' is not among the terms", remedy=f"one of: {', '.join(terms)}"
+            )
+        if name == "scale_factor":
+            raise ArgumentError(
+                "per_run: 'scale_factor' belongs to the instrument; all other coefficients are multiples of it",
+                remedy="estimate 'k1' instead, and name that in per_run",
+            )
+        if name == "tan_beta" or harmonic(name):
+            raise ArgumentError(
+                f"per_run: '{name}' turns with the output angle and belongs to the instrument",
+                remedy="its phase is of the run as it is",
+            )
 
 
 def _check_record(run: Run, request: Request) -> None:
@@ -89,7 +118,8 @@ def _check_record(run: Run, request: Request) -> None:
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
     coupled = "tan_beta" in request.terms or bool(request.harmonics)
-    if request.phase == "shared" and coupled and len(set(run.phase_group)) > 1:
+    turning = coupled and request.method != "revolutions"
+    if request.phase == "shared" and turning and len(set(run.phase_group)) > 1:
         at = next(i for i, group in enumerate(run.phase_group) if group != run.phase_group[0])
         raise CalibrationError(
             f"phase 'shared' is not possible: from segment '{run.labels[at]}' on the zero of the output angle is "

@@ -24,72 +24,43 @@ SCAN = 72
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Estimate in internal parameters.
+class Layout:
+    """Which parameter every column of every phase group belongs to.
 
-    ``amplitudes`` are, in this order, the coupling amplitude ``K tan_beta`` (if asked for), then
-    ``K s_n, K c_n`` per harmonic in the frame of alpha, then the shared linear parameters; ``phases`` one
-    phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``values``
-    (segments, m) are the linear column coefficients of every segment. ``jacobians`` hold, per phase
-    group, the derivative of its column coefficients by ``[amplitudes, phases]``.
+    A group's columns are its local ones (``p, q`` and the harmonics, which turn with its phase) and its
+    shared ones; ``keys`` name the parameters behind the shared columns of all groups, as (term, run), the run
+    None where one parameter serves all runs; ``tails[g]`` are the indices into ``keys`` of the shared
+    columns of group g.
     """
 
-    amplitudes: Array
-    phases: Array
-    covariance: Array
-    values: Array
-    cost: float
-    jacobians: tuple[Array, ...]
+    coupled: bool
+    orders: tuple[int, ...]
+    keys: tuple[tuple[str, str | None], ...]
+    tails: tuple[NDArray[np.int64], ...]
 
+    @property
+    def local(self) -> int:
+        """Number of local columns."""
+        return (2 if self.coupled else 0) + 2 * len(self.orders)
 
-def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
-    """One summary of several."""
-    total = Reduction.empty(summaries[0].names)
-    for index in indices:
-        total.merge(summaries[index])
-    return total
+    @property
+    def head(self) -> int:
+        """Number of amplitudes before those of ``keys``."""
+        return (1 if self.coupled else 0) + 2 * len(self.orders)
 
+    @property
+    def size(self) -> int:
+        """Number of amplitudes: coupling, harmonics, ``keys``."""
+        return self.head + len(self.keys)
 
-def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -> Solution:
-    """Estimate for the given phase group of each segment (all 0: one phase)."""
-    count = max(groups) + 1
-    parts = [merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(count)]
-    local = len(design.local_names)
-    if local == 0 or count == 1:
-        return _solve_shared(design, merged(parts, list(range(count))), groups)
-    return _solve_groups(design, parts, groups)
+    @property
+    def amplitude_keys(self) -> tuple[tuple[str, str | None], ...]:
+        """(term, run) of every amplitude."""
+        head: list[tuple[str, str | None]] = [("tan_beta", None)] if self.coupled else []
+        head += [(f"{kind}{order}", None) for order in self.orders for kind in ("s", "c")]
+        return (*head, *self.keys)
 
-
-def _solve_shared(design: Design, total: Reduction, groups: tuple[int, ...]) -> Solution:
-    linear, covariance, cost = total.solve()
-    shape = _Shape(design, 1)
-    jacobian = np.eye(len(linear))
-    if shape.coupled:
-        phase = np.arctan2(linear[1], linear[0])
-        amplitudes = shape.from_linear(linear, phase)
-        jacobian = shape.jacobian(amplitudes, np.array([phase]), 0)
-        inverse = np.linalg.inv(jacobian)
-        covariance = inverse @ covariance @ inverse.T
-        phases = np.array([phase])
-    else:
-        amplitudes, phases = linear, np.zeros(0)
-    values = np.tile(linear, (len(groups), 1))
-    return Solution(amplitudes, phases, covariance, values, cost, (jacobian,))
-
-
-@dataclass
-class _Shape:
-    """The map from (amplitudes, phases) to the linear coefficients of a group, and its derivative."""
-
-    design: Design
-    groups: int
-
-    def __post_init__(self) -> None:
-        self.coupled = "p" in self.design.local_names
-        self.orders = self.design.request.harmonics
-        self.size = len(self.design.names) - (1 if self.coupled else 0)
-
-    def linear(self, amplitudes: Array, phase: float) -> Array:
+    def linear(self, amplitudes: Array, phase: float, group: int) -> Array:
         """Column coefficients of a group with this phase."""
         parts: list[float] = []
         at = 0
@@ -102,10 +73,10 @@ class _Shape:
             # the column named s_n is int(y sin - z cos) with y = 1, z = 0; c_n is int(y cos + z sin)
             parts += [s * cosine - c * sine, s * sine + c * cosine]
             at += 2
-        return np.concatenate([parts, amplitudes[at:]])
+        return np.concatenate([parts, amplitudes[at:][self.tails[group]]])
 
     def from_linear(self, linear: Array, phase: float) -> Array:
-        """Amplitudes from the column coefficients of a group whose phase is known."""
+        """Amplitudes from the column coefficients of the only group."""
         parts: list[float] = []
         at = 0
         if self.coupled:
@@ -119,9 +90,10 @@ class _Shape:
         return np.concatenate([parts, linear[at:]])
 
     def jacobian(self, amplitudes: Array, phases: Array, group: int) -> Array:
-        """Derivative of ``linear`` of one group by ``[amplitudes, phases]``: (m, size + groups)."""
-        phase = phases[group]
-        result = np.zeros((len(self.design.names), self.size + phases.size))
+        """Derivative of ``linear`` of one group by ``[amplitudes, phases]``: (columns, size + groups)."""
+        phase = phases[group] if phases.size else 0.0
+        tail = self.tails[group]
+        result = np.zeros((self.local + tail.size, self.size + phases.size))
         row = at = 0
         if self.coupled:
             result[0, 0], result[1, 0] = np.cos(phase), np.sin(phase)
@@ -137,32 +109,125 @@ class _Shape:
                 order * (s * cosine - c * sine),
             ]
             row, at = row + 2, at + 2
-        tail = len(self.design.names) - row
-        result[row:, at : at + tail] = np.eye(tail)
+        result[row + np.arange(tail.size), at + tail] = 1.0
         return result
 
+    def embedded(self, factor: Array, group: int) -> Array:
+        """Triangular factor of a group with its shared columns set among those of ``keys``; not triangular."""
+        result = np.zeros((factor.shape[0], self.local + len(self.keys) + 1))
+        result[:, : self.local] = factor[:, : self.local]
+        result[:, self.local + self.tails[group]] = factor[:, self.local : -1]
+        result[:, -1] = factor[:, -1]
+        return result
 
-def _solve_groups(design: Design, parts: list[Reduction], groups: tuple[int, ...]) -> Solution:
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of ``embedded``, the last (the observation) left out."""
+        local: tuple[str, ...] = ("p", "q") if self.coupled else ()
+        local += tuple(f"{kind}{order}" for order in self.orders for kind in ("s", "c"))
+        return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
+
+
+def layout_of(design: Design, groups: int) -> Layout:
+    """The layout of one run: every shared column is its own parameter in all groups."""
+    tail = np.arange(len(design.shared_names))
+    keys = tuple((name, None) for name in design.shared_names)
+    return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * groups)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimate in internal parameters.
+
+    ``amplitudes`` are, in this order, the coupling amplitude ``K tan_beta`` (if asked for), then
+    ``K s_n, K c_n`` per harmonic in the frame of alpha, then the shared linear parameters; ``phases`` one
+    phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``jacobians`` hold, per
+    phase group, the derivative of its column coefficients by ``[amplitudes, phases]``.
+    """
+
+    amplitudes: Array
+    phases: Array
+    covariance: Array
+    cost: float
+    jacobians: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Solution(Estimate):
+    """Estimate of one run: ``values`` (segments, m) are the linear column coefficients of every segment."""
+
+    values: Array
+
+
+def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
+    """One summary of several."""
+    total = Reduction.empty(summaries[0].names)
+    for index in indices:
+        total.merge(summaries[index])
+    return total
+
+
+def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -> Solution:
+    """Estimate for the given phase group of each segment (all 0: one phase)."""
+    count = max(groups) + 1 if design.local_names else 1
+    grouped = groups if design.local_names else (0,) * len(groups)
+    parts = [merged(summaries, [s for s, g in enumerate(grouped) if g == group]) for group in range(count)]
+    layout = layout_of(design, count)
+    found = solve_parts(layout, parts)
+    if count == 1:
+        linear = found.jacobians[0] @ np.append(found.amplitudes, np.zeros(found.phases.size))
+        values = np.tile(linear, (len(groups), 1))
+    else:
+        values = np.array([layout.linear(found.amplitudes, found.phases[g], g) for g in groups])
+    jacobians = found.jacobians * (max(groups) + 1 if count == 1 else 1)
+    return Solution(found.amplitudes, found.phases, found.covariance, found.cost, jacobians, values)
+
+
+def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
+    """Estimate from one summary per phase group; the groups may be of different runs.
+
+    Linear, and exact, for one group or without local columns; otherwise Gauss-Newton on the stacked
+    triangular factors, from the linear solution.
+    """
+    if len(parts) > 1 and layout.local:
+        return _solve_groups(layout, parts)
+    total = parts[0]
+    if len(parts) > 1:
+        total = Reduction.empty(layout.columns)
+        for group, part in enumerate(parts):
+            total.absorb(layout.embedded(part.factor, group).T, count=part.count)
+    linear, covariance, cost = total.solve()
+    jacobian, amplitudes, phases = np.eye(len(linear)), linear, np.zeros(0)
+    if layout.coupled:
+        phase = np.arctan2(linear[1], linear[0])
+        phases = np.array([phase])
+        amplitudes = layout.from_linear(linear, phase)
+        jacobian = layout.jacobian(amplitudes, phases, 0)
+        inverse = np.linalg.inv(jacobian)
+        covariance = inverse @ covariance @ inverse.T
+    return Estimate(amplitudes, phases, covariance, cost, (jacobian,) * len(parts))
+
+
+def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
     """One phase per group, amplitudes shared."""
-    shape = _Shape(design, len(parts))
-    if not shape.coupled:
+    if not layout.coupled:
         raise CalibrationError(
-            "harmonics with phase 'per-segment' need 'tan_beta' among the terms: it carries the phase",
+            "harmonics with more than one phase (phase 'per-segment', or several runs) need 'tan_beta' among the "
+            "terms: it carries the phase",
             remedy="add 'tan_beta'",
         )
-    m = len(design.names)
     factors = [part.factor for part in parts]
-    shared, amplitude = _start(design, parts)
-    amplitudes = np.concatenate([[amplitude], np.zeros(2 * len(shape.orders)), shared])
-    phases = np.array([_scan(shape, amplitudes, factor) for factor in factors])
-    amplitudes = _amplitudes_given(shape, phases, factors)
-    cost = _cost(shape, amplitudes, phases, factors)
+    shared, amplitude = _start(layout, parts)
+    amplitudes = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
+    phases = np.array([_scan(layout, amplitudes, factor, g) for g, factor in enumerate(factors)])
+    amplitudes = _amplitudes_given(layout, phases, factors)
+    cost = _cost(layout, amplitudes, phases, factors)
     damping = 0.0
     for _ in range(ITERATIONS):
-        R, residual = _linearised(shape, amplitudes, phases, factors)
+        R, residual = _linearised(layout, amplitudes, phases, factors)
         step = _damped_step(R, residual, damping)
-        new_amplitudes, new_phases = amplitudes + step[: shape.size], phases + step[shape.size :]
-        new_cost = _cost(shape, new_amplitudes, new_phases, factors)
+        new_amplitudes, new_phases = amplitudes + step[: layout.size], phases + step[layout.size :]
+        new_cost = _cost(layout, new_amplitudes, new_phases, factors)
         if new_cost <= cost * (1.0 + 1e-13):
             done = cost - new_cost <= 1e-14 * cost and damping == 0.0
             amplitudes, phases, cost = new_amplitudes, new_phases, new_cost
@@ -173,70 +238,74 @@ def _solve_groups(design: Design, parts: list[Reduction], groups: tuple[int, ...
             damping = max(10.0 * damping, 1e-6)
             if damping > 1e6:
                 break
-    R, _ = _linearised(shape, amplitudes, phases, factors)
+    R, _ = _linearised(layout, amplitudes, phases, factors)
     covariance = _inverse_information(R)
-    values = np.array([shape.linear(amplitudes, phases[g]) for g in groups])
-    rss = cost + sum(float(part.weight[0, m]) for part in parts)
-    jacobians = tuple(shape.jacobian(amplitudes, phases, g) for g in range(len(parts)))
-    return Solution(amplitudes, phases, covariance, values, rss, jacobians)
+    rss = cost + sum(float(part.weight[0, -1]) for part in parts)
+    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
+    return Estimate(amplitudes, phases, covariance, rss, jacobians)
 
 
-def _start(design: Design, parts: list[Reduction]) -> tuple[Array, float]:
+def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
     """Shared parameters and coupling amplitude with the local columns of every group left free."""
-    local, m = len(design.local_names), len(design.names)
-    free = Reduction.empty(design.shared_names)
-    for part in parts:
-        free.absorb(part.factor[local:, local:].T)
-    shared = free.solve()[0] if design.shared_names else np.zeros(0)
+    local = layout.local
+    factors = [part.factor for part in parts]
+    free = Reduction.empty(tuple(layout.columns[local:]))
+    for group, factor in enumerate(factors):
+        free.absorb(layout.embedded(factor, group)[local:, local:].T)
+    shared = _least_squares(free.factor) if layout.keys else np.zeros(0)
     squares, weights = 0.0, 0.0
-    for part in parts:
-        factor = part.factor
-        right = factor[:local, m] - factor[:local, local:m] @ shared
+    for group, factor in enumerate(factors):
+        right = factor[:local, -1] - factor[:local, local:-1] @ shared[layout.tails[group]]
         size = np.abs(np.diag(factor)[:2])
         if size.min() < 1e-9 * max(size.max(), 1e-300) or size.max() == 0.0:
             continue
-        p, q = solve_upper(factor[:2, :2], right[:2] - factor[:2, 2:local] @ np.zeros(local - 2))
+        p, q = solve_upper(factor[:2, :2], right[:2])
         weight = float(size.min() ** 2)
         squares += weight * float(np.hypot(p, q))
         weights += weight
     return shared, squares / weights if weights else 0.0
 
 
-def _scan(shape: _Shape, amplitudes: Array, factor: Array) -> float:
+def _least_squares(factor: Array) -> Array:
+    """Solution of least norm of a triangular system, its columns scaled to one."""
+    scale = np.linalg.norm(factor[:, :-1], axis=0)
+    scale[scale == 0.0] = 1.0
+    return np.linalg.lstsq(factor[:, :-1] / scale, factor[:, -1], rcond=1e-12)[0] / scale
+
+
+def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:
     """Best of SCAN phases for one group."""
     m = factor.shape[0] - 1
     trial = 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi
-    costs = [float(np.sum((factor[:m, :m] @ shape.linear(amplitudes, p) - factor[:m, m]) ** 2)) for p in trial]
+    costs = [np.sum((factor[:m, :m] @ layout.linear(amplitudes, p, group) - factor[:m, m]) ** 2) for p in trial]
     return float(trial[int(np.argmin(costs))])
 
 
-def _amplitudes_given(shape: _Shape, phases: Array, factors: list[Array]) -> Array:
+def _amplitudes_given(layout: Layout, phases: Array, factors: list[Array]) -> Array:
     """Amplitudes by linear least squares for fixed phases."""
-    zero = np.zeros(shape.size)
+    zero = np.zeros(layout.size)
     rows, right = [], []
     for group, factor in enumerate(factors):
         m = factor.shape[0] - 1
-        rows.append(factor[:m, :m] @ shape.jacobian(zero, phases, group)[:, : shape.size])
+        rows.append(factor[:m, :m] @ layout.jacobian(zero, phases, group)[:, : layout.size])
         right.append(factor[:m, m])
-    total = Reduction.empty(tuple(str(i) for i in range(shape.size)))
+    total = Reduction.empty(tuple(str(i) for i in range(layout.size)))
     total.add(np.vstack(rows), np.concatenate(right))
     return total.solve()[0]
 
 
-def _residuals(shape: _Shape, amplitudes: Array, phases: Array, factors: list[Array]) -> list[Array]:
-    m = factors[0].shape[0] - 1
-    return [f[:m, m] - f[:m, :m] @ shape.linear(amplitudes, phases[g]) for g, f in enumerate(factors)]
+def _residuals(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> list[Array]:
+    return [f[:-1, -1] - f[:-1, :-1] @ layout.linear(amplitudes, phases[g], g) for g, f in enumerate(factors)]
 
 
-def _cost(shape: _Shape, amplitudes: Array, phases: Array, factors: list[Array]) -> float:
-    return float(sum(np.sum(r**2) for r in _residuals(shape, amplitudes, phases, factors)))
+def _cost(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> float:
+    return float(sum(np.sum(r**2) for r in _residuals(layout, amplitudes, phases, factors)))
 
 
-def _linearised(shape: _Shape, amplitudes: Array, phases: Array, factors: list[Array]) -> tuple[Array, Array]:
+def _linearised(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> tuple[Array, Array]:
     """Triangular factor of the Jacobian and the rotated residual."""
-    m = factors[0].shape[0] - 1
-    rows = np.vstack([f[:m, :m] @ shape.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)])
-    residual = np.concatenate(_residuals(shape, amplitudes, phases, factors))
+    rows = np.vstack([f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)])
+    residual = np.concatenate(_residuals(layout, amplitudes, phases, factors))
     q, r = np.linalg.qr(rows)
     return r, q.T @ residual
 

@@ -74,7 +74,7 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     with ThreadPoolExecutor(1) as pool:
         jobs = []
         for block, columns in weighted_blocks(design, mode, noise):
-            count = int(np.count_nonzero(block.h))
+            count = int(np.count_nonzero(block.h > 0.0))
             jobs.append(pool.submit(summaries[block.segment].absorb, columns, count=count))
             if len(jobs) > 4:
                 jobs.pop(0).result()

@@ -11,32 +11,53 @@ import typer
 from piga.cli.common import note, output_directory, print_json, progress, say, write_by_rename
 
 if TYPE_CHECKING:
-    from piga.records import Calibration
+    from piga.calibration import RunSummary
+    from piga.records import Calibration, Run
 
 RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
+RunFilesArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="RUN.toml...", help="Run file; several, or summaries of runs (.json), jointly."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
 
 
 def calibrate(
-    run: RunFileArgument,
+    runs: RunFilesArgument,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Where the results go [default: RUN-calibration]."),
+        typer.Option(
+            "--out", metavar="DIR", help="Where the results go [default: RUN-calibration or joint-calibration]."
+        ),
     ] = None,
     terms: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Terms to estimate, instead of those of the run file.")
     ] = None,
-    method: Annotated[str | None, typer.Option(help="information | rate | recursive | published")] = None,
+    method: Annotated[
+        str | None, typer.Option(help="information | rate | recursive | published | revolutions")
+    ] = None,
     phase: Annotated[str | None, typer.Option(help="shared | per-segment")] = None,
     phase_source: Annotated[str | None, typer.Option(help="output | input")] = None,
+    per_run: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Terms that may differ between the runs.")
+    ] = None,
+    summary: Annotated[
+        bool, typer.Option("--summary", help="Write a summary of each run, to be merged without its data.")
+    ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate the coefficients of an instrument: calibration.json, residuals.parquet, report.html."""
-    wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
-    directory = out or run.with_name(f"{run.stem}-calibration")
-    calibration = run_calibration(run, wanted, method, phase, phase_source)
+    """Estimate the coefficients of an instrument: calibration.json, residuals.parquet, report.html.
+
+    Several runs of one instrument are calibrated together.
+    """
+    default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
+    directory = out or runs[0].with_name(default)
+    items = read_items(runs)
+    with progress("calibrating"):
+        calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
     written = write_results(calibration, output_directory(directory), report=report)
+    written += write_summaries(items, _names(terms), directory) if summary else []
     if as_json:
         from piga.records.calibration_json import to_document
 
@@ -49,17 +70,51 @@ def calibrate(
         say(f"wrote {path}")
 
 
-def run_calibration(
-    run: Path, terms: list[str] | None, method: str | None, phase: str | None, phase_source: str | None
-) -> Calibration:
-    """Read and calibrate, with progress."""
-    from piga.calibration import calibrate as estimate
+def _names(text: str | None) -> list[str] | None:
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def read_items(paths: list[Path]) -> list[Run | RunSummary]:
+    """The runs, and the summaries of runs, that the command names."""
+    from piga.calibration import RunSummary
     from piga.stand import read_run
 
     with progress("reading"):
-        record = read_run(run)
+        return [RunSummary.from_json(path) if path.suffix == ".json" else read_run(path) for path in paths]
+
+
+def _estimate(
+    items: list[Run | RunSummary],
+    terms: list[str] | None,
+    method: str | None,
+    phase: str | None,
+    phase_source: str | None,
+    per_run: list[str] | None,
+) -> Calibration:
+    from piga.calibration import calibrate as estimate
+
+    return estimate(items, terms, method, phase=phase, phase_source=phase_source, per_run=per_run)
+
+
+def run_calibration(
+    run: Path, terms: list[str] | None, method: str | None, phase: str | None, phase_source: str | None
+) -> Calibration:
+    """Read and calibrate one run, with progress."""
+    items = read_items([run])
     with progress("calibrating"):
-        return estimate(record, terms, method, phase=phase, phase_source=phase_source)
+        return _estimate(items, terms, method, phase, phase_source, None)
+
+
+def write_summaries(items: list[Run | RunSummary], terms: list[str] | None, directory: Path) -> list[Path]:
+    """Write the summary of every run whose data were read."""
+    from piga.calibration import RunSummary
+
+    written = []
+    for item in items:
+        if not isinstance(item, RunSummary):
+            summary = RunSummary.of(item, terms)
+            written.append(write_by_rename(directory / f"summary-{summary.name}.json", summary.to_json))
+    return written
 
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:

@@ -41,7 +41,7 @@ def compensate(
         str | None, typer.Option(help="Find the phase from this first time at rest, e.g. '60 s'.")
     ] = None,
     rate: Annotated[
-        str | None, typer.Option(help="Bring one run to this rate, e.g. '10 Hz'; no velocity is lost.")
+        str | None, typer.Option(help="Bring the result to this rate, e.g. '10 Hz'; no velocity is lost.")
     ] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
@@ -53,6 +53,13 @@ def compensate(
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: what 'output' is.")] = "angle",
     arrow: Annotated[
         bool, typer.Option("--arrow", help="Live stream: Arrow record batches instead of lines.")
+    ] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Keep whole parts beside --out; after a stop, go on from the last one (large files).",
+        ),
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
 ) -> None:
@@ -66,20 +73,18 @@ def compensate(
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
     several = len(run) > 1 or str(run[0]) == "-" or _is_triad(run[0])
-    if period is not None and several:
-        raise ArgumentError(
-            "--rate is for one recorded run", remedy="resample with piga.compensation.Resampler"
-        )
+    if period is not None and str(run[0]) == "-":
+        raise ArgumentError("--rate is for recorded runs", remedy="resample with piga.compensation.Resampler")
     if str(run[0]) == "-":
         _live(_one(calibrations), kind, given, arrow, uncertainty, max_age)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if several:
-        summary = _together(run, calibrations, out, uncertainty, max_age, force)
+        summary = _together(run, calibrations, out, uncertainty, max_age, force, period)
     else:
-        options = (method, given, rest, uncertainty, max_age, force, period)
-        summary = _single(run[0], _one(calibrations), out, *options)
+        options = (method, given, rest, uncertainty, max_age, force, period, resume)
+        summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, *options)
     if json:
         print_json({"file": str(out)} | summary)
         return
@@ -104,12 +109,14 @@ def _one(calibrations: list[Calibration]) -> Calibration:
 
 
 def _single(
-    run: Path, calibration: Calibration, out: Path, method: str | None, phase: Phase | None, rest: float | None,
-    uncertainty: bool, max_age: float | None, force: bool, period: float | None,
+    run: Path, calibration: Calibration, source: Path, out: Path, method: str | None, phase: Phase | None, rest: float | None,
+    uncertainty: bool, max_age: float | None, force: bool, period: float | None, resume: bool,
 ) -> dict[str, Any]:  # fmt: skip
+    from piga._version import __version__
     from piga.compensation import Resampler, identify_phase
     from piga.compensation import compensate as compensate_record
     from piga.compensation.file_to_file import FileSummary, compensate_file
+    from piga.compensation.parts import Parts, key_of
     from piga.compensation.writers import format_of, write_table
     from piga.records import read_run_file
     from piga.stand import read_run
@@ -123,16 +130,22 @@ def _single(
     )
     found = FileSummary()
     if large:
+        parts = None
+        if resume:
+            said = (method, phase, uncertainty, max_age, force, period, kind, __version__)
+            parts = Parts(out, key_of(said, [run, data, source]))
 
         def write(path: Path) -> None:
             nonlocal found
             with progress("compensating") as advance:
                 found = compensate_file(
                     run, calibration, path, kind, method=method, phase=phase, uncertainty=uncertainty,
-                    max_age_days=max_age, force=force, resampler=resampler, advance=advance,
+                    max_age_days=max_age, force=force, resampler=resampler, advance=advance, parts=parts,
                 )  # fmt: skip
 
         write_by_rename(out, write)
+        if parts is not None:
+            parts.remove()
         return {
             "rows": found.rows,
             "velocity_m_s": found.velocity,
@@ -167,30 +180,35 @@ def _together(
     uncertainty: bool,
     max_age: float | None,
     force: bool,
+    period: float | None,
 ) -> dict[str, Any]:
-    from piga.compensation import FLAGS, compensate_triad
+    from piga.compensation.set_files import compensate_set_files
     from piga.compensation.triad_file import orthogonal_triad, read_triad
-    from piga.compensation.writers import format_of, write_table
-    from piga.stand import read_run
+    from piga.compensation.writers import format_of
 
     kind = format_of(out)
     if len(runs) == 1:
-        records, mounted = read_triad(runs[0])
+        paths, mounted = read_triad(runs[0])
     elif len(runs) == len(calibrations) == 3:
-        records, mounted = (
-            [read_run(path, need_reference=False) for path in runs],
-            orthogonal_triad(calibrations),
-        )
+        paths, mounted = runs, orthogonal_triad(calibrations)
     else:
         raise ArgumentError(
             f"{len(runs)} runs with {len(calibrations)} calibrations: the mounting is not known",
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
-    result = compensate_triad(records, mounted, uncertainty=uncertainty, max_age_days=max_age, force=force)
-    write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
-    counts = {name: int(result.flagged(name).sum()) for name in FLAGS}
-    velocity = [float(v) for v in result.dv.sum(axis=0)]
-    return {"rows": result.size, "velocity_m_s": velocity, "flags": {k: v for k, v in counts.items() if v}}
+    found: dict[str, Any] = {}
+
+    def write(path: Path) -> None:
+        with progress("compensating") as advance:
+            found.update(
+                compensate_set_files(
+                    paths, mounted, path, kind, uncertainty=uncertainty, max_age_days=max_age, force=force,
+                    period=period, large=STREAM_BYTES, advance=advance,
+                )
+            )  # fmt: skip
+
+    write_by_rename(out, write)
+    return found
 
 
 def _live(

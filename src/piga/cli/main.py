@@ -8,7 +8,7 @@ import traceback
 import typer
 
 from piga._version import __version__
-from piga.cli import platform
+from piga.cli import certificate, platform, records, trend
 from piga.cli.calibrate import calibrate
 from piga.cli.check import check, convert
 from piga.cli.common import note
@@ -17,7 +17,7 @@ from piga.cli.demo import demo
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
-from piga.errors import PigaError
+from piga.errors import EXTRAS, PigaError, missing_package
 
 app = typer.Typer(
     name="piga",
@@ -48,6 +48,9 @@ def _options(
 for command in (demo, check, convert, calibrate, compensate, simulate, plan, reproduce):
     app.command()(command)
 app.add_typer(platform.app)
+trend.register(records.app)
+app.add_typer(records.app)
+app.add_typer(certificate.app)
 
 
 def main() -> None:
@@ -59,6 +62,12 @@ def main() -> None:
         sys.exit(2)
     except BrokenPipeError:
         sys.exit(0)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        note(f"piga: {missing_package(package)}")
+        sys.exit(2)
     except (KeyboardInterrupt, MemoryError) as error:
         note(f"piga: stopped ({type(error).__name__})")
         sys.exit(1)

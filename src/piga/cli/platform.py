@@ -85,9 +85,9 @@ def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
     """Identify misalignments, phases and harmonics: identification.json and a page."""
     from piga.reports.platform import identification_page
     from piga.stable_platform.chain import identified
-    from piga.stable_platform.identification import identify_recursively
     from piga.stable_platform.observability import observability
     from piga.stable_platform.output import identification_document
+    from piga.stable_platform.recursion import identify_recursively
 
     run = _simulated(scenario)
     s = run.scenario
@@ -106,7 +106,7 @@ def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
 @app.command()
 def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
     """Navigate with every model of the scenario: navigation-MODEL.parquet and a page."""
-    from piga.reports.platform import navigation_page
+    from piga.reports.platform_models import navigation_page
     from piga.stable_platform.output import navigation_table
 
     comparison = _compared(scenario)
@@ -146,7 +146,8 @@ def compare(
     if scatter is not None:
         document["scatter"] = scatter_document(scatter)
     if out is not None:
-        from piga.reports.platform import capstone_page, comparison_page
+        from piga.reports.platform_capstone import capstone_page
+        from piga.reports.platform_models import comparison_page
         from piga.stable_platform.capstone import capstone
 
         folder = output_directory(out)

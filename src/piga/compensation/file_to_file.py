@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from piga.compensation import parts as parts_module
 from piga.compensation.compensate import check_serial_names
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile, Piece
 from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase
+from piga.compensation.parts import Parts
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
 from piga.compensation.step import empty_step, init_state, run_kernel, work_array
@@ -44,6 +47,14 @@ class FileSummary:
             if count:
                 self.flags[name] = self.flags.get(name, 0) + count
 
+    def carried(self) -> dict[str, Any]:
+        """What has been counted, for :meth:`go_on`; repairs are counted again while reading."""
+        return {"rows": self.rows, "velocity": self.velocity, "flags": self.flags}
+
+    def go_on(self, carried: dict[str, Any]) -> None:
+        """Count on from there."""
+        self.rows, self.velocity, self.flags = carried["rows"], carried["velocity"], dict(carried["flags"])
+
 
 def compensate_file(
     run: Path,
@@ -58,10 +69,12 @@ def compensate_file(
     force: bool = False,
     resampler: Resampler | None = None,
     advance: Callable[[int], None] = lambda _rows: None,
+    parts: Parts | None = None,
 ) -> FileSummary:
     """Compensate the data of a run file into ``out`` (``kind``: parquet or csv), chunk by chunk.
 
-    With a ``resampler`` the rows are brought to its rate.
+    With a ``resampler`` the rows are brought to its rate. With ``parts`` the rows go there first, and those that
+    lie there already are not computed again; the result is the same to the bit.
 
     Raises
     ------
@@ -78,31 +91,80 @@ def compensate_file(
         return make_model(calibration, method=chosen, segment=label, phase=phase, flag=flag)
 
     stepper = _Stepper(source, model, uncertainty, needs_phase(calibration) and phase is None)
-    with TableWriter(out, kind) as writer, ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as pen:
-        pending: Future[None] | None = None
-        for piece in _ahead(source.pieces(), reader):
-            part = stepper.step(piece)
-            advance(part.size)
-            part = resampler.push_rows(part) if resampler else part
-            summary.add(part)
-            if pending is not None:
-                pending.result()
-            pending = pen.submit(writer.write, part.columns())
-        if pending is not None:
-            pending.result()
+    if parts is None:
+        with TableWriter(out, kind) as writer:
+            _work_off(_ahead(source.pieces()), stepper, writer, summary, resampler, advance, math.inf)
+    else:
+        _work_off_in_parts(source, stepper, parts, summary, resampler, advance)
+        with TableWriter(out, kind) as writer:
+            for columns in parts.rows():
+                writer.write(columns)
     if summary.rows == 0:
         raise DataError(f"{run}: no usable row", remedy="check the columns in [data]")
     summary.repairs = {name: count for name, count in source.found.items() if count}
     return summary
 
 
-def _ahead(items: Iterator[T], pool: ThreadPoolExecutor) -> Iterator[T]:
+def _work_off(
+    pieces: Iterator[Piece], stepper: _Stepper, writer: TableWriter, summary: FileSummary,
+    resampler: Resampler | None, advance: Callable[[int], None], most: float,
+) -> bool:  # fmt: skip
+    """Pieces to rows, ``most`` rows at least if there are so many; False when the pieces are at their end."""
+    pending: Future[None] | None = None
+    start = summary.rows
+    with ThreadPoolExecutor(1) as pen:
+        for piece in pieces:
+            part = stepper.step(piece)
+            advance(part.size)
+            part = resampler.push_rows(part) if resampler else part
+            summary.add(part)
+            if pending is not None:
+                pending.result()
+            pending = pen.submit(writer.write, part.columns()) if part.size else None
+            if summary.rows - start >= most:
+                _ = pending and pending.result()
+                return True
+        if pending is not None:
+            pending.result()
+    return False
+
+
+def _work_off_in_parts(
+    source: LargeFile, stepper: _Stepper, parts: Parts, summary: FileSummary, resampler: Resampler | None,
+    advance: Callable[[int], None],
+) -> None:  # fmt: skip
+    """Go on behind the last whole part: what it holds is read again, but not computed."""
+    pieces = _ahead(source.pieces())
+    carried = parts.carried()
+    if carried is not None:
+        for _ in range(carried["pieces"]):
+            advance(next(pieces).chunk.t.size)
+        stepper.go_on(carried["pieces"], carried["state"])
+        summary.go_on(carried["summary"])
+        if resampler is not None:
+            resampler.go_on(carried["resampler"])
+    more = carried is None or carried["more"]
+    while more:
+        with parts.writer() as writer:
+            more = _work_off(pieces, stepper, writer, summary, resampler, advance, parts_module.PART_ROWS)
+        if writer.rows == 0:
+            break
+        parts.keep(
+            {
+                "pieces": stepper.pieces, "state": stepper.state.tolist(), "summary": summary.carried(),
+                "resampler": resampler.carried() if resampler else None, "more": more,
+            }
+        )  # fmt: skip
+
+
+def _ahead(items: Iterator[T]) -> Iterator[T]:
     """The same items, the next one made on another thread while this one is used."""
     end = object()
-    future = pool.submit(next, items, end)
-    while (item := future.result()) is not end:
+    with ThreadPoolExecutor(1) as pool:
         future = pool.submit(next, items, end)
-        yield item  # type: ignore[misc]
+        while (item := future.result()) is not end:
+            future = pool.submit(next, items, end)
+            yield item  # type: ignore[misc]
 
 
 class _Stepper:
@@ -113,7 +175,12 @@ class _Stepper:
     ) -> None:
         self._source, self._model, self._uncertainty, self._coupled = source, model, uncertainty, coupled
         self._models: dict[str, Model] = {}
-        self._state, self._work = init_state(), work_array()
+        self.state, self._work = init_state(), work_array()
+        self.pieces = 0
+
+    def go_on(self, pieces: int, state: list[float]) -> None:
+        """Stand behind so many pieces."""
+        self.pieces, self.state = pieces, np.array(state)
 
     def step(self, piece: Piece) -> Compensated:
         """Compensate a piece."""
@@ -128,5 +195,6 @@ class _Stepper:
             model = self._models[piece.label] = self._model(piece.label)
         chunk = piece.chunk
         result = empty_step(chunk.t.size, self._uncertainty, flags=True)
-        run_kernel(model, self._state, chunk, self._source.kind, self._source.nominal, self._work, result)
+        run_kernel(model, self.state, chunk, self._source.kind, self._source.nominal, self._work, result)
+        self.pieces += 1
         return Compensated(chunk.t, result.ax, result.dv, result.u_ax, result.flags)

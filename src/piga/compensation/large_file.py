@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +21,12 @@ from piga.compensation.compensator import GAP
 from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.errors import DataError
 from piga.records.run_file import RunFile
-from piga.units import conversion_factor, offset_to_si, to_si
+from piga.records.stream import Chunk as RawChunk
+from piga.records.stream import open_stream
+from piga.records.visits import Visits
+from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 
 Array = NDArray[np.float64]
-
-CHUNK_ROWS = 1 << 16
-"""Rows of a chunk: about 5 MB while it is worked on."""
-BLOCK_BYTES = 8 << 20
 
 
 @dataclass(frozen=True)
@@ -69,126 +67,63 @@ class LargeFile:
                 turns = self._span * self._factor / (2.0 * np.pi)
                 self._keeps_phase = abs(turns - np.rint(turns)) < 1e-12
         self._last_t, self._last_reading, self._value = -np.inf, 0.0, 0.0
-        self._label: str | None = None
-        self._visits: Counter[str] = Counter()
+        self._segment: int | None = None
 
     @property
     def kind(self) -> str:
         """``"rate"`` or ``"angle"``."""
         return "rate" if self._kind == "rate" else "angle"
 
-    def columns(self) -> list[str]:
-        """Names of the columns read."""
-        data = self.run_file.data
-        assert data.reference is not None  # noqa: S101 - read_run_file refuses a run file without reference
-        names = [data.output.column, *data.reference.columns[1:]]
-        names += [data.time.column] if data.time else []
-        names += list(data.base_rate.columns) if data.base_rate else []
-        names += [data.temperature.column] if data.temperature else []
-        return names + ([data.segment] if data.segment else [])
-
     def pieces(self) -> Iterator[Piece]:
         """The samples in order."""
-        for table in self._tables():
-            yield from self._convert(table)
+        stream = open_stream(self.path.parent, self.run_file.data)
+        visits = Visits(stream.label_names)
+        for chunk in stream.chunks():
+            yield from self._convert(chunk, stream.units, visits)
+        for event in stream.events():
+            if event.kind != "missing-value":
+                self.found[event.kind] += event.count
 
-    def _tables(self) -> Iterator[Any]:
-        suffixes = [suffix.lower() for suffix in self._data_path.suffixes]
-        if suffixes[-1:] in ([".parquet"], [".pq"]):
-            yield from self._parquet()
+    def _convert(self, raw: RawChunk, units: dict[str, str], visits: Visits) -> Iterator[Piece]:
+        data = self.run_file.data
+        count = raw.rows.size
+
+        def column(name: str, unit: str, like: str) -> Array:
+            _check_unit(self._data_path, name, unit, units.get(name))
+            values = _inside(raw.numbers[name], (data.range or {}).get(name))
+            return np.asarray(
+                values * conversion_factor(unit, like) + (offset_to_si(unit) if like == "K" else 0.0)
+            )
+
+        if data.time is None:
+            t = np.arange(self.rows, self.rows + count) / to_si(data.sample_rate or 1.0, "Hz")
         else:
-            yield from self._text(compressed=suffixes[-1:] == [".gz"])
-
-    def _parquet(self) -> Iterator[Any]:
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        try:
-            with parquet.ParquetFile(self._data_path, pre_buffer=False, buffer_size=1 << 20) as source:
-                self._check_columns(source.schema_arrow.names)
-                yield from source.iter_batches(CHUNK_ROWS, columns=self.columns(), use_threads=False)
-        except FileNotFoundError:
-            raise DataError(
-                f"{self._data_path}: no such file", remedy="[data] file is relative to the run file"
-            ) from None
-        except (pa.ArrowException, OSError) as error:
-            raise DataError(
-                f"{self._data_path}: {str(error).splitlines()[0]}", remedy="export it again"
-            ) from None
-
-    def _text(self, *, compressed: bool) -> Iterator[Any]:
-        import pyarrow as pa
-        from pyarrow import csv
-
-        from piga.records.text_format import INFINITE, MISSING, SNIFF_BYTES, find_encoding, find_format
-
-        data = self.run_file.data
-        with pa.input_stream(str(self._data_path), compression="gzip" if compressed else None) as source:
-            raw = bytes(source.read(SNIFF_BYTES))
-        encoding = find_encoding(raw, self._data_path, data.encoding)
-        head = raw.decode(encoding, errors="ignore")
-        head = head[: head.rfind("\n") + 1] if len(raw) == SNIFF_BYTES else head
-        form = find_format(head, self._data_path, encoding, data.delimiter, data.decimal)
-        self._check_columns(list(form.names))
-        types = {name: pa.string() if name == data.segment else pa.float64() for name in self.columns()}
-        with pa.input_stream(str(self._data_path), compression="gzip" if compressed else None) as source:
-            try:
-                yield from csv.open_csv(
-                    source,
-                    csv.ReadOptions(
-                        column_names=list(form.names), skip_rows=form.skip, block_size=BLOCK_BYTES,
-                        encoding=encoding,
-                    ),
-                    csv.ParseOptions(delimiter=form.separator),
-                    csv.ConvertOptions(
-                        include_columns=list(types), column_types=types, null_values=[*MISSING, *INFINITE],
-                        decimal_point=form.decimal,
-                    ),
-                )  # fmt: skip
-            except pa.ArrowInvalid as error:
-                reason = str(error).splitlines()[0]
-                raise DataError(
-                    f"{self._data_path}: about row {self.rows}: {reason}", remedy="repair these rows"
-                ) from None
-
-    def _check_columns(self, names: list[str]) -> None:
-        for name in self.columns():
-            if name not in names:
-                raise DataError(
-                    f"{self._data_path}: no column '{name}'; the columns are: {', '.join(names)}",
-                    remedy="correct the column name in [data]",
-                )
-
-    def _convert(self, table: Any) -> Iterator[Piece]:
-        data = self.run_file.data
-        assert data.reference is not None  # noqa: S101 - see columns
-        count = table.num_rows
-        t = self._times(table, count)
-        reading = _numbers(table, data.output.column, 1.0)
-        like = conversion_factor(data.reference.unit, "m/s^2")
-        y, z = (_numbers(table, name, like) for name in data.reference.columns[1:])
-        omega = NO_RATES
+            t = column(data.time.column, data.time.unit, "s")
+        reading = _inside(raw.numbers[data.output.column], (data.range or {}).get(data.output.column))
+        names = data.reference.columns[1:] if data.reference else ()
+        force = [column(name, data.reference.unit, "m/s^2") for name in names if data.reference]
+        y, z = force if force else (np.zeros(count), np.zeros(count))
+        omega, warm = NO_RATES, NONE
         if data.base_rate is not None:
-            like = conversion_factor(data.base_rate.unit, "rad/s")
-            omega = np.column_stack([_numbers(table, name, like) for name in data.base_rate.columns])
-        warm = NONE
+            unit = data.base_rate.unit
+            omega = np.column_stack([column(name, unit, "rad/s") for name in data.base_rate.columns])
         if data.temperature is not None:
-            unit = data.temperature.unit
-            warm = _numbers(table, data.temperature.column, conversion_factor(unit, "K")) + offset_to_si(unit)
+            warm = column(data.temperature.column, data.temperature.unit, "K")
         self.rows += count
         keep = np.isfinite(t + reading + y + z)
         keep &= np.isfinite(omega).all(axis=1) if omega.size else True
         keep &= np.isfinite(warm) if warm.size else True
         steps = np.diff(t, prepend=self._last_t)
         repeated = keep & (steps == 0.0)
-        labels = table.column(data.segment) if data.segment else None
+        segment = None if raw.codes is None else visits.segment(raw.codes, raw.rows)
+        keep &= True if segment is None else segment >= 0
         if repeated.any() or not keep.all():
             self.found["missing-value"] += int(np.count_nonzero(~keep))
             self.found["repeated-time"] += int(np.count_nonzero(repeated))
             keep &= ~repeated
             t, reading, y, z = t[keep], reading[keep], y[keep], z[keep]
             omega, warm = omega[keep] if omega.size else omega, warm[keep] if warm.size else warm
-            labels = labels.filter(keep) if labels is not None else None
+            segment = None if segment is None else segment[keep]
             steps = np.diff(t, prepend=self._last_t)
         if t.size == 0:
             return
@@ -197,8 +132,8 @@ class LargeFile:
             self.nominal = float(np.median(forward)) if forward.size else 0.0
         begins = (steps <= 0.0) | (steps > GAP * self.nominal)
         first = not np.isfinite(self._last_t)
-        edges, names = self._segments(labels, t.size)
-        begins[edges[:-1][np.array([bool(name) for name in names])]] = True
+        edges, new = self._segments(segment, t.size)
+        begins[edges[:-1][new]] = True
         self.found["stretch"] += int(np.count_nonzero(begins))
         output = self._unwrapped(reading)
         self._last_t = float(t[-1])
@@ -213,41 +148,21 @@ class LargeFile:
             chunk = Chunk(
                 t[rows], output[rows], y[rows], z[rows], begins[rows], omega[rows], warm[rows], NONE
             )  # fmt: skip
-            yield Piece(
-                self._advance(names, edges, start), chunk, bool(np.any((lost >= start) & (lost < stop)))
-            )
+            label = "all" if segment is None else visits.names[int(segment[start])]
+            yield Piece(label, chunk, bool(np.any((lost >= start) & (lost < stop))))
 
-    def _times(self, table: Any, count: int) -> Array:
-        data = self.run_file.data
-        if data.time is None:
-            rate = to_si(data.sample_rate or 1.0, "Hz")
-            return np.arange(self.rows, self.rows + count) / rate
-        return _numbers(table, data.time.column, conversion_factor(data.time.unit, "s"))
-
-    def _segments(self, labels: Any, count: int) -> tuple[NDArray[np.int64], list[str | None]]:
-        """Edges of the runs of one label, and the new label where one begins (None: it goes on)."""
-        if labels is None:
-            new = "all" if self._label is None else None
-            self._label = "all"
-            return np.array([0, count]), [new]
-        encoded = labels.dictionary_encode()
-        codes = encoded.indices.to_numpy(zero_copy_only=False)
-        words = [str(word) for word in encoded.dictionary.to_pylist()]
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(codes)) + 1))
-        names: list[str | None] = []
-        for start in starts:
-            word = words[int(codes[start])]
-            names.append(None if word == self._label else word)
-            self._label = word
-        return np.append(starts, count), names
-
-    def _advance(self, names: list[str | None], edges: NDArray[np.int64], start: int) -> str:
-        """Name of the visit that a run belongs to: a label that comes back is ``label#2``."""
-        new = names[int(np.searchsorted(edges, start))]
-        if new is not None:
-            self._visits[new] += 1
-            self._current = new if self._visits[new] == 1 else f"{new}#{self._visits[new]}"
-        return self._current
+    def _segments(
+        self, segment: NDArray[np.int32] | None, count: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Edges of the parts in one segment, and whether each part begins one."""
+        if segment is None:
+            first, self._segment = self._segment is None, 0
+            return np.array([0, count]), np.array([first])
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(segment)) + 1))
+        new = np.ones(starts.size, dtype=np.bool_)
+        new[0] = self._segment != int(segment[0])
+        self._segment = int(segment[-1])
+        return np.append(starts, count), new
 
     def _unwrapped(self, reading: Array) -> Array:
         """Output in SI; a folded reading is unwrapped by the nearest turn, counted in its own unit."""
@@ -262,7 +177,20 @@ class LargeFile:
         return values * self._factor
 
 
-def _numbers(table: Any, name: str, factor: float) -> Array:
-    column = table.column(name)
-    values = np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)
-    return values if factor == 1.0 else values * factor
+def _inside(values: Array, limits: tuple[float, float] | None) -> Array:
+    """Values outside of their range are missing."""
+    if limits is None:
+        return values
+    return np.where((values >= limits[0]) & (values <= limits[1]), values, np.nan)
+
+
+def _check_unit(path: Path, column: str, declared: str, found: str | None) -> None:
+    """Compare the declared unit with the one in the data file where it has one."""
+    if found is None:
+        return
+    known, wanted = parse_unit(found), parse_unit(declared)
+    if known.dimension != wanted.dimension or known.factor != wanted.factor:
+        raise DataError(
+            f"{path}: column '{column}' is in '{found}' there, but in '{declared}' in the run file",
+            remedy="correct the one that is wrong",
+        )

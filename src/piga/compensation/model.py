@@ -30,7 +30,8 @@ class Phase:
 class Model:
     """One instrument for one phase: parameters by kernel index, harmonics, covariance factor, limits.
 
-    ``factor`` (coefficients, rank) times its transpose is the covariance of the coefficients ``codes``.
+    ``factor`` (rank, coefficients), upper triangular, times itself, transposed first, is the covariance of the
+    coefficients ``codes``.
     """
 
     parameters: Array
@@ -111,14 +112,22 @@ def needs_phase(calibration: Calibration) -> bool:
 
 
 def phases(calibration: Calibration) -> dict[str | None, Coefficient]:
-    """The phases a calibration holds, by segment (None: shared)."""
-    return {c.segment: c for c in calibration.coefficients if c.name == "phi"}
+    """The phases a calibration holds, by segment (None: shared); those of single runs by run and segment."""
+    return {
+        c.segment if c.run is None else f"run {c.owner}": c for c in calibration.coefficients if c.name == "phi"
+    }
 
 
 def _used_coefficients(
     calibration: Calibration, segment: str | None, phase: Phase | None
 ) -> tuple[Coefficient, ...]:
     shared = tuple(c for c in calibration.coefficients if c.name != "phi")
+    if any(c.run is not None for c in shared):
+        own = ", ".join(sorted({c.name for c in shared if c.run is not None}))
+        raise CalibrationError(
+            f"{own} differs between the runs of this joint calibration",
+            remedy=f"take it as one run sees it: Calibration.for_run('{calibration.runs[0].name}')",
+        )
     known = phases(calibration)
     if not known:
         if any(c.name == "tan_beta" for c in shared) and phase is None:
@@ -133,7 +142,7 @@ def _used_coefficients(
         return (*shared, known[None])
     if segment in known:
         return (*shared, known[segment])
-    have = ", ".join(str(name) for name in list(known)[:8])
+    have = ", ".join(str(c.owner) for c in list(known.values())[:8])
     wanted = "this record" if segment is None else f"segment '{segment}'"
     raise CalibrationError(
         f"the calibration holds no phase phi for {wanted} (it has per-segment phases: {have})",
@@ -153,7 +162,7 @@ def _code(name: str) -> int:
 def _covariance_factor(
     calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None
 ) -> tuple[NDArray[np.int64], Array]:
-    """Codes of the used coefficients and a factor of their covariance in SI, by eigenvectors."""
+    """Codes of the uncertain coefficients and a triangular factor of their covariance in SI."""
     index = {c.key: i for i, c in enumerate(calibration.coefficients)}
     count = len(used)
     matrix = np.zeros((count, count))
@@ -165,12 +174,18 @@ def _covariance_factor(
             matrix[i, i] = coefficient.std**2
     units = np.array([si_factor(c.name) for c in used])
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale[scale == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    spread = scale > 0.0
+    if np.count_nonzero(spread) > at.MOST_TERMS:
+        raise CalibrationError(
+            f"the calibration holds {np.count_nonzero(spread)} uncertain coefficients; {at.MOST_TERMS} at most are used",
+            remedy="leave terms out",
+        )
+    size = scale[spread]
+    values, vectors = np.linalg.eigh(matrix[np.ix_(spread, spread)] / np.outer(size, size))
     keep = values > 1e-12
-    factor = (vectors[:, keep] * np.sqrt(values[keep])) * (scale * units)[:, None]
-    codes = np.array([_code(c.name) for c in used], dtype=np.int64)
-    return codes, np.ascontiguousarray(factor)
+    root = (vectors[:, keep] * np.sqrt(values[keep])) * (size * units[spread])[:, None]
+    codes = np.array([_code(c.name) for c, some in zip(used, spread, strict=True) if some], dtype=np.int64)
+    return codes, np.ascontiguousarray(np.linalg.qr(root.T, mode="r"))
 
 
 def check_method(method: str | None, calibration: Calibration) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels import resample as kernels
 from piga.compensation.flags import FLAGS
 from piga.compensation.result import Compensated
+from piga.compensation.triad import CompensatedSet
 from piga.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -44,6 +46,18 @@ class Resampler:
         velocity, given = np.split(self._state[kernels.VELOCITY :], 2)
         return np.asarray(velocity - given)
 
+    def carried(self) -> dict[str, Any]:
+        """The state, for :meth:`go_on`."""
+        return {
+            "state": None if self._state is None else self._state.tolist(),
+            "marks": self._marks.tolist(),
+        }
+
+    def go_on(self, carried: dict[str, Any]) -> None:
+        """Go on from a state."""
+        self._state = None if carried["state"] is None else np.array(carried["state"])
+        self._marks = np.array(carried["marks"], dtype=np.int32)
+
     def push(self, t: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
         """Add increments ``dv`` (n,) or (n, 3) [m/s] since the sample before, at the times ``t`` (n,) [s].
 
@@ -72,6 +86,15 @@ class Resampler:
         times, dv, found = self._push(part.t, part.dv, flags)
         ax = np.where(found & FLAGS["no_increment"], np.nan, dv / self._period)
         return Compensated(times, ax, dv, np.zeros(0), found, part.serial, part.method)
+
+    def push_set(self, part: CompensatedSet) -> dict[str, NDArray]:
+        """Columns ``t, fx, fy, fz, dvx, dvy, dvz, flags`` of a set at the new rate, as :meth:`push_rows`."""
+        times, dv, found = self._push(part.t, part.dv, part.flags)
+        mean = np.where((found & FLAGS["no_increment"])[:, None], np.nan, dv / self._period)
+        columns: dict[str, NDArray] = {"t": times}
+        for prefix, values in (("f", mean), ("dv", dv)):
+            columns |= {prefix + axis: np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
+        return columns | {"flags": found}
 
     def _push(
         self, t: ArrayLike, dv: ArrayLike, flags: NDArray[np.int32] | None

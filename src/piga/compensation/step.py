@@ -83,12 +83,16 @@ def step(
         The instrument, from :func:`piga.compensation.model.make_model`.
     state:
         From :func:`init_state` or the step before; not changed.
+    chunk:
+        The samples, of the stretch that the state left, or beginning one.
     kind:
         ``"angle"`` or ``"rate"``.
     typical_step:
         Interval [s] taken for the noise of a rate sample that begins a stretch.
     uncertainty:
         Whether ``u_ax`` is computed.
+    work:
+        Scratch memory (:func:`work_array`) to be used again; None: its own.
 
     Returns
     -------

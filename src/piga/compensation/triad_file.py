@@ -10,9 +10,8 @@ import numpy as np
 from piga.compensation.model import Phase
 from piga.compensation.triad import Mounted
 from piga.errors import RunFileError
-from piga.records import Calibration, Run, read_toml
+from piga.records import Calibration, read_toml
 from piga.records.run_file import Quantity
-from piga.stand import read_run
 from piga.units import to_si
 
 Row = tuple[float, float, float]
@@ -49,15 +48,15 @@ def is_triad_file(path: Path) -> bool:
         return False
 
 
-def read_triad(path: Path) -> tuple[list[Run], list[Mounted]]:
-    """Records and mounted instruments of a triad file; file names are relative to it.
+def read_triad(path: Path) -> tuple[list[Path], list[Mounted]]:
+    """Run files and mounted instruments of a triad file; file names are relative to it.
 
     Raises
     ------
     RunFileError
         If the file is not valid.
-    DataError, CalibrationError
-        If a run or calibration it names cannot be read.
+    CalibrationError
+        If a calibration it names cannot be read.
     """
     file = read_toml(path, TriadFile)
     items = file.triad.instrument
@@ -65,7 +64,6 @@ def read_triad(path: Path) -> tuple[list[Run], list[Mounted]]:
         raise RunFileError(
             f"{path}: [[triad.instrument]] stands {len(items)} times", remedy="three or more are needed"
         )
-    records = [read_run(path.parent / item.run, need_reference=False) for item in items]
     mounted = [
         Mounted(
             Calibration.from_json(path.parent / item.calibration),
@@ -74,7 +72,7 @@ def read_triad(path: Path) -> tuple[list[Run], list[Mounted]]:
         )
         for item in items
     ]
-    return records, mounted
+    return [path.parent / item.run for item in items], mounted
 
 
 def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:

@@ -62,6 +62,15 @@ def schema_of(columns: Mapping[str, NDArray]) -> Any:
     return pa.schema(fields, metadata=metadata)
 
 
+def arrow_array(column: NDArray) -> Any:
+    """Arrow array over the memory of a column."""
+    import pyarrow as pa
+
+    values = np.ascontiguousarray(column)
+    kind = pa.int32() if values.dtype == np.int32 else pa.float64()
+    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
+
+
 class TableWriter:
     """Write rows to a Parquet or CSV file; a context manager.
 
@@ -81,7 +90,7 @@ class TableWriter:
 
         if self._writer is None:
             self._open(columns)
-        arrays = [pa.array(column) for column in columns.values()]
+        arrays = [arrow_array(column) for column in columns.values()]
         if self._kind == "csv":
             arrays = [_empty_where_nan(array) for array in arrays]
         batch = pa.Table.from_arrays(arrays, schema=self._schema)

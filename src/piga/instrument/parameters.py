@@ -73,7 +73,7 @@ class Instrument:
 
     @property
     def tan_beta(self) -> float:
-        """Tangent of ``beta`` [1]: the cross-coupling coefficient."""
+        """Tangent of ``beta``, the cross-coupling coefficient [1]."""
         return math.tan(self.beta)
 
 

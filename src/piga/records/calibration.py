@@ -5,7 +5,7 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json)."""
+    """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json).
+
+    ``segment`` and ``run`` say whose it is; None where it serves all of them.
+    """
 
     name: str
     value: float
     std: float
     unit: str
     segment: str | None = None
+    run: str | None = None
+
+    @property
+    def owner(self) -> str | None:
+        """``segment``, ``run`` or ``run:segment``; None for a coefficient of the instrument."""
+        parts = [part for part in (self.run, self.segment) if part is not None]
+        return ":".join(parts) if parts else None
 
     @property
     def key(self) -> str:
-        """``name`` or ``name[segment]``: the name used in the covariance."""
-        return self.name if self.segment is None else f"{self.name}[{self.segment}]"
+        """``name`` or ``name[owner]``: the name used in the covariance."""
+        return self.name if self.owner is None else f"{self.name}[{self.owner}]"
 
 
 @dataclass(frozen=True)
@@ -49,6 +59,22 @@ class Quality:
     used: int
     masked: int
     events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """Samples of the output that do not lie on its path: ``kind`` spike, stuck or jump.
+
+    ``time`` [s] and ``row`` (file row) of the first, ``samples`` left out (0 for a jump), ``size`` [rad, rad/s for
+    a rate log] of the largest miss, ``run`` in a joint calibration.
+    """
+
+    kind: str
+    time: float
+    row: int
+    samples: int
+    size: float
+    run: str | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +99,7 @@ class Residuals:
     ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle less the nominal uncoupled instrument,
     ``after`` [rad] less the fitted model; each stretch from its own mean (rates [rad/s] for a rate log).
     ``innovation`` [1] is the whitened residual: unit variance and white when model and noise levels are
-    right. ``segment`` is the segment index of each sample.
+    right. ``segment`` is the segment index of each sample, ``run`` that of its run in a joint calibration.
     """
 
     row: NDArray[np.int64]
@@ -84,6 +110,32 @@ class Residuals:
     after: Array
     innovation: Array
     segment: NDArray[np.int32]
+    run: NDArray[np.int32] | None = None
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run of a joint calibration: what it is, its own noise, residuals, quality and inputs.
+
+    ``raw`` is False when only its summary was at hand: its residual figures are then those of its own fit.
+    ``undetermined`` names the terms that this run alone cannot determine.
+    """
+
+    name: str
+    source: str
+    stand: str | None
+    phase: str
+    raw: bool
+    rows: int
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: Quality
+    undetermined: tuple[str, ...] = ()
+    input_sha256: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -129,12 +181,41 @@ class Calibration:
     time_reference: float = 0.0
     residuals: Residuals | None = None
     history: dict[str, Array] | None = None
+    runs: tuple[RunRecord, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
-            if coefficient.key == key or (coefficient.segment is None and coefficient.name == key):
+            if coefficient.key == key:
                 return coefficient
         raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")
+
+    def for_run(self, name: str) -> Calibration:
+        """The calibration as one run of a joint one sees it: common coefficients and its own, under plain names.
+
+        Raises
+        ------
+        CalibrationError
+            If there is no such run.
+        """
+        from piga.errors import CalibrationError
+
+        record = next((run for run in self.runs if run.name == name), None)
+        if record is None:
+            known = ", ".join(run.name for run in self.runs) or "none: it is a calibration of one run"
+            raise CalibrationError(f"the calibration has no run '{name}'", remedy=f"runs: {known}")
+        chosen = [i for i, c in enumerate(self.coefficients) if c.run in (None, name)]
+        return replace(
+            self,
+            coefficients=tuple(replace(self.coefficients[i], run=None) for i in chosen),
+            covariance=self.covariance[np.ix_(chosen, chosen)],
+            phase=record.phase,
+            angle_rms=record.angle_rms,
+            angle_random_walk=record.angle_random_walk,
+            budget=(),
+            residuals=None,
+            runs=(),
+        )
 
     def to_json(self, path: str | Path) -> None:
         """Write ``calibration.json`` (schema ``piga.calibration/1``)."""

@@ -14,10 +14,12 @@ from piga.errors import CalibrationError, UnitError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
-    from piga.records.calibration import Calibration
+    from piga.records.calibration import Calibration, Quality
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
+MOST_OUTLIERS = 10_000
+"""Outliers listed one by one; the events of the quality section count all of them."""
 
 
 class _Quantity(msgspec.Struct, frozen=True):
@@ -45,6 +47,7 @@ class _Coefficient(msgspec.Struct, frozen=True):
     std: float
     unit: str
     segment: str | None = None
+    run: str | None = None
 
 
 class _Covariance(msgspec.Struct, frozen=True):
@@ -94,6 +97,33 @@ class _Segment(msgspec.Struct, frozen=True):
     max_after: float
 
 
+class _Run(msgspec.Struct, frozen=True):
+    name: str
+    source: str
+    stand: str | None
+    phase: str
+    raw: bool
+    rows: int
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: _Quality
+    undetermined: tuple[str, ...] = ()
+    input_sha256: dict[str, str] = {}
+
+
+class _Outlier(msgspec.Struct, frozen=True):
+    kind: str
+    time: float
+    row: int
+    samples: int
+    size: float
+    run: str | None = None
+
+
 class _Provenance(msgspec.Struct, frozen=True):
     input_sha256: str | dict[str, str]
     software: str
@@ -116,6 +146,8 @@ class _Document(msgspec.Struct, frozen=True):
     degrees_of_freedom: float = math.inf
     diagnostics: dict[str, Any] = {}
     segments: tuple[_Segment, ...] = ()
+    runs: tuple[_Run, ...] = ()
+    outliers: tuple[_Outlier, ...] = ()
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -126,7 +158,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     def angle(value: float) -> dict[str, Any]:
         return {"value": value, "unit": unit}
 
-    return {
+    document: dict[str, Any] = {
         "schema": SCHEMA,
         "instrument": {
             "serial": c.serial,
@@ -143,6 +175,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "coefficients": [
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
             | ({"segment": k.segment} if k.name == "phi" else {})
+            | ({} if k.run is None else {"run": k.run})
             for k in c.coefficients
         ],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
@@ -167,12 +200,22 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "uncertainty_budget": list(c.budget),
         "provenance": msgspec.to_builtins(c.provenance),
     }
+    if c.runs:
+        document["runs"] = [msgspec.to_builtins(run) for run in c.runs]
+    if c.outliers:
+        document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[:MOST_OUTLIERS]]
+    return document
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
     """Write the record as JSON (UTF-8, indented, every float with all its digits)."""
+    path.write_bytes(calibration_to_bytes(calibration))
+
+
+def calibration_to_bytes(calibration: Calibration) -> bytes:
+    """The bytes of ``calibration.json``."""
     text = json.dumps(to_document(calibration), indent=1, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    return f"{text}\n".encode()
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -183,16 +226,35 @@ def read_calibration(path: Path) -> Calibration:
     CalibrationError
         If the file is missing, is no calibration record, or is of a newer schema.
     """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
+        ) from None
+    return calibration_from_bytes(raw, path)
+
+
+def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
+    """Read a record from the bytes of its file; ``path`` names it in messages.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
     from piga.records.calibration import (
         Calibration,
         Coefficient,
-        Event,
+        Outlier,
         Provenance,
-        Quality,
+        RunRecord,
         SegmentSummary,
     )
 
-    document = _decode(path)
+    document = _decode(raw, path)
     try:
         matrix = np.array(document.covariance.matrix, dtype=float)
     except ValueError:
@@ -209,7 +271,7 @@ def read_calibration(path: Path) -> Calibration:
         phase_source=document.model.phase_source,
         method=document.model.method,
         coefficients=tuple(
-            Coefficient(c.name, c.value, c.std, c.unit, c.segment) for c in document.coefficients
+            Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run) for c in document.coefficients
         ),
         covariance=matrix,
         degrees_of_freedom=document.degrees_of_freedom,
@@ -219,12 +281,7 @@ def read_calibration(path: Path) -> Calibration:
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,
         residual_max_after=document.residual.max_after.value,
-        quality=Quality(
-            document.quality.rows,
-            document.quality.used,
-            document.quality.masked,
-            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in document.quality.events),
-        ),
+        quality=_quality(document.quality),
         condition=math.inf
         if document.identifiability.condition is None
         else document.identifiability.condition,
@@ -240,14 +297,23 @@ def read_calibration(path: Path) -> Calibration:
         ),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
+        runs=tuple(
+            RunRecord(**{**msgspec.structs.asdict(run), "quality": _quality(run.quality)})
+            for run in document.runs
+        ),
+        outliers=tuple(Outlier(**msgspec.structs.asdict(outlier)) for outlier in document.outliers),
     )
 
 
-def _decode(path: Path) -> _Document:
+def _quality(found: _Quality) -> Quality:
+    from piga.records.calibration import Event, Quality
+
+    events = tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.events)
+    return Quality(found.rows, found.used, found.masked, events)
+
+
+def _decode(raw: bytes, path: Path) -> _Document:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
-        raw = path.read_bytes()
         kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
         if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
             raise CalibrationError(
@@ -259,10 +325,6 @@ def _decode(path: Path) -> _Document:
                 f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
             )
         return msgspec.json.decode(raw, type=_Document)
-    except OSError as error:
-        raise CalibrationError(
-            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
-        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CalibrationError(
             f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
@@ -278,9 +340,12 @@ def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
 
 def _check(path: Path, document: _Document, matrix: Any) -> None:
     """The parts must fit: names and units known, covariance square, symmetric and in the order of the names."""
+    from piga.records.calibration import Coefficient
     from piga.records.terms import check_name, unit_of
 
-    keys = tuple(c.name if c.segment is None else f"{c.name}[{c.segment}]" for c in document.coefficients)
+    keys = tuple(
+        Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run).key for c in document.coefficients
+    )
     for coefficient in document.coefficients:
         if not check_name(coefficient.name):
             raise CalibrationError(f"{path}: unknown coefficient '{coefficient.name}'", remedy="update piga")

@@ -55,6 +55,8 @@ def read_container(
 
     Parameters
     ----------
+    path:
+        The file.
     kind:
         One of :data:`SUFFIXES`.
     numeric, label:

@@ -34,6 +34,8 @@ def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
 
     Parameters
     ----------
+    path:
+        The file.
     numeric, label:
         ``name`` or ``group/name`` of a dataset, ``name(:,2)`` for a column of a matrix, or
         ``name/field`` for a field of a table.

@@ -26,6 +26,8 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
 
     Parameters
     ----------
+    path:
+        The file.
     numeric, label:
         ``name``, ``struct.field``, or ``name(:,2)`` for a column of a matrix.
 

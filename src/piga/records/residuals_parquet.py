@@ -12,7 +12,7 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
     """Write the residuals of a fresh calibration.
 
     Columns: ``row`` (file row), ``segment``, ``t`` [s], ``psi``, ``a_x``, ``before``, ``after`` and
-    ``innovation``.
+    ``innovation``; for a joint calibration also ``run``.
     """
     import pyarrow as pa
     from pyarrow import parquet
@@ -35,6 +35,9 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         "after": (pa.array(found.after), angle),
         "innovation": (pa.array(found.innovation), "1"),
     }
+    if found.run is not None:
+        names = pa.array([run.name for run in calibration.runs])
+        columns["run"] = (pa.DictionaryArray.from_arrays(pa.array(found.run), names), "1")
     fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
     schema = pa.schema(
         fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}

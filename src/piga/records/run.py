@@ -45,6 +45,9 @@ class Run:
         1-based row in the data file.
     resolution:
         Angle of one count [rad], 0 when the output is not counted.
+    left_out:
+        Samples whose output was found wrong, or None: their output holds what the model predicts, and no
+        increment ends in them.
     stand:
         The run file's ``[stand]`` table as written, for the uncertainty budget.
     """
@@ -67,6 +70,7 @@ class Run:
     model: ModelTable = field(default_factory=ModelTable)
     estimation: EstimationTable = field(default_factory=EstimationTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    left_out: NDArray[np.bool_] | None = None
     stand: dict[str, Any] | None = None
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)

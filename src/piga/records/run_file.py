@@ -20,7 +20,7 @@ Quantity = str | float | int
 
 PHASES = ("shared", "per-segment")
 PHASE_SOURCES = ("output", "input")
-METHODS = ("information", "rate", "recursive", "published")
+METHODS = ("information", "rate", "recursive", "published", "revolutions")
 
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -107,9 +107,13 @@ class ModelTable(Table, frozen=True):
 
 
 class EstimationTable(Table, frozen=True):
-    """``[estimation]``: method; noise levels when they are known; start of the published recursion."""
+    """``[estimation]``: method; noise levels when they are known; start of the published recursion.
 
-    method: Literal["information", "rate", "recursive", "published"] = "information"
+    ``per_run`` names the terms that may differ between the runs of a joint calibration.
+    """
+
+    method: Literal["information", "rate", "recursive", "published", "revolutions"] = "information"
+    per_run: tuple[str, ...] = ()
     angle_rms: Quantity | None = None
     angle_random_walk: Quantity | None = None
     x0: tuple[float, ...] | None = None
@@ -119,8 +123,11 @@ class EstimationTable(Table, frozen=True):
 class UncertaintyTable(Table, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
-    Those below ``temperature`` belong to particular stands and need the ``[stand]`` table.
+    Those below ``temperature`` belong to particular stands and need the ``[stand]`` table. ``reference_id``
+    names the device that the reference comes from: runs of one device share its errors.
     """
+
+    reference_id: str | None = None
 
     reference_scale: Quantity | None = None
     reference_bias: Quantity | None = None
@@ -143,7 +150,9 @@ class UncertaintyTable(Table, frozen=True):
         """The stand-specific entries that are given."""
         own = msgspec.structs.asdict(self)
         return {
-            name: value for name, value in own.items() if name not in UNCERTAINTY_UNITS and value is not None
+            name: value
+            for name, value in own.items()
+            if name not in UNCERTAINTY_UNITS and name != "reference_id" and value is not None
         }
 
 

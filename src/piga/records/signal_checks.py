@@ -144,6 +144,8 @@ def stopped_output(
         True where a stretch begins.
     per_step:
         Output units per (m/s^2) and second.
+    rows:
+        File row of each sample.
     """
     least, run = 0.05 * largest_size(a_x), LongestRun()
     for part in spans(t.size):

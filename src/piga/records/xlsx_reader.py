@@ -29,6 +29,10 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
 
     Parameters
     ----------
+    path:
+        The file.
+    numeric, label:
+        Names of the number columns and of the segment column.
     sheet:
         Name of the sheet; may be None when there is only one.
 

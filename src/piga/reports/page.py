@@ -159,10 +159,10 @@ def page_html(page: Page) -> str:
     from piga.reports.static import figure_svg
 
     figures = page.figures()
-    scripts = (_resource("assets", "plotly-basic.min.js"), _resource("templates", "page.js")) if figures else ()
-    return _template().render(
+    scripts = (resource("assets", "plotly-basic.min.js"), resource("templates", "page.js")) if figures else ()
+    return template("page.html.jinja").render(
         page=page,
-        css=_resource("templates", "page.css"),
+        css=resource("templates", "page.css"),
         light=css_variables(dark=False),
         dark=css_variables(dark=True),
         scripts=scripts,
@@ -206,17 +206,19 @@ def _digest(script: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def _resource(folder: str, name: str) -> str:
+def resource(folder: str, name: str) -> str:
+    """Text of a file that ships with this package."""
     return resources.files("piga.reports").joinpath(folder, name).read_text(encoding="utf-8")
 
 
-@lru_cache(maxsize=1)
-def _template() -> Any:
+@lru_cache(maxsize=4)
+def template(name: str) -> Any:
+    """A template of this package, ready to render: everything is escaped, unknown names are errors."""
     import jinja2
 
-    loader = jinja2.FunctionLoader(lambda name: _resource("templates", name))
+    loader = jinja2.FunctionLoader(lambda name: resource("templates", name))
     environment = jinja2.Environment(
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.tests["block"] = lambda block, kind: type(block).__name__ == kind
-    return environment.get_template("page.html.jinja")
+    return environment.get_template(name)

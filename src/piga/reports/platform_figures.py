@@ -1,18 +1,13 @@
-"""Figures of the platform as data: readouts, identification, alignment, models day by day, the capstone."""
+"""Figures of one platform run as data: readouts, recursive identification, gravity cone; what others share."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.stable_platform.alignment import Alignment
-from piga.stable_platform.analysis import spectrum
-from piga.stable_platform.capstone import Capstone
-from piga.stable_platform.chain import Comparison, ModelRun
-from piga.stable_platform.identification import Identification
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.simulate import Run
 from piga.units import ARCSEC
 
@@ -20,13 +15,6 @@ Array = NDArray[np.float64]
 
 DAY, HOUR, MINUTE = 86400.0, 3600.0, 60.0
 ARCMIN = 60.0 * ARCSEC
-MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
-_LABELS = {
-    "east_velocity": ("east velocity line", "m/s", 1.0),
-    "north_velocity": ("north velocity line", "m/s", 1.0),
-    "heading": ("heading line", "arcmin", ARCMIN),
-    "roll": ("roll line", "arcmin", ARCMIN),
-}
 
 
 def time_axis(span: float) -> tuple[Axis, float]:
@@ -37,192 +25,23 @@ def time_axis(span: float) -> tuple[Axis, float]:
     return Axis("time", "s"), 1.0
 
 
-def lines_figure(comparison: Comparison) -> Figure:
-    """Amplitude at the case-rotation period against the day, each model, with the theory dashed."""
-    panels = []
-    for name in ("east_velocity", "heading", "roll", "north_velocity"):
-        quantity, unit, scale = _LABELS[name]
-        series = []
-        for model, found in comparison.models.items():
-            role = MODEL_ROLES[model]
-            label = "no model" if model == "none" else f"model {model}"
-            series.append(
-                Series(found.lines.day, found.lines.amplitude[name] / scale, label, "line+points", role)
-            )
-            if model == "A" and found.theory is not None:
-                series.append(
-                    Series(
-                        found.theory.day,
-                        found.theory.amplitude[name] / scale,
-                        "theory, model A",
-                        "line",
-                        "reference",
-                        dashed=True,
-                    )
-                )
-        panels.append(Panel(Axis("day", "1"), Axis(quantity, unit, log=True), tuple(series)))
-    return Figure(
-        "fig-lines-per-day",
-        "What each model leaves at the case-rotation period",
-        tuple(panels),
-        "Amplitude fitted over each day. Model A grows with the redundancy angle as the theory "
-        "says; B follows it; "
-        "C removes the wobble as well.",
-        columns=2,
-        height=2.6,
-    )
+def model_name(model: str) -> str:
+    """What the pages call a compensation model."""
+    return "no model" if model == "none" else f"model {model}"
 
 
-def histories_figure(comparison: Comparison) -> Figure:
-    """Errors over the whole run: east velocity, heading, roll, horizontal position."""
-    times = next(iter(comparison.models.values())).errors.times
-    axis, unit = time_axis(float(times[-1]))
-    return _channels(
-        comparison,
-        slice(None),
-        axis,
-        unit,
-        "fig-histories",
-        "Navigation errors over the run",
-        "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
-        "errors are some hundred times larger and would hide these.",
-        0.0,
-        ("A", "B", "C"),
-    )
+def schuler_peak(times: Array, values: Array) -> Array:
+    """Largest value within 42 minutes either side."""
+    from scipy.ndimage import maximum_filter1d
+
+    return maximum_filter1d(values, size=max(1, round(84.4 * MINUTE / float(times[1] - times[0]))))
 
 
-def published_figure(comparison: Comparison) -> Figure:
-    """The last forty minutes, as the publication shows day ten: the oscillation left at the case period."""
-    times = next(iter(comparison.models.values())).errors.times
-    begin = max(0.0, float(times[-1]) - 40.0 * MINUTE)
-    part = slice(int(np.searchsorted(times, begin)), None)
-    return _channels(
-        comparison,
-        part,
-        Axis("time before the end", "min"),
-        MINUTE,
-        "fig-last-minutes",
-        "The last forty minutes",
-        "Means taken out. The period is that of the case rotation.",
-        float(times[-1]),
-        ("A", "B", "C"),
-    )
-
-
-def _channels(
-    comparison: Comparison,
-    part: slice,
-    axis: Axis,
-    unit: float,
-    key: str,
-    title: str,
-    caption: str,
-    origin: float,
-    only: Sequence[str] = ("none", "A", "B", "C"),
-) -> Figure:
-    shown = {m: r for m, r in comparison.models.items() if m in only} or dict(comparison.models)
-    rows: list[tuple[str, str, float]] = [
-        ("east velocity error", "m/s", 1.0),
-        ("heading error", "arcmin", ARCMIN),
-        ("roll error", "arcmin", ARCMIN),
-    ]
-    panels = []
-    for k, (quantity, name, scale) in enumerate(rows):
-        series = []
-        for model, run in shown.items():
-            e = run.errors
-            values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
-            values = values - values.mean() if origin else values
-            label = "no model" if model == "none" else f"model {model}"
-            series.append(Series((e.times[part] - origin) / unit, values, label, "line", MODEL_ROLES[model]))
-        panels.append(Panel(axis, Axis(quantity, name), tuple(series)))
-    return Figure(key, title, tuple(panels), caption, height=2.2)
-
-
-def position_figure(comparison: Comparison) -> Figure:
-    """Horizontal position error against time."""
-    times = next(iter(comparison.models.values())).errors.times
-    axis, unit = time_axis(float(times[-1]))
-    series = tuple(
-        Series(
-            run.errors.times / unit,
-            np.maximum(_schuler_peak(run.errors.times, run.errors.horizontal), 1e-9),
-            "no model" if m == "none" else f"model {m}",
-            "line",
-            MODEL_ROLES[m],
-        )
-        for m, run in comparison.models.items()
-    )
-    return Figure(
-        "fig-position",
-        "Horizontal position error",
-        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-        "Distance between where the navigator says it is and where it is; largest of 84 minutes.",
-    )
-
-
-def spectrum_figure(comparison: Comparison) -> Figure:
-    """Amplitude spectrum of the east velocity over the last day, with the lines to expect."""
-    s = comparison.run.scenario
-    series, low, high = [], np.inf, 0.0
-    for model, run in comparison.models.items():
-        part = run.errors.times > run.errors.times[-1] - DAY
-        frequency, amplitude = spectrum(run.errors.times[part], run.errors.velocity[part, 1])
-        keep = (frequency > 1.0 / (6.0 * HOUR)) & (frequency < 1.0 / 60.0)
-        amplitude = np.maximum(amplitude[keep], 1e-9)
-        low, high = min(low, float(np.percentile(amplitude, 10))), max(high, float(amplitude.max()))
-        label = "no model" if model == "none" else f"model {model}"
-        series.append(Series(1.0 / frequency[keep] / MINUTE, amplitude, label, "line", MODEL_ROLES[model]))
-    if s.polar_rotation.rate > 0.0:
-        period = 2.0 * np.pi / s.polar_rotation.rate / MINUTE
-        series.append(
-            Series([period, period], [low, 2.0 * high], "case rotation", "line", "reference", dashed=True)
-        )
-    panel = Panel(
-        Axis("period", "min", log=True), Axis("east velocity amplitude", "m/s", log=True), tuple(series)
-    )
-    return Figure(
-        "fig-spectrum",
-        "Spectrum of the east velocity, last day",
-        (panel,),
-        "Amplitude of a sine at each period (Hann window). The Schuler motion stands at 84 min.",
-    )
-
-
-def model_figure(run: ModelRun) -> Figure:
-    """Errors of one model over the run and over its last forty minutes."""
-    e = run.errors
-    axis, unit = time_axis(float(e.times[-1]))
-    late = e.times > e.times[-1] - 40.0 * MINUTE
-    name = run.compensator.model
-    named: tuple[tuple[str, Role], ...] = (("roll", "x"), ("pitch", "y"), ("heading", "z"))
-    panels = []
-    for part, ax, origin, scale in (
-        (np.ones_like(late), axis, 0.0, unit),
-        (late, Axis("time before the end", "min"), e.times[-1], MINUTE),
-    ):
-        x = (e.times[part] - origin) / scale
-        velocity = (
-            Series(x, e.velocity[part, 1], "east", "line", "x"),
-            Series(x, e.velocity[part, 0], "north", "line", "y"),
-        )
-        angles = tuple(
-            Series(x, e.attitude[part, k] / ARCMIN, label, "line", role)
-            for k, (label, role) in enumerate(named)
-        )
-        panels += [
-            Panel(ax, Axis("velocity error", "m/s"), velocity),
-            Panel(ax, Axis("attitude error", "arcmin"), angles),
-        ]
-    order = (panels[0], panels[2], panels[1], panels[3])
-    return Figure(
-        f"fig-model-{name}",
-        "No model" if name == "none" else f"Model {name}",
-        order,
-        "Left: the whole run. Right: its last forty minutes.",
-        columns=2,
-        height=2.4,
-    )
+def averaged(values: Array, over: int) -> Array:
+    """Running mean of ``values`` (n,) or (n, k) over ``over`` samples, (n - over + 1, ...)."""
+    start = values[:1]
+    total = np.cumsum(np.concatenate([0.0 * start, values - start]), axis=0)
+    return start + (total[over:] - total[:-over]) / over
 
 
 def readouts_figure(run: Run) -> Figure:
@@ -230,86 +49,66 @@ def readouts_figure(run: Run) -> Figure:
     r = run.readouts
     axis, unit = time_axis(float(r.times[-1]))
     early = slice(0, max(2, min(len(r.times), int(40.0 * MINUTE / r.step))))
+    minutes = Axis("time", "min")
     middle = 0.5 * (r.times[1:] + r.times[:-1])
     force = r.increments / r.step
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    first = r.gimbals[early]
+    angles = np.unwrap(r.gimbals, axis=0)
+    gimbals, axes = ("outer", "middle", "inner"), ("x", "y", "z")
+    over = 1 if run.truth.motion.at_rest else max(1, round(MINUTE / r.step))
+    close = "" if over == 1 else ", 1 min mean"
+    pickoff = np.stack([r.pickoff, run.truth.eta], axis=1) / ARCMIN
+    panels = (
+        _three(axis, Axis("specific force", "m/s^2"), middle / unit, force, axes),
+        _three(
+            minutes,
+            Axis(f"force{close}", "mm/s^2"),
+            *_course_out(middle[early], 1e3 * force[early], over),
+            axes,
+        ),
+        _three(axis, Axis("gimbal angle", "deg"), r.times / unit, np.degrees(angles), gimbals),
+        _three(
+            minutes,
+            Axis(f"gimbal{close}", "arcmin"),
+            *_course_out(r.times[early], angles[early] / ARCMIN, over),
+            gimbals,
+        ),
+        _pickoff(axis, r.times / unit, pickoff),
+        _pickoff(minutes, r.times[early] / MINUTE, pickoff[early]),
+    )
     return Figure(
         "fig-readouts",
         "What is read on the platform",
-        (
-            Panel(
-                axis,
-                Axis("specific force", "m/s^2"),
-                tuple(Series(middle / unit, force[:, k], "xyz"[k], "line", roles[k]) for k in range(3)),
-            ),
-            Panel(
-                Axis("time", "min"),
-                Axis("force less its start", "mm/s^2"),
-                tuple(
-                    Series(
-                        middle[early] / MINUTE,
-                        1e3 * (force[early, k] - force[0, k]),
-                        "xyz"[k],
-                        "line",
-                        roles[k],
-                    )
-                    for k in range(3)
-                ),
-            ),
-            Panel(
-                axis,
-                Axis("gimbal angle", "deg"),
-                tuple(
-                    Series(r.times / unit, np.degrees(np.unwrap(r.gimbals[:, k])), n, "line", roles[k])
-                    for k, n in enumerate(("outer", "middle", "inner"))
-                ),
-            ),
-            Panel(
-                Axis("time", "min"),
-                Axis("gimbal less its course", "arcmin"),
-                tuple(
-                    Series(
-                        r.times[early] / MINUTE,
-                        _flattened(r.times[early], np.unwrap(first[:, k])) / ARCMIN,
-                        n,
-                        "line",
-                        roles[k],
-                    )
-                    for k, n in enumerate(("outer", "middle", "inner"))
-                ),
-            ),
-            Panel(
-                axis,
-                Axis("pick-off", "arcmin"),
-                (
-                    Series(r.times / unit, r.pickoff / ARCMIN, "read", "line", "data"),
-                    Series(r.times / unit, run.truth.eta / ARCMIN, "redundancy angle", "line", "model"),
-                ),
-            ),
-            Panel(
-                Axis("time", "min"),
-                Axis("pick-off", "arcmin"),
-                (
-                    Series(r.times[early] / MINUTE, r.pickoff[early] / ARCMIN, "read", "line", "data"),
-                    Series(
-                        r.times[early] / MINUTE,
-                        run.truth.eta[early] / ARCMIN,
-                        "redundancy angle",
-                        "line",
-                        "model",
-                    ),
-                ),
-            ),
+        panels,
+        "Left: the whole run. Right: the first minutes, force and gimbal angles less a parabola, so that what "
+        "turns with the cases shows"
+        + (
+            "."
+            if over == 1
+            else "; averaged over a minute, so that the motion of the vehicle does not hide it."
         ),
-        "Left: the whole run. Right: the first minutes, where the misalignment turns with the cases.",
         columns=2,
         height=2.4,
     )
 
 
-def _flattened(t: Array, values: Array) -> Array:
-    return values - np.polyval(np.polyfit(t - t.mean(), values, 2), t - t.mean())
+def _three(x: Axis, y: Axis, at: Array, values: Array, labels: tuple[str, str, str]) -> Panel:
+    """Three columns against one axis of time, in the colours of the axes."""
+    roles: tuple[Role, ...] = ("x", "y", "z")
+    return Panel(x, y, tuple(Series(at, values[:, k], labels[k], "line", roles[k]) for k in range(3)))
+
+
+def _pickoff(x: Axis, at: Array, values: Array) -> Panel:
+    read = Series(at, values[:, 0], "read", "line", "data")
+    true = Series(at, values[:, 1], "redundancy angle", "line", "model")
+    return Panel(x, Axis("pick-off", "arcmin"), (read, true))
+
+
+def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
+    """Time [min] and columns of ``values`` (n, 3), averaged over ``over`` samples and freed of a parabola."""
+    t, mean = averaged(times, over), averaged(values, over)
+    basis = np.polynomial.polynomial.polyvander((t - t.mean()) / (t[-1] - t[0]), 2)
+    fitted, *_ = np.linalg.lstsq(basis, mean, rcond=None)
+    return t / MINUTE, mean - basis @ fitted
 
 
 def convergence_figure(found: Identification) -> Figure:
@@ -327,14 +126,12 @@ def convergence_figure(found: Identification) -> Figure:
             y, s = (values[late, at + k] - last[k]) / ARCSEC, 1.96 * stds[late, at + k] / ARCSEC
             series.append(Series(t[late], -s, "95 % band" if k == 0 else "", "band", "muted", upper=s))
             series.append(Series(t[late], y, f"m {'cos' if k == 0 else 'sin'}(phase)", "line", role))
-        panels.append(
-            Panel(Axis("time", "min"), Axis(f"{title}: estimate less its end", "arcsec"), tuple(series))
-        )
+        panels.append(Panel(Axis("time", "min"), Axis(f"{title}, off its end", "arcsec"), tuple(series)))
     return Figure(
         "fig-convergence",
         "Recursive identification",
         tuple(panels),
-        "Estimates sample by sample; the band is the filter's own 95 % interval.",
+        "Estimates sample by sample, less the last one; the band is the filter's own 95 % interval.",
         columns=2,
         height=2.6,
     )
@@ -370,107 +167,3 @@ def cone_figure(run: Run, aligned: Alignment) -> Figure:
         "On a platform fixed in inertial space gravity runs once round this cone in a sidereal "
         "day; the measured arc gives the Earth's axis.",
     )
-
-
-def force_day_figure(found: Capstone) -> Figure:
-    """Specific force along each input axis over a sidereal day, with the locked zone marked."""
-    times, along = found.day
-    sensors = found.scenario.sensors.piga
-    width = 9.8 * (sensors.tan_beta if sensors else 0.0)
-    roles: tuple[Role, ...] = ("x", "y", "z")
-    panel = Panel(
-        Axis("time", "h"),
-        Axis("force along the input axis", "m/s^2"),
-        (
-            *(Series(times / HOUR, along[:, k], f"instrument {k + 1}", "line", roles[k]) for k in range(3)),
-            Series([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "line", "warning", dashed=True),
-        ),
-    )
-    return Figure(
-        "fig-day",
-        "Gravity sweeps through every input axis",
-        (panel,),
-        "Three axes at right angles round the pole. Each crosses zero twice a day, "
-        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it.",
-    )
-
-
-def passage_figure(found: Capstone) -> Figure | None:
-    """One passage through the locked zone: true force, raw output, solved output."""
-    p = found.passage
-    if p is None:
-        return None
-    minutes = (p.times - p.times[0]) / MINUTE
-    centre = 1e3
-    return Figure(
-        "fig-passage",
-        f"Instrument {p.instrument + 1} passes its locked zone",
-        (
-            Panel(
-                Axis("time", "min"),
-                Axis("force along the input axis", "mm/s^2"),
-                (
-                    Series(
-                        minutes,
-                        -p.half_width * centre * np.ones_like(minutes),
-                        "locked zone",
-                        "band",
-                        "warning",
-                        upper=p.half_width * centre * np.ones_like(minutes),
-                    ),
-                    Series(minutes, p.true * centre, "true", "line", "reference", dashed=True),
-                    Series(minutes, p.raw * centre, "raw output", "line", "before"),
-                ),
-            ),
-            Panel(
-                Axis("time", "min"),
-                Axis("error of the reading", "mm/s^2"),
-                (
-                    Series(minutes, (p.raw - p.true) * centre, "raw output", "line", "before"),
-                    Series(minutes, (p.triad - p.true) * centre, "triad solved", "line", "after"),
-                ),
-            ),
-        ),
-        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else "
-        "averaged over each turn, keeps one sign for minutes. Solving the three instruments with "
-        "their effective axes gives the force back.",
-        height=2.6,
-    )
-
-
-def capstone_figure(found: Capstone) -> Figure:
-    """Horizontal position error over the run for every reading."""
-    looks: dict[str, tuple[Role, bool]] = {
-        "ideal": ("reference", True),
-        "raw tripod": ("before", False),
-        "raw skewed": ("warning", False),
-        "triad": ("after", False),
-        "triad skewed": ("model", True),
-        "triad, calibrated": ("z", True),
-    }
-    axis, unit = time_axis(float(found.scenario.duration))
-    series = tuple(
-        Series(
-            o.errors.times / unit,
-            np.maximum(_schuler_peak(o.errors.times, o.errors.horizontal), 1e-4),
-            name,
-            "line",
-            looks[name][0],
-            dashed=looks[name][1],
-        )
-        for name, o in found.outcomes.items()
-    )
-    return Figure(
-        "fig-capstone",
-        "Ten days with three gyro accelerometers",
-        (Panel(axis, Axis("horizontal position error", "m", log=True), series),),
-        "Largest error within each 84 minutes.",
-        height=3.6,
-    )
-
-
-def _schuler_peak(times: Array, values: Array) -> Array:
-    """Largest value within 42 minutes either side."""
-    from scipy.ndimage import maximum_filter1d
-
-    return maximum_filter1d(values, size=max(1, round(84.4 * MINUTE / float(times[1] - times[0]))))

@@ -95,7 +95,7 @@ def series_key(figure: Figure, panel: int, series: int) -> str:
 
 
 def figure_svg(figure: Figure, *, width: float = WIDTH) -> str:
-    """The figure as an SVG element to be put into a page: text stays text, colours follow the page's theme."""
+    """The figure as an SVG element, ``width`` [inch], for a page: text stays text, colours follow its theme."""
     buffer = io.StringIO()
     with _style(figure, "none"):
         _drawn(figure, width).savefig(buffer, format="svg", metadata=_NO_METADATA["svg"])
@@ -104,6 +104,8 @@ def figure_svg(figure: Figure, *, width: float = WIDTH) -> str:
 
 def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int = 300) -> Path:
     """Write the figure as ``.svg``, ``.pdf`` or ``.png`` with its letters as outlines or embedded fonts.
+
+    ``width`` [inch]; ``dpi`` counts for ``.png``.
 
     Raises
     ------

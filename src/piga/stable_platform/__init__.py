@@ -11,10 +11,12 @@ from piga.stable_platform.capstone import Capstone, capstone
 from piga.stable_platform.chain import Comparison, compare, prepare, run_model
 from piga.stable_platform.error_model import Perturbation, linear_errors
 from piga.stable_platform.geometry import nulled_attitude, small_angle_attitude, small_angles
-from piga.stable_platform.identification import Identification, identify, identify_recursively
+from piga.stable_platform.identification import identify
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.models import Compensator, Knowledge, compensator, true_knowledge
 from piga.stable_platform.navigation import Navigation, Navigator, Start, errors, navigate
 from piga.stable_platform.observability import observability
+from piga.stable_platform.recursion import identify_recursively
 from piga.stable_platform.scenario import Scenario, load_scenario
 from piga.stable_platform.simulate import Readouts, Run, simulate
 

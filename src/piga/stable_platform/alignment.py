@@ -7,13 +7,13 @@ attitude and drift and the base's attitude; each alone lacks one angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.stable_platform.estimate import Group, Solution, noise_levels, solve
+from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
+from piga.stable_platform.estimate import Group, solve_with_noise
 from piga.stable_platform.geodesy import geodetic_to_earth, local_axes, specific_force_at_rest
 from piga.stable_platform.models import Knowledge
 from piga.stable_platform.navigation import Start, site_start
@@ -55,21 +55,23 @@ class Alignment:
     @property
     def triad_vector(self) -> Array:
         """Rotation vector (3,) [rad] from inertial axes to the triad."""
-        from piga.frames import matrix_to_rotation_vector
-
         return matrix_to_rotation_vector(self.triad)
 
     @property
     def base_angles(self) -> Array:
         """Roll, pitch, heading (3,) [rad] of the base."""
-        c = self.base
-        return np.array(
-            [
-                np.arctan2(c[2, 1], c[2, 2]),
-                np.arcsin(np.clip(-c[2, 0], -1.0, 1.0)),
-                np.arctan2(c[1, 0], c[0, 0]),
-            ]
-        )
+        return _angles(self.base)
+
+    @property
+    def base_stds(self) -> Array:
+        """Standard uncertainties of roll, pitch, heading (3,) [rad]."""
+        to_level = local_axes(self.place.latitude, self.place.longitude).T
+        jacobian = np.empty((3, 3))
+        for k, turn in enumerate(1e-6 * to_level.T):
+            ahead, behind = (rotation_vector_to_matrix(sign * turn) @ self.base for sign in (1.0, -1.0))
+            difference = _angles(ahead) - _angles(behind)
+            jacobian[:, k] = (np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) / 2e-6
+        return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
 
     def start(self, *, with_drift: bool) -> Start:
         """Start of the navigation at the known place, with the drift found taken out or not."""
@@ -77,8 +79,14 @@ class Alignment:
         return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
 
 
+def _angles(base: Array) -> Array:
+    """Roll, pitch, heading (3,) [rad] of ``C_b^n``."""
+    pitch = np.arcsin(np.clip(-base[2, 0], -1.0, 1.0))
+    return np.array([np.arctan2(base[2, 1], base[2, 2]), pitch, np.arctan2(base[1, 0], base[0, 0])])
+
+
 def align(
-    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 4
+    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5
 ) -> Alignment:
     """Align on a record of a base at rest at a known place, misalignments being known.
 
@@ -97,14 +105,10 @@ def align(
         eta0=known.eta0,
         eta_rate=known.eta_rate,
     )
-    levels: list[float] | None = None
     for _ in range(iterations):
-        groups = _groups(x, readouts, force, levels)
-        solution = solve(groups, UNKNOWNS)
-        levels = noise_levels([_reduced(g, solution) for g in groups], len(UNKNOWNS))
+        parts = [group.reduced() for group in _groups(x, readouts, force)]
+        solution = solve_with_noise(parts, UNKNOWNS)
         x = _moved(x, solution.step)
-    groups = _groups(x, readouts, force, levels)
-    solution = solve(groups, UNKNOWNS)
     to_level = local_axes(place.latitude, place.longitude).T
     return Alignment(
         place=place,
@@ -112,21 +116,20 @@ def align(
         drift=x.drift,
         base=to_level @ x.base,
         covariance=solution.covariance,
-        noise={g.name: g.sigma for g in groups},
-        rms={g.name: float(np.sqrt(np.mean(g.residual**2))) for g in groups},
+        noise={part.name: level for part, level in zip(parts, solution.levels, strict=True)},
+        rms={part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts},
         condition=solution.condition,
     )
 
 
-def _groups(x: Unknowns, readouts: Readouts, force: Array, levels: Sequence[float] | None) -> list[Group]:
+def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[Group]:
     slow = len(names(len(x.polar.cosines))) - 8
-    angle, by_angle, _, _ = gimbal_rows(x, readouts)
+    angle, by_angle = gimbal_rows(x, readouts)
     felt, by_force = force_rows(x, readouts, force)
-    groups = [
+    return [
         Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
         Group("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
     ]
-    return groups if levels is None else [replace(g, sigma=s) for g, s in zip(groups, levels, strict=True)]
 
 
 def _with_third(columns: Array, x: Unknowns) -> Array:
@@ -136,12 +139,6 @@ def _with_third(columns: Array, x: Unknowns) -> Array:
     return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)
 
 
-def _reduced(group: Group, solution: Solution) -> Group:
-    return replace(group, residual=group.residual - group.regressors @ solution.step)
-
-
 def _moved(x: Unknowns, step: Array) -> Unknowns:
-    from piga.frames import rotation_vector_to_matrix
-
     moved = x.moved(np.concatenate([np.zeros(len(names(len(x.polar.cosines))) - 8), step[:8]]))
     return replace(moved, base=rotation_vector_to_matrix(np.array([0.0, 0.0, step[8]])) @ moved.base)

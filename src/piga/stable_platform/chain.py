@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from piga.stable_platform.alignment import Alignment, align
 from piga.stable_platform.analysis import CHANNELS, Lines, daily_lines, day_slices, theory_lines
-from piga.stable_platform.identification import MOVING_SOURCES, STATIC_SOURCES, Identification, identify
+from piga.stable_platform.identification import identify
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.models import Compensator, Knowledge, compensator, true_knowledge
 from piga.stable_platform.navigation import Errors, Navigation, Start, errors, navigate, true_start
 from piga.stable_platform.scenario import Model, Scenario
 from piga.stable_platform.simulate import Run, simulate
+from piga.stable_platform.sources import MOVING_SOURCES, STATIC_SOURCES
 
 Array = NDArray[np.float64]
 

@@ -18,41 +18,58 @@ _SMALLEST_SIGMA = 1e-12
 
 @dataclass(frozen=True)
 class Group:
-    """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p), ``sigma``.
+    """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p).
 
-    ``rows`` counts independent rows: fewer than n when the rows are filtered; 0 stands for n.
+    ``rows`` counts independent rows: fewer than n where something was taken out of them; 0 stands for n.
     """
 
     name: str
     residual: Array
     regressors: Array
-    sigma: float = 1.0
     rows: float = 0.0
 
-    def count(self) -> float:
-        """Independent rows."""
-        return self.rows or float(len(self.residual))
+    def reduced(self) -> Reduced:
+        """Triangular factor (p + 1, p + 1) of ``[regressors | residual]``: all that an estimate needs."""
+        table = np.column_stack([self.regressors, self.residual])
+        factor: Array = np.linalg.qr(table, mode="r")  # type: ignore[assignment]
+        return Reduced(self.name, factor, self.rows or float(len(self.residual)))
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A group reduced to its triangular ``factor`` (p + 1, p + 1) and the number of independent rows."""
+
+    name: str
+    factor: Array
+    rows: float
+
+    def squares(self, step: Array) -> float:
+        """Sum of squares that the residuals have after ``step`` (p,)."""
+        left = self.factor[:, -1] - self.factor[:, :-1] @ step
+        return float(left @ left)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A least-squares step (p,), its covariance (p, p) and the condition of the scaled problem."""
+    """A least-squares step (p,), its covariance (p, p), the condition of the scaled problem, noise levels."""
 
     step: Array
     covariance: Array
     condition: float
+    levels: tuple[float, ...]
 
 
-def solve(groups: Sequence[Group], names: Sequence[str]) -> Solution:
-    """Weighted least squares by orthogonal reduction.
+def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str]) -> Solution:
+    """Weighted least squares with the noise ``levels`` (standard deviations) of the groups.
 
     Raises
     ------
     IdentifiabilityError
         If a combination of unknowns does not show in the rows; the message names it.
     """
-    factor = reduced(groups)
     p = len(names)
+    stacked = np.concatenate([part.factor / level for part, level in zip(parts, levels, strict=True)])
+    factor: Array = np.linalg.qr(stacked, mode="r")  # type: ignore[assignment]
     norms = np.linalg.norm(factor[:p, :p], axis=0)
     norms[norms == 0.0] = 1.0
     left, values, right = np.linalg.svd(factor[:p, :p] / norms)
@@ -62,28 +79,36 @@ def solve(groups: Sequence[Group], names: Sequence[str]) -> Solution:
             remedy="use another source of observation, a longer record or unequal case speeds",
         )
     inverse = (right.T / values) @ left.T / norms[:, None]
-    return Solution(inverse @ factor[:p, p], inverse @ inverse.T, float(values[0] / values[-1]))
+    condition = float(values[0] / values[-1])
+    return Solution(inverse @ factor[:p, p], inverse @ inverse.T, condition, tuple(levels))
 
 
-def reduced(groups: Sequence[Group]) -> Array:
-    """Triangular factor of the weighted rows ``[regressors | residual]``."""
-    parts = [np.column_stack([g.regressors, g.residual]) / g.sigma for g in groups]
-    factor: Array = np.linalg.qr(np.concatenate(parts), mode="r")  # type: ignore[assignment]
-    return factor
+def noise_levels(parts: Sequence[Reduced], solution: Solution) -> list[float]:
+    """Standard deviation of each group from its residuals after the step of ``solution``.
 
-
-def noise_levels(groups: Sequence[Group], unknowns: int) -> list[float]:
-    """Standard deviation of each group from its residuals, degrees of freedom shared by independent rows.
-
-    For filtered rows this is the level of white noise that would leave as much inside the filter's band,
-    which is what the scatter of the unknowns depends on.
+    Each group loses the degrees of freedom that its own rows gave to the estimate: the sum of their
+    leverages, ``trace(J C J') / sigma^2``.
     """
-    total = sum(g.count() for g in groups)
     levels = []
-    for g in groups:
-        freedom = max(g.count() * (1.0 - unknowns / total), 1.0)
-        levels.append(max(float(np.sqrt(np.sum(g.residual**2) / freedom)), _SMALLEST_SIGMA))
+    for part, level in zip(parts, solution.levels, strict=True):
+        rows = part.factor[:, :-1] / level
+        leverage = float(np.sum((rows @ solution.covariance) * rows))
+        freedom = max(part.rows - leverage, 1.0)
+        levels.append(max(float(np.sqrt(part.squares(solution.step) / freedom)), _SMALLEST_SIGMA))
     return levels
+
+
+def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> Solution:
+    """Weighted least squares with noise levels found from the residuals of the same rows."""
+    levels = [max(float(np.linalg.norm(p.factor[:, -1]) / np.sqrt(p.rows)), _SMALLEST_SIGMA) for p in parts]
+    solution = solve(parts, levels, names)
+    for _ in range(20):
+        found = noise_levels(parts, solution)
+        settled = np.allclose(found, solution.levels, rtol=1e-4, atol=0.0)
+        solution = solve(parts, found, names)
+        if settled:
+            break
+    return solution
 
 
 def in_words(direction: Array, names: Sequence[str]) -> str:

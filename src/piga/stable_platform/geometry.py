@@ -78,16 +78,15 @@ def gimbal_attitude(gimbals: ArrayLike) -> Array:
     return axis_turn(2, g[..., 2]) @ axis_turn(1, g[..., 1]) @ axis_turn(2, g[..., 0])
 
 
-def gimbal_rates(gimbals: ArrayLike) -> Array:
-    """Matrix ``B`` (..., 3, 3): a change of gimbal angles turns P by ``B d(gimbals)`` in P axes [rad]."""
-    g = np.asarray(gimbals, dtype=float)
-    st, ct, ss, cs = np.sin(g[..., 1]), np.cos(g[..., 1]), np.sin(g[..., 2]), np.cos(g[..., 2])
-    zero, one = np.zeros_like(st), np.ones_like(st)
-    return np.stack(
-        [
-            np.stack([-st * cs, ss, zero], axis=-1),
-            np.stack([st * ss, cs, zero], axis=-1),
-            np.stack([ct, zero, one], axis=-1),
-        ],
-        axis=-2,
-    )
+def turns_to_gimbals(gimbals: ArrayLike, turn: Array) -> Array:
+    """Changes of the gimbal angles (n, 3, p) [rad] that turn P by ``turn`` (n, 3, p) [rad] about its own axes.
+
+    ``d theta`` is the turn about the middle axis, ``d psi`` that about the outer one, ``d sigma`` the rest.
+    """
+    g = np.asarray(gimbals, dtype=float)[..., None]
+    st, ct, ss, cs = np.sin(g[:, 1]), np.cos(g[:, 1]), np.sin(g[:, 2]), np.cos(g[:, 2])
+    out = np.empty_like(turn)
+    out[:, 0] = (ss * turn[:, 1] - cs * turn[:, 0]) / st
+    out[:, 1] = ss * turn[:, 0] + cs * turn[:, 1]
+    out[:, 2] = turn[:, 2] - ct * out[:, 0]
+    return out

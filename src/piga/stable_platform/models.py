@@ -86,6 +86,10 @@ def compensator(
     model:
         ``none``; ``A`` redundancy angle held at ``known.eta0``; ``B`` followed; ``C`` followed and with
         the harmonics of the misalignments [He2014 for A and B; C is this project's own].
+    known:
+        Misalignments, phases and redundancy angle that are to be removed.
+    readouts:
+        The run; gives the pick-off and the times.
     redundancy:
         Where B and C take the redundancy angle from: ``pick-off`` or ``drift-model`` (``eta0 + rate t``).
     """

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piga import earth
 from piga.stable_platform.estimate import in_words
-from piga.stable_platform.identification import Identification
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.observation import Tip, Unknowns, misalignment_regressors
 from piga.stable_platform.simulate import Readouts
 from piga.units import ARCSEC
@@ -24,7 +25,8 @@ _SEPARABLE = 100.0
 class Observability:
     """One source: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
 
-    ``std`` is for white noise of one arc-second on every reading (infinite: not seen at all).
+    ``std`` is for white noise of one arc-second on every reading (infinite: not seen at all); on the specific
+    force that is one arc-second of its direction, 48 um/s^2.
     """
 
     source: str
@@ -54,7 +56,9 @@ def observability(readouts: Readouts, known: Identification) -> tuple[Observabil
         np.eye(3),
     )
     e, pick = misalignment_regressors(x, t, *encoders)
+    felt = np.cross(_gravity(readouts)[::every][: len(t), :, None], e, axis=1)
     rows = {"x": e[:, 0, :4], "y": e[:, 1, :4], "z": e[:, 2, :4], "Y": pick[:, :4]}
+    rows |= {name: felt[:, k, :4] for k, name in enumerate("123")}
     equal = np.allclose(np.diff(encoders[0][:64]), np.diff(encoders[1][:64]))
     chosen = {
         "gimbals, z only": "z",
@@ -63,9 +67,21 @@ def observability(readouts: Readouts, known: Identification) -> tuple[Observabil
         "gimbals, z, with pick-off": "zY",
         "gimbals, all": "xyz",
         "gimbals with pick-off": "xyzY",
+        "specific force": "123",
+        "specific force with pick-off": "123Y",
     }
     weight = np.sqrt(every) * ARCSEC
     return tuple(_judge(name, [rows[k] for k in keys], t, equal, weight) for name, keys in chosen.items())
+
+
+def _gravity(readouts: Readouts) -> Array:
+    """Direction (n + 1, 3) of gravity in the triad at the nodes: a cone about the Earth's axis."""
+    angle = earth.EARTH_RATE * readouts.times
+    cone = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    fitted, *_ = np.linalg.lstsq(0.5 * (cone[1:] + cone[:-1]), readouts.increments, rcond=None)
+    gravity = cone @ fitted
+    direction: Array = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    return direction
 
 
 def _judge(source: str, rows: list[Array], t: Array, equal: bool, sigma: float) -> Observability:

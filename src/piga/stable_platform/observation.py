@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga import earth
 from piga._kernels.platform_geometry import exact_geometry_series
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.stable_platform.geometry import gimbal_attitude, gimbal_rates
+from piga.stable_platform.geometry import gimbal_attitude, turns_to_gimbals
 from piga.stable_platform.scenario import Gyro, Harmonic
 from piga.stable_platform.simulate import Readouts
 
@@ -166,18 +166,15 @@ def triad_at(x: Unknowns, times: Array) -> Array:
     return rotation_vector_to_matrix(-times[:, None] * x.drift) @ x.triad
 
 
-def gimbal_rows(x: Unknowns, readouts: Readouts) -> tuple[Array, Array, Array, Array]:
-    """Residuals and regressors of the gimbal angles (n, 3), (n, 3, p) and the pick-off (n,), (n, p)."""
+def gimbal_rows(x: Unknowns, readouts: Readouts) -> tuple[Array, Array]:
+    """Residuals (n, 3) and regressors (n, 3, p) of the gimbal angles."""
     t = readouts.times
-    attitude, ring = exact_platform(x, t, readouts.encoder1, readouts.encoder2)
+    attitude, _ = exact_platform(x, t, readouts.encoder1, readouts.encoder2)
     to_platform = attitude @ triad_at(x, t) @ earth_to_inertial(t)
-    predicted = gimbals_of(to_platform @ x.base)
-    e, pick = misalignment_regressors(x, t, readouts.encoder1, readouts.encoder2)
+    e, _ = misalignment_regressors(x, t, readouts.encoder1, readouts.encoder2)
     turn = np.concatenate([e, attitude, attitude * t[:, None, None], -to_platform[:, :, :2]], axis=2)
-    regressors = np.linalg.solve(gimbal_rates(readouts.gimbals), turn)
-    residual = np.remainder(readouts.gimbals - predicted + np.pi, 2.0 * np.pi) - np.pi
-    padded = np.concatenate([pick, np.zeros((len(t), 8))], axis=1)
-    return residual, regressors, readouts.pickoff - ring, padded
+    residual = np.remainder(readouts.gimbals - gimbals_of(to_platform @ x.base) + np.pi, 2.0 * np.pi) - np.pi
+    return residual, turns_to_gimbals(readouts.gimbals, turn)
 
 
 def gimbals_of(body_to_platform: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from piga.stable_platform.alignment import UNKNOWNS, Alignment
 from piga.stable_platform.budget import BudgetRow, Scatter
 from piga.stable_platform.chain import ModelRun
-from piga.stable_platform.identification import Identification
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.observability import UNKNOWNS as MISALIGNMENTS
 from piga.stable_platform.observability import Observability
 from piga.stable_platform.simulate import Readouts, Run

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,17 +58,20 @@ class Readouts:
 
     def first(self, duration: float) -> Readouts:
         """The readouts of the first ``duration`` seconds (the whole run when it is shorter)."""
-        n = max(2, min(len(self.increments), round(duration / self.step)))
-        node = slice(0, n + 1)
-        return Readouts(
-            self.times[node],
-            self.increments[:n],
-            self.gimbals[node],
-            self.pickoff[node],
-            self.encoder1[node],
-            self.encoder2[node],
-            self.altitude[node] if len(self.altitude) > 1 else self.altitude,
-            self.turn_sensitivity,
+        return self.between(0, max(2, min(len(self.increments), round(duration / self.step))))
+
+    def between(self, first: int, last: int) -> Readouts:
+        """The readouts from node ``first`` to node ``last``."""
+        node = slice(first, last + 1)
+        return replace(
+            self,
+            times=self.times[node],
+            increments=self.increments[first:last],
+            gimbals=self.gimbals[node],
+            pickoff=self.pickoff[node],
+            encoder1=self.encoder1[node],
+            encoder2=self.encoder2[node],
+            altitude=self.altitude[node] if len(self.altitude) > 1 else self.altitude,
         )
 
 
@@ -95,7 +98,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Run:
-    """A simulated run."""
+    """A simulated run: its scenario, what the sensors show, and the truth."""
 
     scenario: Scenario
     readouts: Readouts

@@ -64,8 +64,7 @@ class Centrifuge:
     @property
     def fastest(self) -> float:
         """Step [s] that resolves a ramp, and a revolution where the force turns in the base."""
-        fastest_rate = max(abs(rate) for rate in self.spin.rates)
-        return min(self.spin.ramp / 100.0, 2.0 * math.pi / max(fastest_rate, 1e-9) / 200.0)
+        return self.spin.resolution
 
     def segments(self) -> tuple[Segment, ...]:
         """Levels, recorded, and ramps."""

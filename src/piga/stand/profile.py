@@ -129,7 +129,8 @@ def sample_stand(
 ) -> Profile:  # fmt: skip
     """Sample a stand at every ``step/oversample`` [s], with ``extra`` rows beyond its end.
 
-    The specific force of every stand is linear in gravity: the tide adds its share of the unit change.
+    The instrument feels the imperfections ``errors``; the lab's reference is the stand without them. The
+    specific force of every stand is linear in gravity: the tide adds its share of the unit change.
 
     Raises
     ------
@@ -154,9 +155,9 @@ def sample_stand(
 
 
 def force_change(stand: Stand, t: Array, errors: Imperfections) -> Array:
-    """What imperfections change in the specific force at times ``t`` [m/s^2], (n, 3): true less reference.
+    """What the imperfections ``errors`` of a stand change in its specific force at ``t`` [m/s^2], (n, 3).
 
-    The link to the uncertainty budget: the change per standard uncertainty of one imperfection, carried
+    True less reference. The link to the uncertainty budget: the change per standard uncertainty of one imperfection, carried
     through a calibration, is that row of the budget.
     """
     return errors.felt(*stand.motion(t, errors))[0] - stand.motion(t, NONE)[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,8 +55,7 @@ class RateTable:
     @property
     def fastest(self) -> float:
         """Step [s] that resolves a ramp and, with a horizontal axis, a revolution."""
-        fastest_rate = max(abs(rate) for rate in self.spin.rates)
-        return min(self.spin.ramp / 100.0, 2.0 * math.pi / max(fastest_rate, 1e-9) / 200.0)
+        return self.spin.resolution
 
     def segments(self) -> tuple[Segment, ...]:
         """Rates held, recorded, and ramps."""

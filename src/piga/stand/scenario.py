@@ -80,7 +80,7 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
 def run_scenario(
     scenario: Scenario, *, model: Model | None = None, seed: int | None = None, force: bool = False
 ) -> SimulatedTest:
-    """Simulate a scenario; ``model`` and ``seed`` override the file.
+    """Simulate a scenario; ``model`` and ``seed`` override the file, ``force`` runs an unstable servo loop.
 
     Raises
     ------

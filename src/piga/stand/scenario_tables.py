@@ -10,6 +10,7 @@ import msgspec
 
 from piga.earth import Site
 from piga.errors import ArgumentError
+from piga.records.run_file import Column, Columns, Quantity, Table
 from piga.stand.centrifuge import Centrifuge, rates_for_levels
 from piga.stand.composite import Composite
 from piga.stand.dividing_head import DividingHead, position_range
@@ -19,12 +20,6 @@ from piga.stand.rate_table import RateTable
 from piga.stand.spin import SpinPlan
 from piga.stand.vibration import Drive, VibrationTable
 from piga.units import to_si
-
-Quantity = str | float | int
-
-
-class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Base of all tables: an unknown key is an error."""
 
 
 class InstrumentTable(Table, frozen=True):
@@ -228,27 +223,13 @@ class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibrati
         return VibrationTable(self.site(), tuple(drive.drive() for drive in self.drives), self.axis, self.up)
 
 
-class ColumnTable(Table, frozen=True):
-    """A column with its unit."""
-
-    column: str
-    unit: str
-
-
-class ColumnsTable(Table, frozen=True):
-    """Three columns X0, Y0, Z0 with one unit."""
-
-    columns: tuple[str, str, str]
-    unit: str
-
-
 class ProfileTable(Table, frozen=True, tag_field="kind", tag="profile"):
     """``[stand] kind = "profile"``: a logged profile, file relative to the scenario."""
 
     file: str
-    time: ColumnTable
-    force: ColumnsTable
-    base_rate: ColumnsTable | None = None
+    time: Column
+    force: Columns
+    base_rate: Columns | None = None
 
     def build(self, folder: Path) -> Stand:
         """The stand."""
@@ -283,10 +264,10 @@ class ScenarioTable(Table, frozen=True):
     electronics: ElectronicsTable
     stand: SimpleStand | CompositeTable
     run: RunTable = RunTable()
-    truth: dict[str, Quantity] = {}
-    twin: dict[str, Quantity] = {}
+    truth: dict[str, Quantity] = msgspec.field(default_factory=dict)
+    twin: dict[str, Quantity] = msgspec.field(default_factory=dict)
     temperature: TemperatureTable | None = None
-    imperfections: dict[str, Any] = {}
-    model: dict[str, Any] = {}
-    estimation: dict[str, Any] = {}
-    uncertainty: dict[str, Any] = {}
+    imperfections: dict[str, Any] = msgspec.field(default_factory=dict)
+    model: dict[str, Any] = msgspec.field(default_factory=dict)
+    estimation: dict[str, Any] = msgspec.field(default_factory=dict)
+    uncertainty: dict[str, Any] = msgspec.field(default_factory=dict)

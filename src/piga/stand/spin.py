@@ -38,6 +38,12 @@ class SpinPlan:
         if self.dwell <= 0.0 or self.ramp <= 0.0:
             raise ArgumentError("dwell and ramp must be positive")
 
+    @property
+    def resolution(self) -> float:
+        """Step [s] that resolves a ramp (a hundredth) and a revolution (a two-hundredth)."""
+        fastest = max(abs(rate) for rate in self.rates)
+        return min(self.ramp / 100.0, 2.0 * math.pi / max(fastest, 1e-9) / 200.0)
+
     def segments(self) -> tuple[Segment, ...]:
         """Levels ``0, 1, ...``, recorded, with ramps between them, not recorded."""
         parts: list[tuple[str, float, bool]] = []

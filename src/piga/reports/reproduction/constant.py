@@ -242,58 +242,58 @@ def period() -> Chapter:
 
 
 def _frequency_cases() -> list[Case]:
+    return [_running_period(), *_infinite_periods(), _imaginary_period()]
+
+
+def _running_period() -> Case:
     running = EXAMPLES[3]
     turned = closed_form(
         INSTRUMENT, np.array([0.0, float(revolution_period(INSTRUMENT, *running.force))]), *running.force
     )
     excess = float(turned[0][1] - turned[0][0] - 2.0 * math.pi)
-    cases = [
+    return Case(
+        "period.example-4",
+        "[Wei2020] example 4",
+        "turn of the gimbal in one textbook period, less a revolution",
+        "rad",
+        0.0,
+        excess,
+        1e-12,
+        "the formula is exact in the running regime: rounding of 2 pi over a few hundred operations",
+    )
+
+
+def _infinite_periods() -> list[Case]:
+    return [
         Case(
-            "period.example-4",
-            "[Wei2020] example 4",
-            "turn of the gimbal in one textbook period, less a revolution",
-            "rad",
+            f"period.example-{example.number}",
+            f"[Wei2020] example {example.number}",
+            "revolutions per second (the textbook period is infinite)",
+            "1/s",
             0.0,
-            excess,
-            1e-12,
-            "the formula is exact in the running regime: rounding of 2 pi over a few hundred operations",
+            1.0 / float(revolution_period(INSTRUMENT, *example.force)),
+            0.0,
+            "an infinite period is a frequency of zero exactly: no tolerance",
         )
+        for example in EXAMPLES[:2]
     ]
-    for example in EXAMPLES[:2]:
-        turns = 1.0 / float(revolution_period(INSTRUMENT, *example.force))
-        name = f"period.example-{example.number}"
-        note = "an infinite period is a frequency of zero exactly: no tolerance"
-        source = f"[Wei2020] example {example.number}"
-        cases.append(
-            Case(
-                name,
-                source,
-                "revolutions per second (the textbook period is infinite)",
-                "1/s",
-                0.0,
-                turns,
-                0.0,
-                note,
-            )
-        )
+
+
+def _imaginary_period() -> Case:
     locked = EXAMPLES[2]
     square = (INSTRUMENT.scale_factor**2) * (
         locked.force[0] ** 2 - float(dead_zone(INSTRUMENT, *locked.force[1:])[1]) ** 2
     )
-    note = "no number is published: the square under the root is negative, so that the textbook period has no real value"
-    cases.append(
-        Case(
-            "period.example-3",
-            "[Wei2020] example 3",
-            "K^2 (a_x^2 - a_t^2 tan^2(beta))",
-            "rad^2/s^2",
-            None,
-            square,
-            None,
-            note,
-        )
+    return Case(
+        "period.example-3",
+        "[Wei2020] example 3",
+        "K^2 (a_x^2 - a_t^2 tan^2(beta))",
+        "rad^2/s^2",
+        None,
+        square,
+        None,
+        "no number is published: the square under the root is negative, so that the textbook period has no real value",
     )
-    return cases
 
 
 def _rest_cases() -> list[Case]:

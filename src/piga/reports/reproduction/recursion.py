@@ -225,7 +225,13 @@ def compensation() -> Chapter:
     largest = {
         k: float(np.abs(v).max()) for k, v in (("b", before), ("m", model), ("f", formula), ("e", exact))
     }
-    cases = (
+    cases = _compensation_cases(source, largest)
+    figure = _compensation_figure(before, model, formula, exact)
+    return Chapter("compensation", "Compensation", source, text, cases, (figure,))
+
+
+def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, ...]:
+    return (
         Case(
             "compensation.before",
             source,
@@ -279,8 +285,6 @@ def compensation() -> Chapter:
             "noiseless data and an exact model: rounding of the rate (1e-16 of 2 g) and of the calibration is left",
         ),
     )
-    figure = _compensation_figure(before, model, formula, exact)
-    return Chapter("compensation", "Compensation", source, text, cases, (figure,))
 
 
 def with_phase(found: Calibration, phi: float) -> Calibration:

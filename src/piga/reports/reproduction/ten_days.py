@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.reports.figure import Figure, Series
-from piga.reports.platform_figures import lines_figure, published_figure
+from piga.reports.platform_model_figures import lines_figure, published_figure
 from piga.reports.reproduction.case import Case, Chapter
 from piga.reports.reproduction.platform import ARCMIN, CASE_RATE, GRAVITY_OF_TABLE
 from piga.stable_platform.analysis import channels, line_amplitudes

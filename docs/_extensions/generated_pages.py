@@ -1,0 +1,265 @@
+"""Reference pages made from the code when the site is built: API, command line, files, schemas.
+
+They are written to ``docs/reference/generated``, which git ignores.
+"""
+
+from __future__ import annotations
+
+import json
+import pkgutil
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
+import typer
+from sphinx.application import Sphinx
+
+import piga
+from piga.calibration.plan_file import PlanTable
+from piga.cli.main import app as command_line
+from piga.compensation.triad_file import TriadFile
+from piga.records.run_file import RunFile
+from piga.stable_platform.scenario_file import ScenarioFile
+from piga.stand.scenario_tables import ScenarioTable
+
+PLAIN = ("units", "frames", "earth", "errors")
+"""Modules that are rooms of their own."""
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Write the pages before any is read."""
+    app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir) / "reference" / "generated"))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def write_pages(folder: Path) -> None:
+    """Write all pages; leave a page alone that is right already, so that it is not read again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pages = api_pages() | {"cli": cli_page(), "schemas": schema_page()} | file_pages()
+    for old in folder.glob("*.md"):
+        if old.stem not in pages:
+            old.unlink()
+    for name, text in pages.items():
+        path = folder / f"{name}.md"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+# --- API ---------------------------------------------------------------------------------------------
+
+
+def rooms() -> list[str]:
+    """Public rooms of the package: packages with public names, and the plain modules below them."""
+    found = [info.name for info in pkgutil.iter_modules(piga.__path__) if info.ispkg and info.name[0] != "_"]
+    return [name for name in found if hasattr(__import__(f"piga.{name}", fromlist=["x"]), "__all__")] + list(
+        PLAIN
+    )
+
+
+def api_pages() -> dict[str, str]:
+    """A page for each room, with every public name."""
+    pages = {}
+    for room in rooms():
+        imported = "" if room in PLAIN else "   :imported-members:\n"
+        body = f"```{{eval-rst}}\n.. automodule:: piga.{room}\n   :members:\n{imported}```\n"
+        pages[f"api-{room.replace('_', '-')}"] = f"# piga.{room}\n\n{body}"
+    return pages
+
+
+# --- command line ------------------------------------------------------------------------------------
+
+
+def cli_page() -> str:
+    """Every command with its arguments and options, from the command objects themselves."""
+    root = typer.main.get_command(command_line)
+    codes = "Exit codes: 0 done, 2 wrong use or bad input (one message on stderr), 1 internal error."
+    parts = [
+        f"# Command line\n\n{codes} `piga --version` prints the version; `--help` stands behind every command.\n"
+    ]
+    parts += [command_text(name, command) for name, command in walk("piga", root)]
+    return "\n".join(parts)
+
+
+def walk(path: str, command: Any) -> list[tuple[str, Any]]:
+    """All commands below ``command`` with their full names."""
+    below = getattr(command, "commands", None)
+    if below is None:
+        return [(path, command)]
+    return [found for name, child in below.items() for found in walk(f"{path} {name}", child)]
+
+
+def command_text(name: str, command: Any) -> str:
+    """Heading, help and table of parameters of one command."""
+    shown = [parameter for parameter in command.params if parameter.name != "help"]
+    arguments = [label_of(parameter) for parameter in shown if parameter.param_type_name == "argument"]
+    usage = " ".join([name, "[OPTIONS]", *arguments])
+    rows = ["| parameter | meaning | default |", "|---|---|---|"]
+    rows += [
+        f"| `{label_of(parameter)}` | {cell(getattr(parameter, 'help', '') or '')} | {default_text(parameter.default)} |"
+        for parameter in shown
+    ]
+    return f"## {name}\n\n{command.help}\n\n    {usage}\n\n" + "\n".join(rows) + "\n"
+
+
+def label_of(parameter: Any) -> str:
+    """``RUN.toml`` of an argument, ``--out DIR`` of an option."""
+    if parameter.param_type_name == "argument":
+        return str(parameter.metavar or parameter.name.upper()) + ("..." if parameter.nargs == -1 else "")
+    names = ", ".join(parameter.opts + parameter.secondary_opts)
+    return names if parameter.is_flag else " ".join((names, parameter.metavar or "VALUE"))
+
+
+def default_text(value: Any) -> str:
+    """A default as text; nothing where there is none."""
+    if value is None or value is False or value == () or callable(value) or type(value).__name__ == "Sentinel":
+        return ""
+    return f"`{value}`"
+
+
+def cell(text: str) -> str:
+    """Text that does not break a table."""
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+# --- files (TOML) --------------------------------------------------------------------------------------
+
+
+def file_pages() -> dict[str, str]:
+    """A page for each kind of TOML file, from the typed tables that read it."""
+    heads = {
+        "run-file": (
+            "The run file",
+            RunFile,
+            "One recorded test: `piga check`, `convert`, `calibrate`, `compensate`.",
+        ),
+        "scenario-file": ("The scenario file", ScenarioTable, "A synthetic test: `piga simulate`."),
+        "plan-file": ("The plan file", PlanTable, "A test to be planned: `piga plan`."),
+        "platform-file": ("The platform scenario", ScenarioFile, "A platform run: `piga platform ...`."),
+        "triad-file": ("The triad file", TriadFile, "Instruments solved together: `piga compensate`."),
+    }
+    return {name: file_page(*head) for name, head in heads.items()}
+
+
+def file_page(title: str, kind: type[msgspec.Struct], lead: str) -> str:
+    """Tables of keys of all structures that can be reached from ``kind``."""
+    note = (
+        'A *quantity* is text with a unit (`"0.8884 rad/s/g"`) or a number in SI. An unknown key is an error.'
+    )
+    parts = [f"# {title}\n\n{lead} {note}\n"]
+    seen: list[type[msgspec.Struct]] = []
+    collect(kind, seen)
+    parts += [struct_text(struct) for struct in seen]
+    return "\n".join(parts)
+
+
+def collect(annotation: Any, seen: list[type[msgspec.Struct]]) -> None:
+    """All structures in ``annotation``, each once, outermost first."""
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        if annotation in seen:
+            return
+        seen.append(annotation)
+        for field in msgspec.structs.fields(annotation):
+            collect(field.type, seen)
+    for part in get_args(annotation):
+        collect(part, seen)
+
+
+def struct_text(struct: type[msgspec.Struct]) -> str:
+    """One structure as a section with its keys."""
+    config = struct.__struct_config__
+    rows = ["| key | value | default |", "|---|---|---|"]
+    if config.tag is not None:
+        rows.append(f'| `{config.tag_field}` | `"{config.tag}"` | needed |')
+    rows += [
+        f"| `{field.encode_name}` | {type_text(field.type)} | {field_default(field)} |"
+        for field in msgspec.structs.fields(struct)
+    ]
+    summary = (struct.__doc__ or "").replace("``", "`")
+    return f"## {struct.__name__}\n\n{summary}\n\n" + "\n".join(rows) + "\n"
+
+
+def field_default(field: msgspec.structs.FieldInfo) -> str:
+    """Default of a key as it would be written."""
+    if field.required:
+        return "needed"
+    if field.default is msgspec.NODEFAULT or isinstance(field.default, msgspec.Struct):
+        return "its defaults" if isinstance(field.default, msgspec.Struct) else ""
+    if field.default in (None, (), {}):
+        return ""
+    return f"`{cell(json.dumps(field.default, ensure_ascii=False))}`"
+
+
+def type_text(annotation: Any) -> str:
+    """A type in words."""
+    if annotation in (str | float | int, str | float):
+        return "quantity"
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return type_text(parts[0])
+    if origin is Literal:
+        return " \\| ".join(f'`"{part}"`' for part in parts)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(union_texts(parts)))
+    if origin is tuple:
+        inner = [type_text(part) for part in parts if part is not Ellipsis]
+        return f"list of {inner[0]}" if Ellipsis in parts else f"[{', '.join(inner)}]"
+    if origin in (list, dict):
+        return f"{'list of' if origin is list else 'table of'} {type_text(parts[-1])}"
+    if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
+        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+    names = {str: "text", float: "number", int: "whole number", bool: "`true` \\| `false`", Any: "any value"}
+    return names.get(annotation, getattr(annotation, "__name__", str(annotation)))
+
+
+def union_texts(parts: tuple[Any, ...]) -> list[str]:
+    """Members of a union in words; ``None`` is told by the empty default."""
+    real = [part for part in parts if part is not type(None)]
+    if {str, float} <= set(real):
+        rest = [part for part in real if part not in (str, float, int)]
+        return ["quantity", *map(type_text, rest)]
+    return [type_text(part) for part in real]
+
+
+# --- schemas -------------------------------------------------------------------------------------------
+
+
+def schema_page() -> str:
+    """Every JSON schema that ships with the package."""
+    folder = Path(piga.__file__).parent / "records" / "schema"
+    parts = ["# Schemas of results\n\nJSON Schema files ship in `piga/records/schema`.\n"]
+    for path in sorted(folder.glob("*.json")):
+        schema = json.loads(path.read_text(encoding="utf-8"))
+        rows = ["| member | type | meaning |", "|---|---|---|"]
+        rows += schema_rows(schema, schema, "")
+        parts.append(
+            f"## {path.name}\n\n{schema.get('description', schema.get('title', ''))}\n\n"
+            + "\n".join(rows)
+            + "\n"
+        )
+    return "\n".join(parts)
+
+
+def schema_rows(node: dict[str, Any], root: dict[str, Any], path: str) -> list[str]:
+    """Rows for the members of an object, its arrays' members behind ``[]``."""
+    rows = []
+    for name, found in node.get("properties", {}).items():
+        member, where = resolve(found, root), f"{path}{name}"
+        kind = member.get("type", "value")
+        kind = " or ".join(kind) if isinstance(kind, list) else kind
+        value = f"`{member['const']}`" if "const" in member else cell(member.get("description", ""))
+        rows.append(f"| `{where}` | {kind} | {value} |")
+        rows += schema_rows(member, root, f"{where}.")
+        if "items" in member:
+            rows += schema_rows(resolve(member["items"], root), root, f"{where}[].")
+    return rows
+
+
+def resolve(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
+    """Follow a reference within the same schema."""
+    reference = node.get("$ref")
+    if reference is None:
+        return node
+    for part in reference.removeprefix("#/").split("/"):
+        root = root[part]
+    return {**root, **{key: value for key, value in node.items() if key != "$ref"}}

@@ -1,0 +1,57 @@
+"""Uncertainty budget: one row per source with its contribution to every coefficient."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.coefficients import name_coefficients
+from piga.calibration.design import Design
+from piga.calibration.solution import solve
+from piga.calibration.uncertainty import contributions
+from piga.calibration.weighting import reduce_segments
+from piga.records.calibration import Coefficient
+from piga.records.run import Run
+
+if TYPE_CHECKING:
+    from piga.calibration.fit import Fit
+
+Array = NDArray[np.float64]
+
+
+def make_budget(
+    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...], type_a: Array
+) -> tuple[tuple[dict[str, Any], ...], Array]:
+    """Budget rows (one per source, contribution to every coefficient) and the covariance of Type B."""
+    keys = [coefficient.key for coefficient in coefficients]
+    base = np.array([coefficient.value for coefficient in coefficients])
+    turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
+
+    def estimate(run: Run) -> Array:
+        design = Design(run, fit.design.request, fit.design.scale_factor)
+        solution = solve(design, reduce_segments(design, fit.mode, fit.noise), groups)
+        named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
+        values = np.array([coefficient.value for coefficient in named])
+        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
+
+    rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    covariance = np.zeros((len(keys), len(keys)))
+    for source, change in contributions(fit.design.run, base, estimate):
+        covariance += np.outer(change, change)
+        rows.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+    return tuple(rows), covariance
+
+
+def budget_row(
+    source: str, kind: str, distribution: str, value: float | None, unit: str, keys: list[str], change: Array
+) -> dict[str, Any]:
+    """A row: source, type ("A" or "B"), distribution, standard uncertainty, contributions (file units)."""
+    return {
+        "source": source,
+        "type": kind,
+        "distribution": distribution,
+        "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
+        "contributions": {key: float(c) for key, c in zip(keys, change, strict=True)},
+    }

@@ -1,0 +1,294 @@
+"""Several runs of one instrument, calibrated together from their summaries.
+
+Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
+the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries add, so that a run
+whose raw data are gone takes part like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.coefficients import Owner, name_parameters
+from piga.calibration.identifiability import Examination, examine_parts, refuse_if_confounded
+from piga.calibration.reduction import Reduction
+from piga.calibration.request import check_per_run, make_request
+from piga.calibration.solution import Estimate, Layout, solve_parts
+from piga.calibration.summary import LiveRun, RunSummary, prepare, run_name, summarise
+from piga.errors import ArgumentError, CalibrationError
+from piga.records.calibration import Coefficient
+from piga.records.run import Run
+from piga.records.terms import check_terms, harmonic
+
+Array = NDArray[np.float64]
+
+INNER = 1e-6
+"""Relative change of K from which the regressors of runs with base rotation are made anew."""
+COMMON_TO_ALL_STANDS = ("gravity",)
+"""Sources that belong to the site, not to the stand."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of all runs together: union of their terms, and which may differ between runs."""
+
+    terms: tuple[str, ...]
+    per_run: tuple[str, ...]
+    own: tuple[tuple[str, ...], ...]
+
+    def terms_of(self, index: int) -> tuple[str, ...]:
+        """Terms of one run: the common ones, and of those per run the ones it asks for."""
+        return tuple(t for t in self.terms if t not in self.per_run or t in self.own[index])
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Result of merging: summaries, where their phase groups stand, estimate and named coefficients."""
+
+    wish: Wish
+    summaries: tuple[RunSummary, ...]
+    live: tuple[LiveRun | None, ...]
+    layout: Layout
+    estimate: Estimate
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    examination: Examination
+
+    def first_group(self, index: int) -> int:
+        """Number of the first phase group of a run."""
+        return sum(len(summary.parts) for summary in self.summaries[:index])
+
+    def column_values(self, index: int) -> Array:
+        """Coefficients of the columns of a run in each of its phase groups."""
+        first, count = self.first_group(index), len(self.summaries[index].parts)
+        phases = self.estimate.phases if self.layout.coupled else np.zeros(first + count)
+        return np.array(
+            [self.layout.linear(self.estimate.amplitudes, phases[g], g) for g in range(first, first + count)]
+        )
+
+
+def fit_jointly(
+    items: Sequence[Run | RunSummary],
+    terms: Sequence[str] | None,
+    phase: str | None,
+    per_run: Sequence[str] | None,
+) -> JointFit:
+    """Reduce the runs that are at hand, merge all summaries and solve.
+
+    Raises
+    ------
+    CalibrationError
+        If the runs are not of one instrument, or one of them is given twice.
+    IdentifiabilityError
+        If the runs together cannot separate what is asked.
+    """
+    _check_one_instrument(items)
+    wish = _wish(items, terms, per_run)
+    names = _names(items)
+    live: list[LiveRun | None] = []
+    summaries: list[RunSummary] = []
+    for index, (item, name) in enumerate(zip(items, names, strict=True)):
+        if isinstance(item, RunSummary):
+            live.append(None)
+            summaries.append(replace(item, name=name))
+            continue
+        own = wish.terms_of(index)
+        request = make_request(item, own, "information", phase, None, ())
+        prepared = prepare(item, request, name)
+        live.append(prepared)
+        summaries.append(summarise(prepared, own))
+    _check_temperature(wish, summaries)
+    found = _merge(wish, summaries, live)
+    scale_factor = _scale_factor(found)
+    stale = [
+        i
+        for i, summary in enumerate(summaries)
+        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > INNER
+    ]
+    for i in stale:
+        prepared_again = live[i]
+        if prepared_again is not None:
+            summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
+    return _merge(wish, summaries, live) if stale else found
+
+
+def _wish(
+    items: Sequence[Run | RunSummary], terms: Sequence[str] | None, per_run: Sequence[str] | None
+) -> Wish:
+    own = [item.terms if isinstance(item, RunSummary) else item.model.terms for item in items]
+    if terms is not None:
+        own = [tuple(terms)] * len(items)
+    union = tuple(dict.fromkeys(name for names in own for name in names))
+    check_terms(union, where="terms of all runs together")
+    asked = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
+    free = tuple(per_run) if per_run is not None else tuple(dict.fromkeys(n for names in asked for n in names))
+    check_per_run(free, union)
+    return Wish(union, free, tuple(own))
+
+
+def _names(items: Sequence[Run | RunSummary]) -> list[str]:
+    """A name for every run; those that would be alike get a number."""
+    names: list[str] = []
+    for index, item in enumerate(items):
+        plain = item.name if isinstance(item, RunSummary) else run_name(item, index)
+        name, number = plain, 2
+        while name in names:
+            name, number = f"{plain} ({number})", number + 1
+        names.append(name)
+    return names
+
+
+def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
+    first, names = items[0], _names(items)
+    seen: dict[tuple[str, ...], str] = {}
+    for item, name in zip(items, names, strict=True):
+        if item.serial != first.serial:
+            raise CalibrationError(
+                f"run '{names[0]}' is of instrument '{first.serial}', run '{name}' of '{item.serial}'",
+                remedy="a joint calibration is of one instrument; correct [instrument] serial if they are the same",
+            )
+        if abs(item.scale_factor / first.scale_factor - 1.0) > 1e-9:
+            raise CalibrationError(
+                f"run '{names[0]}' and run '{name}' name different nominal scale factors",
+                remedy="write the same [instrument] scale_factor in all run files of an instrument",
+            )
+        digests = tuple(sorted(d for f, d in item.input_sha256.items() if not f.endswith(".toml")))
+        if digests and digests in seen:
+            raise CalibrationError(
+                f"run '{name}' has the same data as run '{seen[digests]}'",
+                remedy="name each run once: counted twice it would halve the uncertainty for nothing",
+            )
+        seen[digests] = name
+
+
+def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
+    references = {summary.temperature_reference for summary in summaries}
+    if len(references) > 1 and {"k0_T", "k1_T"} & set(wish.terms):
+        raise CalibrationError(
+            "the runs name different temperatures of reference",
+            remedy="write the same [model] temperature_reference",
+        )
+
+
+def _layout(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Layout, list[tuple[str, ...]]]:
+    """The common layout, and the shared columns of every run."""
+    shared = [
+        tuple(t for t in wish.terms_of(i) if t != "tan_beta" and harmonic(t) is None)
+        for i in range(len(summaries))
+    ]
+    keys: list[tuple[str, str | None]] = []
+    for term in wish.terms:
+        if term == "tan_beta" or harmonic(term):
+            continue
+        if term in wish.per_run:
+            keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
+        else:
+            keys.append((term, None))
+    tails = []
+    for summary, own in zip(summaries, shared, strict=True):
+        at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
+        tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
+    orders = tuple(sorted({found[1] for t in wish.terms if (found := harmonic(t))}))
+    return Layout("tan_beta" in wish.terms, orders, tuple(keys), tuple(tails)), shared
+
+
+def _parts(
+    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary], source: Source | None = None
+) -> list[Reduction]:
+    """Summaries of all phase groups, those that a source moves in their moved form."""
+    local = layout.columns[: layout.local]
+    parts: list[Reduction] = []
+    for index, summary in enumerate(summaries):
+        chosen = summary.parts
+        if source is not None and index in source.moved:
+            chosen = summary.sources[source.moved[index]].parts
+        parts += summary.choose(chosen, local, shared[index])
+    return parts
+
+
+def _merge(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
+    layout, shared = _layout(wish, summaries)
+    parts = _parts(layout, shared, summaries)
+    examination = examine_parts(layout, parts)
+    refuse_if_confounded(examination, len(summaries))
+    estimate = solve_parts(layout, parts)
+    coefficients, covariance = _named(wish, summaries, layout, estimate)
+    return JointFit(
+        wish, tuple(summaries), tuple(live), layout, estimate, coefficients, covariance, examination
+    )
+
+
+def _named(
+    wish: Wish, summaries: Sequence[RunSummary], layout: Layout, estimate: Estimate
+) -> tuple[tuple[Coefficient, ...], Array]:
+    owners: list[Owner] = []
+    if layout.coupled:
+        owners = [(label, summary.name) for summary in summaries for label in summary.labels]
+    nominal = summaries[0].scale_factor
+    return name_parameters(layout, estimate, estimate.covariance, nominal, wish.terms, owners)
+
+
+def _scale_factor(fit: JointFit) -> float:
+    keys = fit.layout.amplitude_keys
+    if ("scale_factor", None) not in keys:
+        return fit.summaries[0].scale_factor
+    return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source of Type B: name with its runs, standard uncertainty, and which source of which run it moves."""
+
+    name: str
+    value: float
+    unit: str
+    moved: dict[int, int]
+
+
+def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
+    """Sources of all runs; one that runs share moves all of them at once.
+
+    Runs share a source when it has the same name and value, on the same kind of stand, with the same
+    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand.
+    """
+    found: dict[tuple[str, str | None, str | None, float], Source] = {}
+    for index, summary in enumerate(summaries):
+        for number, source in enumerate(summary.sources):
+            of_site = source.name in COMMON_TO_ALL_STANDS
+            key = (source.name, None if of_site else summary.stand, summary.reference_id, source.value)
+            first = found.get(key, Source(source.name, source.value, source.unit, {}))
+            found[key] = replace(first, moved=first.moved | {index: number})
+    for shared in found.values():
+        names = ", ".join(summaries[index].name for index in shared.moved)
+        yield replace(shared, name=f"{shared.name} ({names})")
+
+
+def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
+    """Change of the coefficients (file units) that each source makes by its standard uncertainty."""
+    layout, shared = _layout(fit.wish, fit.summaries)
+    base = np.array([c.value for c in fit.coefficients])
+    turns = np.array([c.name == "phi" for c in fit.coefficients])
+    for source in joint_sources(fit.summaries):
+        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, source))
+        named, _ = _named(fit.wish, fit.summaries, layout, estimate)
+        change = np.array([c.value for c in named]) - base
+        yield source, np.where(turns, np.angle(np.exp(1j * change)), change)
+
+
+def check_items(items: object) -> list[Run | RunSummary]:
+    """The runs given to a joint calibration.
+
+    Raises
+    ------
+    ArgumentError
+        If there are none, or something else is among them.
+    """
+    given = list(items) if isinstance(items, (list, tuple)) else [items]
+    found = [item for item in given if isinstance(item, (Run, RunSummary))]
+    if not found or len(found) < len(given):
+        raise ArgumentError("calibrate: a run, or a list of runs and run summaries, is needed")
+    return found

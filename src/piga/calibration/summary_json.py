@@ -1,0 +1,168 @@
+"""Run summaries on disk (schema ``piga.run-summary/1``): exact, readable, checked when read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from piga.calibration.noise import Noise
+from piga.calibration.reduction import Reduction
+from piga.errors import CalibrationError
+from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
+from piga.records.terms import check_name
+
+if TYPE_CHECKING:
+    from piga.calibration.summary import RunSummary
+
+SCHEMA = "piga.run-summary/1"
+MAX_BYTES = 256 << 20
+_PLAIN = (
+    "name", "serial", "scale_factor", "kind", "terms", "per_run", "phase", "temperature_reference", "time_reference",
+    "inner_scale_factor", "turning", "labels", "stand", "reference_id", "undetermined", "figures", "ranges",
+    "input_sha256", "source", "software", "created",
+)  # fmt: skip
+
+
+class _Reduction(msgspec.Struct, frozen=True):
+    names: tuple[str, ...]
+    weight: list[list[float]]
+    unit: list[list[list[float]]]
+    count: int
+
+
+class _Source(msgspec.Struct, frozen=True):
+    name: str
+    value: float
+    unit: str
+    parts: tuple[_Reduction, ...]
+
+
+class _Summary(msgspec.Struct, frozen=True):
+    schema: str
+    name: str
+    serial: str
+    scale_factor: float
+    kind: str
+    terms: tuple[str, ...]
+    per_run: tuple[str, ...]
+    phase: str
+    temperature_reference: float
+    time_reference: float
+    inner_scale_factor: float
+    turning: bool
+    labels: tuple[str | None, ...]
+    stand: str | None
+    reference_id: str | None
+    undetermined: tuple[str, ...]
+    figures: dict[str, float]
+    ranges: dict[str, list[float]]
+    input_sha256: dict[str, str]
+    source: str
+    software: str
+    created: str
+    noise: tuple[float, float]
+    parts: tuple[_Reduction, ...]
+    sources: tuple[_Source, ...]
+    quality: Quality
+    segments: tuple[SegmentSummary, ...]
+    outliers: tuple[Outlier, ...] = ()
+
+
+def write_summary(summary: RunSummary, path: Path) -> None:
+    """Write a summary as JSON, every float with all its digits."""
+    document: dict[str, Any] = {"schema": SCHEMA} | {name: getattr(summary, name) for name in _PLAIN}
+    document |= {
+        "noise": [summary.noise.white, summary.noise.walk],
+        "parts": [_plain(part) for part in summary.parts],
+        "sources": [
+            {"name": s.name, "value": s.value, "unit": s.unit, "parts": [_plain(part) for part in s.parts]}
+            for s in summary.sources
+        ],
+        "quality": msgspec.to_builtins(summary.quality),
+        "segments": [msgspec.to_builtins(segment) for segment in summary.segments],
+        "outliers": [msgspec.to_builtins(outlier) for outlier in summary.outliers],
+    }
+    path.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _plain(part: Reduction) -> dict[str, Any]:
+    return {
+        "names": part.names,
+        "weight": part.weight.tolist(),
+        "unit": part.unit.tolist(),
+        "count": part.count,
+    }
+
+
+def read_summary(path: Path) -> RunSummary:
+    """Read a summary and check that its parts fit together.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is missing, damaged, or of another schema.
+    """
+    from piga.calibration.summary import RunSummary, SourceSummary
+
+    found = _decode(path)
+    fields = {name: getattr(found, name) for name in _PLAIN}
+    return RunSummary(
+        **fields,
+        noise=Noise(*found.noise),
+        parts=_reductions(path, found.parts, len(found.labels)),
+        sources=tuple(
+            SourceSummary(s.name, s.value, s.unit, _reductions(path, s.parts, len(found.labels)))
+            for s in found.sources
+        ),
+        quality=Quality(
+            found.quality.rows,
+            found.quality.used,
+            found.quality.masked,
+            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.quality.events),
+        ),
+        segments=found.segments,
+        outliers=found.outliers,
+    )
+
+
+def _decode(path: Path) -> _Summary:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a run summary")
+        raw = path.read_bytes()
+        kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        if kind != SCHEMA:
+            raise CalibrationError(
+                f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
+                remedy="name a run file (.toml), or a summary that --summary wrote",
+            )
+        return msgspec.json.decode(raw, type=_Summary)
+    except OSError as error:
+        raise CalibrationError(
+            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
+        ) from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise CalibrationError(
+            f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
+        ) from None
+
+
+def _reductions(path: Path, parts: tuple[_Reduction, ...], groups: int) -> tuple[Reduction, ...]:
+    result = []
+    for part in parts:
+        size = len(part.names) + 1
+        try:
+            weight, unit = np.array(part.weight, dtype=float), np.array(part.unit, dtype=float)
+        except ValueError:
+            weight, unit = np.zeros(0), np.zeros(0)
+        fits = weight.shape == (2, size) and unit.shape == (2, size, size)
+        known = all(name in ("p", "q") or check_name(name) for name in part.names)
+        whole = fits and np.isfinite(weight).all() and np.isfinite(unit).all() and (weight[0] >= 0.0).all()
+        if not (whole and known) or len(parts) != groups or part.count < 0:
+            raise CalibrationError(f"{path}: its summaries are damaged", remedy="summarise the run again")
+        result.append(Reduction(part.names, weight, unit, part.count))
+    return tuple(result)

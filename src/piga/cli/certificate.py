@@ -1,0 +1,172 @@
+"""``piga certificate``: issue, verify and read back calibration certificates."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from piga.cli.common import note, output_directory, print_json, say, write_by_rename
+from piga.errors import PigaError
+
+if TYPE_CHECKING:
+    from piga.records.calibration import Calibration
+    from piga.records.certificate_file import CertificateFile
+
+
+class _IssueByDefault(TyperGroup):
+    """``piga certificate CALIBRATION.json ...`` is ``piga certificate issue CALIBRATION.json ...``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the default command in front of what is no command."""
+        if args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
+            args = ["issue", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    name="certificate",
+    cls=_IssueByDefault,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Issue a calibration certificate (ISO/IEC 17025, DCC), verify one, read one back. "
+    "'piga certificate CALIBRATION.json ...' issues.",
+)
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
+PemOption = Annotated[
+    Path | None, typer.Option("--certificate", metavar="PEM", help="X.509 certificate of the laboratory.")
+]
+
+
+@app.command()
+def issue(
+    calibration: Annotated[
+        Path, typer.Argument(metavar="CALIBRATION.json", help="Calibration to certify.", show_default=False)
+    ],
+    data: Annotated[
+        Path, typer.Option("--data", metavar="CERTIFICATE.toml", help="Laboratory, customer, item, method ...")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the certificate goes.")],
+    dcc: Annotated[bool, typer.Option("--dcc", help="Write certificate.xml too: DCC 3.3.0.")] = False,
+    key: Annotated[
+        Path | None, typer.Option("--key", metavar="PEM", help="Private key: sign the XML with it.")
+    ] = None,
+    certificate: PemOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write certificate.html (prints on A4), and certificate.xml with --dcc; refused while anything is missing."""
+    import hashlib
+
+    from piga.records.calibration_json import calibration_from_bytes
+    from piga.records.certificate_file import read_certificate_file
+    from piga.reports.certificate import certificate_html, write_certificate
+
+    if (key is None) != (certificate is None):
+        raise PigaError("--key and --certificate belong together", remedy="give both, or none")
+    if key is not None and not dcc:
+        raise PigaError("--key signs the XML, which is not asked for", remedy="add --dcc")
+    file = read_certificate_file(data)
+    raw = _bytes(calibration)
+    found = calibration_from_bytes(raw, calibration)
+    before = _before(file, data)
+    html = certificate_html(file, found, before, record_sha256=hashlib.sha256(raw).hexdigest())
+    xml = _xml(file, found, before, key, certificate) if dcc else None
+    folder = output_directory(out)
+    written = [write_by_rename(folder / "certificate.html", partial(write_certificate, html))]
+    if xml is not None:
+        written.append(write_by_rename(folder / "certificate.xml", lambda path: path.write_bytes(xml)))
+    if as_json:
+        print_json({"number": file.certificate.number, "files": [str(path) for path in written]})
+        return
+    for path in written:
+        say(f"wrote {path}")
+
+
+def _bytes(path: Path) -> bytes:
+    """The bytes of a calibration.json, read once: the digest on the certificate is of what was certified."""
+    from piga.records.calibration_json import MAX_BYTES
+
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise PigaError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
+        return path.read_bytes()
+    except OSError as error:
+        raise PigaError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+
+
+def _before(file: CertificateFile, data: Path) -> Calibration | None:
+    """The calibration before adjustment; its path is relative to the TOML file."""
+    from piga.records.calibration_json import read_calibration
+
+    return read_calibration(data.parent / file.adjustment.before) if file.adjustment.before else None
+
+
+def _xml(
+    file: CertificateFile,
+    found: Calibration,
+    before: Calibration | None,
+    key: Path | None,
+    certificate: Path | None,
+) -> bytes:
+    from piga.records.xml_signature import sign_xml, written
+    from piga.reports.dcc import dcc_document
+
+    root = dcc_document(file, found, before)
+    if key is not None and certificate is not None:
+        root = sign_xml(root, key, certificate)
+    return written(root)
+
+
+@app.command()
+def verify(
+    file: Annotated[Path, typer.Argument(metavar="CERTIFICATE.xml", help="Signed DCC.", show_default=False)],
+    certificate: Annotated[
+        Path, typer.Option("--certificate", metavar="PEM", help="X.509 certificate that must have signed it.")
+    ],
+    as_json: JsonOption = False,
+) -> None:
+    """Verify the signature of a DCC made by piga against the laboratory's certificate, and that it agrees with itself."""
+    from piga.records.dcc_reader import calibration_of
+    from piga.records.xml_signature import verify_signature
+
+    signed = verify_signature(file, certificate)
+    calibration = calibration_of(signed.document, file)
+    document: dict[str, Any] = {
+        "signature": "holds",
+        "signer": signed.signer,
+        "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
+        "serial": calibration.serial,
+        "remarks": list(signed.remarks),
+    }
+    if as_json:
+        print_json(document)
+        return
+    say(f"{file}: the signature holds; instrument {calibration.serial}")
+    say(f"  signed by  {signed.signer}")
+    say(f"  whose certificate is valid {signed.valid_from:%Y-%m-%d} to {signed.valid_until:%Y-%m-%d}")
+    for remark in signed.remarks:
+        note(f"piga: {remark}")
+
+
+@app.command()
+def read(
+    file: Annotated[
+        Path, typer.Argument(metavar="CERTIFICATE.xml", help="DCC made by piga.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="Where the calibration goes.")],
+    certificate: PemOption = None,
+) -> None:
+    """Read a DCC back into calibration.json, ready for 'piga compensate'; --certificate verifies it first."""
+    from piga.records.dcc_reader import calibration_of
+    from piga.records.xml_file import read_xml
+    from piga.records.xml_signature import verify_signature
+
+    root = read_xml(file)[1] if certificate is None else verify_signature(file, certificate).document
+    calibration = calibration_of(root, file)
+    write_by_rename(out, calibration.to_json)
+    say(f"wrote {out}: instrument {calibration.serial}, {len(calibration.coefficients)} coefficients")

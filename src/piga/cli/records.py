@@ -1,0 +1,411 @@
+"""``piga records``: calibrations kept as evidence in an append-only, chained store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.calibrate import JsonOption, RunFileArgument, report_available
+from piga.cli.common import note, output_directory, print_json, progress, say
+from piga.errors import PigaError
+
+if TYPE_CHECKING:
+    from piga.evidence import Reproduced
+    from piga.records.store import Record, Store
+    from piga.records.store.verify import Verification
+
+app = typer.Typer(
+    name="records",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Keep calibrations as evidence: append-only, chained, verifiable, recomputable.",
+)
+
+StoreOption = Annotated[
+    str,
+    typer.Option(
+        "--store", metavar="FILE|URL", envvar="PIGA_STORE", help="SQLite file, or postgresql://... URL."
+    ),
+]
+RecordArgument = Annotated[str, typer.Argument(metavar="RECORD", help="Name of a record, or its number.")]
+OperatorOption = Annotated[str, typer.Option("--operator", metavar="NAME", help="Who does this.")]
+ReasonOption = Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why.")]
+
+
+@contextmanager
+def opened(where: str, *, create: bool = False) -> Iterator[Store]:
+    """The store that a command works on."""
+    from piga.records.store import open_store
+
+    with open_store(where, create=create) as store:
+        yield store
+
+
+@app.command()
+def add(
+    run: RunFileArgument,
+    store: StoreOption,
+    operator: OperatorOption,
+    reason: ReasonOption,
+    results: Annotated[
+        Path | None,
+        typer.Option("--results", metavar="DIR", help="Keep what piga calibrate left there, as it is."),
+    ] = None,
+    measured: Annotated[
+        str | None,
+        typer.Option("--measured", metavar="DATE", help="When the test was made; UTC without a zone."),
+    ] = None,
+    supersedes: Annotated[
+        str | None, typer.Option("--supersedes", metavar="RECORD", help="Record that this one amends.")
+    ] = None,
+    terms: Annotated[str | None, typer.Option(metavar="A,B,...", help="As for piga calibrate.")] = None,
+    method: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
+    phase: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
+    phase_source: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
+    report: Annotated[bool, typer.Option(help="Make and keep report.html.")] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate a run and keep it: inputs, result and report. Makes the store when there is none."""
+    from piga.evidence import keep_results, keep_run
+
+    wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
+    if results is not None and any(option is not None for option in (wanted, method, phase, phase_source)):
+        raise PigaError(
+            "--results keeps a result as it is", remedy="leave out --terms, --method and --phase..."
+        )
+    with opened(store, create=True) as kept, progress("calibrating"):
+        if results is not None:
+            record, _ = keep_results(
+                kept, run, results, operator, reason, measured=measured, supersedes=supersedes
+            )
+        else:
+            record, _ = keep_run(
+                kept, run, operator, reason, terms=wanted, method=method, phase=phase, phase_source=phase_source,
+                measured=measured, supersedes=supersedes, report=report and report_available(),
+            )  # fmt: skip
+        _print_added(kept, record, as_json=as_json)
+
+
+def _print_added(store: Store, record: Record, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"store": store.name, **_document(record)})
+        return
+    say(f"kept record {record.id}, number {record.number}, instrument {record.document.serial}")
+    say(f"head {record.head}")
+
+
+@app.command("list")
+def list_records(
+    store: StoreOption,
+    serial: Annotated[
+        str | None, typer.Option("--serial", metavar="SERIAL", help="One instrument only.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the records."""
+    with opened(store) as kept:
+        records, head = kept.records(serial), kept.head()
+    if as_json:
+        print_json(
+            {"store": store_name(store), "head": head.sha256, "records": [_document(r) for r in records]}
+        )
+        return
+    old = {record.document.supersedes for record in records}
+    for r in records:
+        amended = "  superseded" if r.id in old else ""
+        say(
+            f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {r.document.serial}  {r.document.operator}{amended}"
+        )
+    _say_head(head.number, head.sha256)
+
+
+def store_name(where: str) -> str:
+    """Store as printed: a password in a URL is not shown."""
+    from piga.records.store.database import is_url, postgresql_database
+
+    return postgresql_database(where).name if is_url(where) else where
+
+
+@app.command()
+def show(
+    record: RecordArgument,
+    store: StoreOption,
+    extract: Annotated[
+        Path | None, typer.Option("--extract", metavar="DIR", help="Write the files of the record there.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a record: who, when, why, from what, with what, and the coefficients."""
+    from piga.records.calibration_json import to_document
+
+    with opened(store) as kept:
+        found, head = kept.record(record), kept.head()
+        calibration = kept.calibration(found.id) if found.file("calibration") else None
+        if extract is not None:
+            kept.extract(found.id, output_directory(extract))
+    if as_json:
+        result = None if calibration is None else to_document(calibration)
+        print_json({"store": store_name(store), "head": head.sha256, **_document(found), "calibration": result})
+        return
+    _say_record(found)
+    if calibration is not None:
+        from piga.reports.calibration import calibration_text
+
+        say("")
+        say(calibration_text(calibration))
+    if extract is not None:
+        say(f"wrote {len(found.document.files)} files to {extract}")
+    _say_head(head.number, head.sha256)
+
+
+def _say_record(record: Record) -> None:
+    document = record.document
+    say(f"record {record.id}, number {record.number}, head {record.head}")
+    facts = [
+        ("instrument", document.serial),
+        ("measured", document.measured or "not said"),
+        ("created", document.created),
+    ]
+    facts += [("operator", document.operator), ("reason", document.reason)]
+    facts += [("supersedes", document.supersedes)] if document.supersedes else []
+    facts += [
+        ("software", f"piga {document.software.get('piga', '?')}, {document.software.get('python', '?')}")
+    ]
+    for name, value in facts:
+        say(f"  {name:<11}{value}")
+    if record.link.taken_over is not None:
+        who = record.link.taken_over
+        say(
+            f"  imported   by {who.operator}: {who.reason}; it was number {document.number} of store {document.store}"
+        )
+    for file in document.files:
+        say(f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}")
+
+
+@app.command()
+def diff(
+    first: RecordArgument, second: RecordArgument, store: StoreOption, as_json: JsonOption = False
+) -> None:
+    """Compare two records: coefficients with the uncertainty of the difference, inputs, software."""
+    from piga.records.store.difference import difference
+
+    with opened(store) as kept:
+        found, head = difference(kept, first, second), kept.head()
+    if as_json:
+        from msgspec import to_builtins
+
+        print_json({
+            "store": store_name(store), "head": head.sha256, "first": found.first.id, "second": found.second.id,
+            "coefficients": [to_builtins(change) | {"ratio": change.ratio} for change in found.coefficients],
+            "facts": {name: list(pair) for name, pair in found.facts.items()},
+        })  # fmt: skip
+        return
+    say(f"{found.first.id} -> {found.second.id}: second less first, uncertainties taken as independent")
+    for c in found.coefficients:
+        if c.difference is None or c.ratio is None:
+            say(f"  {c.key:<14} only in {found.first.id if c.second is None else found.second.id}")
+        else:
+            say(f"  {c.key:<14} {c.difference:+.6e} {c.unit:<8} u {c.std:.2e}   {c.ratio:+.2f} u")
+    for name, (old, new) in found.facts.items():
+        say(f"  {name}: {old} -> {new}")
+    _say_head(head.number, head.sha256)
+
+
+@app.command()
+def verify(
+    store: Annotated[
+        str | None, typer.Option("--store", metavar="FILE|URL", envvar="PIGA_STORE", help="Store to check.")
+    ] = None,
+    archive: Annotated[
+        Path | None,
+        typer.Argument(metavar="[EXPORT.zip]", help="Export or backup to check instead of the store."),
+    ] = None,
+    head: Annotated[
+        list[str] | None,
+        typer.Option("--head", metavar="SHA256", help="Head noted earlier, e.g. on a report; may be repeated."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check every link, record and file; exit 2 and say what is wrong when something is."""
+    from piga.records.store import open_store  # noqa: F401 - says so when the extra is missing
+    from piga.records.store.verify import verify as check
+
+    where = str(archive) if archive is not None else store
+    if where is None:
+        raise PigaError("nothing to verify", remedy="name an export, or give --store")
+    with progress("verifying"):
+        found = check(where, head or ())
+    _print_verification(found, as_json=as_json)
+    if not found.sound:
+        raise typer.Exit(2)
+
+
+def _print_verification(found: Verification, *, as_json: bool) -> None:
+    if as_json:
+        document = {"store": found.name, "sound": found.sound, "records": found.records, "files": found.files}
+        print_json(document | {"head": found.head, "known": found.known, "problems": found.problems})
+        return
+    if found.sound:
+        say(f"{found.name}: sound: {found.records} records and {found.files} files are what they were")
+    for known, number in found.known.items():
+        if number is not None:
+            say(f"known head {known[:16]}... is that after record {number}")
+    for problem in found.problems:
+        note(f"piga: {problem}")
+    if found.head:
+        _say_head(found.records, found.head)
+
+
+@app.command()
+def export(
+    out: Annotated[Path, typer.Argument(metavar="EXPORT.zip", help="File to write; it must not exist.")],
+    store: StoreOption,
+    record: Annotated[
+        list[str] | None, typer.Option("--record", metavar="RECORD", help="This record only; may be repeated.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write records into one file that explains itself and can be checked without piga."""
+    from piga.records.store.transfer import export_records
+
+    with opened(store) as kept, progress("exporting"):
+        found = export_records(kept, out, record)
+    _print_written(out, found.records, found.head, as_json=as_json)
+
+
+@app.command("import")
+def import_export(
+    archive: Annotated[Path, typer.Argument(metavar="EXPORT.zip", help="Export to take records from.")],
+    store: StoreOption,
+    operator: OperatorOption,
+    reason: ReasonOption,
+    as_json: JsonOption = False,
+) -> None:
+    """Append the records of an export that the store does not have: all of them, verified, or none."""
+    from piga.records.store.transfer import import_records
+
+    with opened(store, create=True) as kept, progress("importing"):
+        added = import_records(kept, archive, operator, reason)
+        head = kept.head()
+    if as_json:
+        print_json({"store": store_name(store), "added": added, "records": head.number, "head": head.sha256})
+        return
+    say(f"imported {len(added)} records from {archive}")
+    _say_head(head.number, head.sha256)
+
+
+@app.command()
+def reproduce(
+    store: StoreOption,
+    record: Annotated[
+        list[str] | None, typer.Argument(metavar="[RECORD]...", help="Records to recompute [default: all].")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Recompute records from their stored inputs; exit 2 when the numbers are not the same."""
+    from piga.evidence import reproduce as recompute
+
+    found = []
+    with opened(store) as kept:
+        names = record or [entry.id for entry in kept.records()]
+        with progress("recomputing", len(names)) as advance:
+            for name in names:
+                found.append(recompute(kept, name))
+                advance(1)
+        head = kept.head()
+    if as_json:
+        results = [_reproduced_document(one) for one in found]
+        print_json({"store": store_name(store), "head": head.sha256, "records": results})
+    else:
+        for one in found:
+            _say_reproduced(one)
+        _say_head(head.number, head.sha256)
+    if not all(one.reproduced for one in found):
+        raise typer.Exit(2)
+
+
+def _reproduced_document(found: Reproduced) -> dict[str, Any]:
+    return {
+        "id": found.record.id,
+        "verdict": found.verdict,
+        "same_platform": found.same_platform,
+        "changed": {name: list(pair) for name, pair in found.changed.items()},
+        "worst": found.comparison.worst,
+        "differences": list(found.comparison.differences),
+    }
+
+
+def _say_reproduced(found: Reproduced) -> None:
+    where = "same software and platform" if found.same_platform else f"then and now: {_changes(found)}"
+    words = {
+        "identical": "identical to the bit",
+        "within tolerance": f"within 1e-12 kappa ({found.comparison.worst:.1g} of what is allowed)",
+        "different": "NOT the same",
+    }
+    say(f"{found.record.id}: {words[found.verdict]}; {where}")
+    if not found.reproduced:
+        for line in found.comparison.differences or ("the numbers differ in their last digits",):
+            note(f"piga: {found.record.id}: {line}")
+
+
+def _changes(found: Reproduced) -> str:
+    changed = {
+        name: pair for name, pair in found.changed.items() if pair[0] is not None and name != "source_sha256"
+    }
+    words = [f"{name} {then} -> {now}" for name, (then, now) in changed.items()]
+    words += ["other numeric source"] if found.changed.get("source_sha256", (None, None))[0] else []
+    return "; ".join(words) or "the software of then was not recorded in full"
+
+
+@app.command()
+def backup(
+    out: Annotated[Path, typer.Argument(metavar="BACKUP", help="File to write; it must not exist.")],
+    store: StoreOption,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a verified copy of the store while it is in use (PostgreSQL: a complete export)."""
+    from piga.records.store.transfer import backup as copy
+
+    with opened(store) as kept, progress("copying"):
+        found = copy(kept, out)
+    _print_written(out, found.records, found.head, as_json=as_json)
+
+
+@app.command()
+def restore(
+    source: Annotated[Path, typer.Argument(metavar="BACKUP", help="Backup, or complete export.")],
+    store: StoreOption,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a store from a backup: same links, same head. The store must not exist yet."""
+    from piga.records.store import open_store  # noqa: F401 - says so when the extra is missing
+    from piga.records.store.transfer import restore as make
+
+    with progress("restoring"):
+        found = make(source, store)
+    _print_written(Path(store_name(store)), found.records, found.head, as_json=as_json)
+
+
+def _print_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json({"file": str(path), "records": records, "head": head})
+        return
+    say(f"wrote {path}, read back and found sound")
+    _say_head(records, head)
+
+
+def _say_head(records: int, head: str) -> None:
+    say(f"{records} records, head {head}")
+
+
+def _document(record: Record) -> dict[str, Any]:
+    """A record as JSON values: its place here, then the document as written."""
+    from msgspec import to_builtins
+
+    place = {"number": record.number, "head": record.head, "added": record.link.added}
+    taken_over = None if record.link.taken_over is None else to_builtins(record.link.taken_over)
+    return place | {"taken_over": taken_over, "record": to_builtins(record.document), "id": record.id}

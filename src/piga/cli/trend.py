@@ -1,0 +1,162 @@
+"""``piga records trend``: how the coefficients of an instrument move over the years."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.errors import PigaError
+
+if TYPE_CHECKING:
+    from piga.calibration.trend import Common, HistoryEntry, Trend
+
+MOST_RECORDS = 10_000
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to a group of commands."""
+    app.command("trend")(trend)
+
+
+def trend(
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[CALIBRATION.json | DIR]...", help="Calibrations, or directories that hold some."
+        ),
+    ] = None,
+    store: Annotated[
+        str | None,
+        typer.Option("--store", metavar="FILE|URL", envvar="PIGA_STORE", help="Take the records of a store."),
+    ] = None,
+    serial: Annotated[
+        str | None, typer.Option("--serial", metavar="TEXT", help="Instrument; needed with a store.")
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option("--at", metavar="YYYY-MM-DD", help="Date of the forecast [default: a year ahead]."),
+    ] = None,
+    common: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--common",
+            metavar="PART | SOURCE=PART",
+            help="Part (0 to 1) of Type B that all records share, for all or for one source [default: 1].",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write trend.json and trend.html.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")
+    ] = False,
+) -> None:
+    """Show stability, drift per year, control limits and a forecast of each coefficient, with alarms in words."""
+    from piga.calibration.trend import find_trend
+    from piga.reports.trend import trend_document, trend_text
+
+    with progress("reading"):
+        history = _history(sources or [], store, serial)
+    found = find_trend(history, common=_common(common or []))
+    date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
+    document = trend_document(found, at=date)
+    written = [] if out is None else _written(out, document, found, date)
+    if as_json:
+        print_json(document)
+        return
+    say(trend_text(found, at=date))
+    for path in written:
+        say(f"wrote {path}")
+
+
+def _written(out: Path, document: dict[str, Any], found: Trend, date: dt.datetime) -> list[Path]:
+    """trend.json, and trend.html where the report extra is installed."""
+    from piga.cli.calibrate import report_available
+
+    folder = output_directory(out)
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    paths = [write_by_rename(folder / "trend.json", lambda path: path.write_text(text, encoding="utf-8"))]
+    if report_available():
+        from piga.reports.trend import write_trend_report
+
+        paths.append(
+            write_by_rename(folder / "trend.html", lambda path: write_trend_report(found, path, at=date))
+        )
+    return paths
+
+
+def _history(sources: list[Path], store: str | None, serial: str | None) -> list[HistoryEntry]:
+    """Records from files, or from a store."""
+    if sources:
+        entries = [_entry(path) for path in _files(sources)]
+        return [entry for entry in entries if serial is None or entry[2].serial == serial]
+    if store is None:
+        raise PigaError("no records are named", remedy="give calibration.json files, directories, or --store")
+    if serial is None:
+        raise PigaError("--store needs the instrument", remedy="add --serial")
+    return stored_history(store, serial)
+
+
+def stored_history(store: str, serial: str) -> list[HistoryEntry]:
+    """Records of an instrument in a store."""
+    from piga.records.store import open_store
+
+    with open_store(store) as opened:
+        return opened.history(serial)
+
+
+def _files(sources: list[Path]) -> list[Path]:
+    found: list[Path] = []
+    for source in sources:
+        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
+        if not inside:
+            raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
+        found += inside
+    if len(found) > MOST_RECORDS:
+        raise PigaError(f"{len(found)} files, more than {MOST_RECORDS}", remedy="name fewer directories")
+    return list(dict.fromkeys(found))
+
+
+def _entry(path: Path) -> HistoryEntry:
+    """A file as a record: its path is the id, the time is when it was evaluated."""
+    from piga.records.calibration_json import read_calibration
+
+    calibration = read_calibration(path)
+    created = calibration.provenance.created
+    try:
+        time = dt.datetime.fromisoformat(created)
+    except ValueError:
+        raise PigaError(
+            f"{path}: provenance.created '{created[:40]}' is no time", remedy="calibrate again"
+        ) from None
+    return str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration
+
+
+def _common(given: list[str]) -> Common:
+    parts: dict[str, float] = {}
+    for text in given:
+        name, _, number = text.rpartition("=")
+        try:
+            parts[name] = float(number)
+        except ValueError:
+            raise PigaError(
+                f"--common {text}: '{number}' is no number", remedy="e.g. 0.5, or timing=0"
+            ) from None
+    if "" in parts and len(parts) > 1:
+        raise PigaError(
+            "--common: one part for all sources, or parts by source", remedy="drop the plain number"
+        )
+    return parts.get("", parts)
+
+
+def _date(text: str) -> dt.datetime:
+    try:
+        time = dt.datetime.fromisoformat(text)
+    except ValueError:
+        raise PigaError(f"--at {text}: no date", remedy="write e.g. 2027-06-01") from None
+    return time if time.tzinfo else time.replace(tzinfo=dt.UTC)

@@ -1,0 +1,130 @@
+"""Parts of a result that are whole on disk: what a stopped run continues from.
+
+Beside the target lies a folder ``.OUT.parts``: ``key.json`` says of which input, calibration and options the parts are;
+``N.parquet`` holds rows, ``N.json`` what the compensation carries on behind them. A part is whole when its
+``N.json`` is there: each file is written under another name, brought to the disk and renamed, in this order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation.writers import TableWriter
+from piga.errors import ArgumentError
+
+PART_ROWS = 1 << 22
+"""Rows of a part: at most so many are worked off again after a stop."""
+
+
+def key_of(options: Any, files: list[Path]) -> str:
+    """What a result depends on: options, content of small files; size, time and both ends of large ones."""
+    digest = hashlib.sha256(repr(options).encode())
+    for path in files:
+        found = path.stat()
+        digest.update(f"{path.name} {found.st_size}".encode())
+        with path.open("rb") as stream:
+            digest.update(stream.read(1 << 20))
+            if found.st_size > 1 << 20:
+                digest.update(str(found.st_mtime_ns).encode())
+                stream.seek(-(1 << 20), os.SEEK_END)
+                digest.update(stream.read())
+    return digest.hexdigest()
+
+
+@dataclass
+class Parts:
+    """The parts of one result.
+
+    Parameters
+    ----------
+    out:
+        The target.
+    key:
+        From :func:`key_of`.
+
+    Raises
+    ------
+    ArgumentError
+        If parts of another run lie there.
+    """
+
+    out: Path
+    key: str
+
+    def __post_init__(self) -> None:
+        self.folder = self.out.with_name(f".{self.out.name}.parts")
+        self.folder.mkdir(exist_ok=True)
+        mark = self.folder / "key.json"
+        if mark.exists() and json.loads(mark.read_text(encoding="utf-8")) != self.key:
+            raise ArgumentError(
+                f"--resume: {self.folder} holds parts of another input, calibration or set of options",
+                remedy=f"run the command that was stopped, or delete {self.folder} to begin again",
+            )
+        _place(mark, json.dumps(self.key).encode())
+        self.count = 0
+        while (self.folder / f"{self.count}.json").exists():
+            self.count += 1
+
+    def carried(self) -> dict[str, Any] | None:
+        """What the last whole part carries on; None when there is none."""
+        if self.count == 0:
+            return None
+        found: dict[str, Any] = json.loads((self.folder / f"{self.count - 1}.json").read_text(encoding="utf-8"))
+        return found
+
+    def writer(self) -> TableWriter:
+        """Writer of the next part."""
+        return TableWriter(self.folder / "part.new", "parquet")
+
+    def keep(self, carried: Mapping[str, Any]) -> None:
+        """The next part is complete: bring it to the disk, then what it carries on."""
+        path = self.folder / "part.new"
+        with path.open("rb") as stream:
+            os.fsync(stream.fileno())
+        path.replace(self.folder / f"{self.count}.parquet")
+        _place(self.folder / f"{self.count}.json", json.dumps(dict(carried)).encode())
+        self.count += 1
+
+    def rows(self) -> Iterator[dict[str, NDArray]]:
+        """All rows, in the pieces in which they were written."""
+        from pyarrow import parquet
+
+        for index in range(self.count):
+            with parquet.ParquetFile(self.folder / f"{index}.parquet", pre_buffer=False) as source:
+                for group in range(source.num_row_groups):
+                    table = source.read_row_group(group, use_threads=False).combine_chunks()
+                    yield {name: _numbers(table.column(name).chunk(0)) for name in table.column_names}
+
+    def remove(self) -> None:
+        """The result stands: the parts may go."""
+        shutil.rmtree(self.folder)
+
+
+def _numbers(column: Any) -> NDArray:
+    kind = np.int32 if str(column.type) == "int32" else np.float64
+    return np.frombuffer(column.buffers()[1], dtype=kind)[column.offset : column.offset + len(column)]
+
+
+def _place(path: Path, content: bytes) -> None:
+    """Write a small file whole, or not at all; the folder is on the disk afterwards."""
+    new = path.with_name(path.name + ".new")
+    with new.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    new.replace(path)
+    handle = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,217 @@
+"""Several run files of instruments that are solved together, from file to file in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation.compensate import check_serial_names
+from piga.compensation.flags import FLAGS
+from piga.compensation.large_file import LargeFile
+from piga.compensation.resample import Resampler
+from piga.compensation.triad import CompensatedSet, Mounted, RateAngle, SetCompensator, compensate_triad
+from piga.compensation.writers import TableWriter
+from piga.errors import DataError
+from piga.records.run_file import read_run_file
+
+Array = NDArray[np.float64]
+
+APART = 1e-6
+"""Part of the interval by which times of one row may differ between the files."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows that all files have: ``t`` (n,), ``output`` (N, n), ``begins`` (n,), base rates and temperatures or None."""
+
+    t: Array
+    output: Array
+    begins: NDArray[np.bool_]
+    base_rate: list[Array] | None
+    temperature: list[Array] | None
+
+
+def compensate_set_files(
+    runs: Sequence[Path],
+    instruments: Sequence[Mounted],
+    out: Path,
+    kind: str,
+    *,
+    uncertainty: bool = True,
+    max_age_days: float | None = None,
+    force: bool = False,
+    period: float | None = None,
+    large: int = 0,
+    advance: Callable[[int], None] = lambda _rows: None,
+) -> dict[str, Any]:
+    """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
+
+    When all data files together have no more than ``large`` bytes they are read whole, with all repairs; larger ones
+    go through chunk by chunk. With a ``period`` [s] the increments are brought to that interval.
+
+    Raises
+    ------
+    DataError
+        If the files have not the same times, or hold different kinds of output.
+    CalibrationError, ArgumentError
+        As :func:`piga.compensation.compensate_triad`.
+    """
+    resampler = None if period is None else Resampler(period)
+    size = sum((run.parent / read_run_file(run).data.file).stat().st_size for run in runs)
+    if size > large:
+        parts = _streamed(runs, instruments, uncertainty, max_age_days, force)
+    else:
+        parts = _whole(runs, instruments, uncertainty, max_age_days, force)
+    counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
+    with TableWriter(out, kind) as writer:
+        for part in parts:
+            advance(part.size)
+            for name in FLAGS:
+                counts[name] += int(part.flagged(name).sum())
+            velocity += part.dv.sum(axis=0)
+            columns = part.columns() if resampler is None else resampler.push_set(part)
+            rows += columns["t"].size
+            writer.write(columns)
+    if rows == 0:
+        raise DataError(f"{runs[0]}: no usable row", remedy="check the columns in [data]")
+    return {"rows": rows, "velocity_m_s": velocity.tolist(), "flags": {k: v for k, v in counts.items() if v}}
+
+
+def _whole(
+    runs: Sequence[Path], instruments: Sequence[Mounted], uncertainty: bool, max_age: float | None, force: bool
+) -> Iterator[CompensatedSet]:
+    from piga.stand import read_run
+
+    records = [read_run(run, need_reference=False) for run in runs]
+    yield compensate_triad(
+        records, instruments, uncertainty=uncertainty, max_age_days=max_age, force=force
+    )  # fmt: skip
+
+
+def _streamed(
+    runs: Sequence[Path], instruments: Sequence[Mounted], uncertainty: bool, max_age: float | None, force: bool
+) -> Iterator[CompensatedSet]:
+    files = [LargeFile(run, read_run_file(run)) for run in runs]
+    for file, item in zip(files, instruments, strict=True):
+        check_serial_names(file.run_file.instrument.serial, item.calibration.serial, force)
+        if file.kind != files[0].kind:
+            raise DataError(
+                f"{file.path}: holds {file.kind}, {files[0].path}: {files[0].kind}", remedy="log one kind"
+            )
+    sampled = files[0].kind == "rate"
+    followers = [RateAngle() for _ in files]
+    stream: SetCompensator | None = None
+    waiting: Rows | None = None
+    for labels, rows in _aligned(files):
+        if stream is None:
+            mounted = [
+                replace(item, segment=item.segment or label)
+                for item, label in zip(instruments, labels, strict=True)
+            ]
+            stream = SetCompensator(mounted, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age)
+        if not sampled:
+            yield stream.push(
+                rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
+            )
+            continue
+        psi = [f.push(rows.t, rate, rows.begins) for f, rate in zip(followers, rows.output, strict=True)]
+        known = rows if waiting is None else _joined(waiting, rows)
+        ready, waiting = _split(known, known.t.size - 1)
+        yield _push_sampled(stream, ready, psi)
+    if stream is not None and waiting is not None:
+        yield _push_sampled(stream, waiting, [f.finish() for f in followers])
+
+
+def _push_sampled(stream: SetCompensator, rows: Rows, psi: list[Array]) -> CompensatedSet:
+    return stream.push(
+        rows.t, np.array(psi), rate=rows.output, base_rate=rows.base_rate, temperature=rows.temperature,
+        begins=rows.begins,
+    )  # fmt: skip
+
+
+def _pieces(file: LargeFile) -> Iterator[tuple[str, Rows]]:
+    for piece in file.pieces():
+        c = piece.chunk
+        omega = [c.base_rate] if c.base_rate.shape[0] else None
+        warm = [c.temperature] if c.temperature.size else None
+        yield piece.label, Rows(c.t, c.output[None, :], c.begins, omega, warm)
+
+
+def _aligned(files: Sequence[LargeFile]) -> Iterator[tuple[list[str], Rows]]:
+    """Rows of all files together, as many at a time as every file has; the labels of the first pieces."""
+    sources = [_pieces(file) for file in files]
+    held: list[Rows | None] = [None] * len(files)
+    labels: list[str] = []
+    tolerance = 0.0
+    while True:
+        for i, source in enumerate(sources):
+            if held[i] is None:
+                label, held[i] = next(source, ("", None))
+                labels += [label] if len(labels) < len(files) else []
+        ready = [rows for rows in held if rows is not None]
+        if not ready:
+            return
+        if len(ready) < len(files):
+            at = next(i for i, rows in enumerate(held) if rows is None)
+            raise DataError(
+                f"{files[at].path}: ends before the other files", remedy="sample all instruments together"
+            )
+        count = min(rows.t.size for rows in ready)
+        tolerance = tolerance or APART * _interval(ready[0].t)
+        parts = [_split(rows, count) for rows in ready]
+        yield labels, _together(files, [part[0] for part in parts], tolerance)
+        held = [part[1] for part in parts]
+
+
+def _interval(t: Array) -> float:
+    return float(t[1] - t[0]) if t.size > 1 else 1.0
+
+
+def _together(files: Sequence[LargeFile], parts: list[Rows], tolerance: float) -> Rows:
+    first = parts[0]
+    for file, part in zip(files, parts, strict=True):
+        apart = np.abs(part.t - first.t) > tolerance
+        if apart.any():
+            time = part.t[int(np.argmax(apart))]
+            raise DataError(
+                f"{file.path}: at t = {time:.9g} s: the times are not those of {files[0].path}",
+                remedy="sample all instruments together, or bring them to common times first",
+            )
+    size = first.t.size
+    base = [part.base_rate[0] if part.base_rate else np.zeros((size, 3)) for part in parts]
+    warm = [part.temperature[0] for part in parts if part.temperature]
+    return Rows(
+        first.t,
+        np.concatenate([part.output for part in parts]),
+        np.logical_or.reduce([part.begins for part in parts]),
+        base if any(part.base_rate for part in parts) else None,
+        warm if len(warm) == len(parts) else None,
+    )
+
+
+def _split(rows: Rows, count: int) -> tuple[Rows, Rows | None]:
+    """The first ``count`` rows, and what is left (None: nothing)."""
+    head, tail = (
+        Rows(
+            rows.t[cut], np.ascontiguousarray(rows.output[:, cut]), rows.begins[cut],
+            None if rows.base_rate is None else [values[cut] for values in rows.base_rate],
+            None if rows.temperature is None else [values[cut] for values in rows.temperature],
+        )
+        for cut in (slice(0, count), slice(count, None))
+    )  # fmt: skip
+    return head, tail if tail.t.size else None
+
+
+def _joined(a: Rows, b: Rows) -> Rows:
+    def both(x: list[Array] | None, y: list[Array] | None) -> list[Array] | None:
+        return None if x is None or y is None else [np.concatenate(pair) for pair in zip(x, y, strict=True)]
+
+    return Rows(
+        np.concatenate((a.t, b.t)), np.concatenate((a.output, b.output), axis=1),
+        np.concatenate((a.begins, b.begins)), both(a.base_rate, b.base_rate), both(a.temperature, b.temperature),
+    )  # fmt: skip

@@ -1,0 +1,156 @@
+"""A recomputed calibration against the stored one: the same to the bit, or within what rounding explains.
+
+Least squares answers a relative rounding error eps with a change of the coefficient *vector* of about
+``kappa eps`` of its length (kappa: condition number). So a coefficient is compared on the scale of the vector, in the
+units of ``calibration.json``, where every entry is a share of the output rate at 1 g: ``1e-12 kappa |theta|`` is
+allowed for value and standard uncertainty, divided by ``tan_beta`` for its phase. Angles are compared on the scale of
+the angle turned. Own derivation, after the normwise bounds in any text on numerical linear algebra.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from piga.records import Calibration
+
+TOLERANCE = 1e-12
+"""Times the condition number: the relative difference that another platform may make."""
+NOISE_TOLERANCE = 1e-8
+"""Difference of the noise levels on their scale: they are found by search, as flat as any optimum."""
+UNCOMPARED = ("created", "software", "source")
+"""Entries of the provenance that say when, by what and from which folder."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One number: stored, recomputed, and the difference that is allowed."""
+
+    name: str
+    stored: float
+    recomputed: float
+    allowed: float
+
+    @property
+    def agrees(self) -> bool:
+        """True when the difference is allowed."""
+        return self.stored == self.recomputed or abs(self.recomputed - self.stored) <= self.allowed
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """``identical``: every number has the same bits. ``worst``: largest difference in parts of what is allowed."""
+
+    identical: bool
+    compared: tuple[Compared, ...]
+    differences: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """True when everything is equal or within its tolerance."""
+        return not self.differences
+
+    @property
+    def worst(self) -> float:
+        """Largest difference, in parts of what is allowed; 0 when all are equal."""
+        shares = [abs(c.recomputed - c.stored) / c.allowed for c in self.compared if c.stored != c.recomputed]
+        return max(shares, default=0.0)
+
+
+def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Comparison:
+    """Compare two calibrations of the same inputs."""
+    identical = _numbers(stored) == _numbers(recomputed)
+    facts = [
+        f"{name}: {a!r}, recomputed {b!r}" for name, (a, b) in _facts(stored, recomputed).items() if a != b
+    ]
+    if facts:
+        return Comparison(identical, (), tuple(facts))
+    compared = (*_coefficients(stored, recomputed), *_angles(stored, recomputed), *_noise(stored, recomputed))
+    differences = [
+        f"{c.name}: {c.stored!r}, recomputed {c.recomputed!r}, allowed {c.allowed:.2g}"
+        for c in compared
+        if not c.agrees
+    ]
+    return Comparison(identical, compared, tuple(differences))
+
+
+def _numbers(calibration: Calibration) -> dict[str, Any]:
+    """Everything in ``calibration.json`` but when, by what and where it was made."""
+    from piga.records.calibration_json import to_document
+
+    document = to_document(calibration)
+    provenance = {key: value for key, value in document["provenance"].items() if key not in UNCOMPARED}
+    options = {key: value for key, value in provenance["options"].items() if key not in UNCOMPARED}
+    return _listed({**document, "provenance": {**provenance, "options": options}})
+
+
+def _listed(value: Any) -> Any:
+    """Nested values with lists for tuples, as JSON has them."""
+    if isinstance(value, dict):
+        return {key: _listed(item) for key, item in value.items()}
+    return [_listed(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
+    """What rounding cannot change."""
+    names = ("serial", "terms", "phase", "phase_source", "method", "degrees_of_freedom", "quality")
+    facts: dict[str, tuple[Any, Any]] = {name: (getattr(a, name), getattr(b, name)) for name in names}
+    facts["coefficients"] = ([c.key for c in a.coefficients], [c.key for c in b.coefficients])
+    facts["inputs"] = (a.provenance.input_sha256, b.provenance.input_sha256)
+    return facts
+
+
+def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
+    kappa = a.condition if math.isfinite(a.condition) else 1.0
+    plain = [c.value for c in a.coefficients if c.name != "phi"]
+    length = math.hypot(a.scale_factor_nominal * 9.80665, *plain)
+    tangent = next((abs(c.value) for c in a.coefficients if c.name == "tan_beta"), 1.0)
+    allowed = [
+        TOLERANCE * kappa * length / (max(tangent, TOLERANCE) if c.name == "phi" else 1.0)
+        for c in a.coefficients
+    ]
+    found = [
+        Compared(c.key, c.value, _nearest_turn(d.value, c.value) if c.name == "phi" else d.value, limit)
+        for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
+    ]
+    found += [
+        Compared(f"u({c.key})", c.std, d.std, limit)
+        for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
+    ]
+    std = np.array([c.std for c in a.coefficients])
+    limits = np.add.outer(np.zeros(std.size), np.array(allowed)) * std[:, None]
+    limits = limits + limits.T
+    worst = np.abs(a.covariance - b.covariance) - limits
+    if worst.size:
+        i, j = np.unravel_index(int(np.argmax(worst)), worst.shape)
+        name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
+        found.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(limits[i, j])))
+    return found
+
+
+def _nearest_turn(value: float, near: float) -> float:
+    """The same angle within half a turn of ``near``; unchanged when it is so already."""
+    turns = round((near - value) / (2.0 * math.pi))
+    return value if turns == 0 else value + 2.0 * math.pi * turns
+
+
+def _angles(a: Calibration, b: Calibration) -> list[Compared]:
+    kappa = a.condition if math.isfinite(a.condition) else 1.0
+    turned = 2.0 * math.pi * max((abs(segment.turns) for segment in a.segments), default=0.0)
+    allowed = TOLERANCE * kappa * max(turned, a.residual_max_before, 1.0)
+    names = ("residual_rms", "residual_rms_before", "residual_max_before", "residual_max_after")
+    return [Compared(name, getattr(a, name), getattr(b, name), allowed) for name in names]
+
+
+def _noise(a: Calibration, b: Calibration) -> list[Compared]:
+    """Noise levels, each on the scale at which it counts beside the other over the whole record."""
+    duration = math.fsum(segment.duration for segment in a.segments) or 1.0
+    white = max(a.angle_rms, a.angle_random_walk * math.sqrt(duration / max(a.quality.used, 1)))
+    walk = max(a.angle_random_walk, a.angle_rms / math.sqrt(duration))
+    return [
+        Compared("angle_rms", a.angle_rms, b.angle_rms, NOISE_TOLERANCE * white),
+        Compared("angle_random_walk", a.angle_random_walk, b.angle_random_walk, NOISE_TOLERANCE * walk),
+    ]

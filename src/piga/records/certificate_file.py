@@ -1,0 +1,381 @@
+"""The administrative part of a certificate (TOML), and what is missing for one by ISO/IEC 17025:2017.
+
+Every key may be left out when the file is read; :func:`missing_items` lists all that a certificate lacks, with
+the clause that asks for it, so that nothing is found one at a time.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import itertools
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from piga.errors import UnitError
+from piga.records.calibration import Calibration
+from piga.records.terms import unit_of
+from piga.records.toml_file import read_toml
+from piga.units import to_si
+
+MASKED = 0.05
+"""Largest share of masked rows that a certificate is given for, unless the file allows more."""
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of the file."""
+
+
+class CertificateTable(_Table, frozen=True):
+    """``[certificate]``: its unique number, date of issue, and what it replaces."""
+
+    number: str = ""
+    issued: dt.date | None = None
+    title: str = "Calibration certificate"
+    replaces: str = ""
+    amendment: str = ""
+    largest_masked_share: float = MASKED
+
+
+class PartyTable(_Table, frozen=True):
+    """``[laboratory]`` and ``[customer]``: name and address; ``country`` is a two-letter ISO 3166-1 code."""
+
+    name: str = ""
+    street: str = ""
+    post_code: str = ""
+    city: str = ""
+    country: str = ""
+    email: str = ""
+    phone: str = ""
+    accreditation: str = ""
+
+    @property
+    def address(self) -> str:
+        """The address in one line."""
+        return ", ".join(
+            part for part in (self.street, f"{self.post_code} {self.city}".strip(), self.country) if part
+        )
+
+
+class ItemTable(_Table, frozen=True):
+    """``[item]``: what was calibrated, and in which condition it came."""
+
+    description: str = ""
+    manufacturer: str = ""
+    model: str = ""
+    serial: str = ""
+    customer_id: str = ""
+    condition: str = ""
+    received: dt.date | None = None
+
+
+class CalibrationTable(_Table, frozen=True):
+    """``[calibration]``: when and where, for which order."""
+
+    begin: dt.date | None = None
+    end: dt.date | None = None
+    place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] | None = None
+    place_detail: str = ""
+    order: str = ""
+
+
+class MethodTable(_Table, frozen=True):
+    """``[method]``: procedure, what was done otherwise, sampling, and results from elsewhere."""
+
+    name: str = ""
+    documents: tuple[str, ...] = ()
+    description: str = ""
+    deviations: str = ""
+    sampling: str = "not applicable"
+    external_results: str = ""
+
+
+class ConditionTable(_Table, frozen=True):
+    """``[[environment]]``: a condition that influences the results, its value and expanded uncertainty."""
+
+    name: str
+    value: str
+    uncertainty: str = ""
+
+
+class StandardTable(_Table, frozen=True):
+    """``[[traceability.standard]]``: a standard that was used, its identification and certificate."""
+
+    name: str
+    identification: str = ""
+    certificate: str = ""
+    realises: str = ""
+
+
+class TraceabilityTable(_Table, frozen=True):
+    """``[traceability]``: the statement, and the standards behind it."""
+
+    statement: str = ""
+    standard: tuple[StandardTable, ...] = ()
+
+
+class PersonTable(_Table, frozen=True):
+    """A person with a role."""
+
+    name: str = ""
+    role: str = ""
+
+
+class PeopleTable(_Table, frozen=True):
+    """``[people]``: who authorises the certificate, and who did the work."""
+
+    authorised: PersonTable = PersonTable()
+    performed: PersonTable = PersonTable()
+
+
+class AdjustmentTable(_Table, frozen=True):
+    """``[adjustment]``: whether the item was adjusted or repaired; then its results before."""
+
+    performed: bool | None = None
+    before: str = ""
+    description: str = ""
+
+
+class ConformityTable(_Table, frozen=True):
+    """``[conformity]``: specification, decision rule, and limits (lower, upper) of coefficients with units."""
+
+    specification: str = ""
+    rule: Literal["simple", "guarded"] | None = None
+    agreed_with_customer: bool = False
+    limits: dict[str, tuple[str, str]] = {}
+
+
+class StatementsTable(_Table, frozen=True):
+    """``[statements]``: opinions with their author; an interval only where the customer agreed to one."""
+
+    opinions: str = ""
+    opinions_by: str = ""
+    recalibrate: dt.date | None = None
+    interval_agreed: bool = False
+    remarks: str = ""
+
+
+class CertificateFile(_Table, frozen=True):
+    """A whole file."""
+
+    certificate: CertificateTable = CertificateTable()
+    laboratory: PartyTable = PartyTable()
+    customer: PartyTable = PartyTable()
+    item: ItemTable = ItemTable()
+    calibration: CalibrationTable = CalibrationTable()
+    method: MethodTable = MethodTable()
+    environment: tuple[ConditionTable, ...] = ()
+    traceability: TraceabilityTable = TraceabilityTable()
+    people: PeopleTable = PeopleTable()
+    adjustment: AdjustmentTable = AdjustmentTable()
+    conformity: ConformityTable | None = None
+    statements: StatementsTable = StatementsTable()
+
+
+def read_certificate_file(path: str | Path) -> CertificateFile:
+    """Read a certificate's administrative data.
+
+    Raises
+    ------
+    RunFileError
+        If the file is no TOML, has an unknown key or a value of the wrong type.
+    """
+    return read_toml(Path(path), CertificateFile)
+
+
+_NEEDED = (
+    ("certificate", "number", "7.8.2.1 d", "the unique number"),
+    ("certificate", "issued", "7.8.2.1 j", "the date of issue"),
+    ("laboratory", "name", "7.8.2.1 b", "the laboratory's name"),
+    ("laboratory", "street", "7.8.2.1 b", "the laboratory's address"),
+    ("laboratory", "city", "7.8.2.1 b", "the laboratory's address"),
+    ("laboratory", "country", "7.8.2.1 b", "the laboratory's country (two letters)"),
+    ("calibration", "place", "7.8.2.1 c", "where the work was done"),
+    ("customer", "name", "7.8.2.1 e", "the customer's name"),
+    ("customer", "city", "7.8.2.1 e", "the customer's address"),
+    ("customer", "country", "7.8.2.1 e", "the customer's country (two letters)"),
+    ("method", "name", "7.8.2.1 f", "the method"),
+    ("method", "documents", "7.8.2.1 f", "the documents of the method"),
+    ("item", "description", "7.8.2.1 g", "what the item is"),
+    ("item", "manufacturer", "7.8.2.1 g", "who made the item"),
+    ("item", "model", "7.8.2.1 g", "the item's model"),
+    ("item", "serial", "7.8.2.1 g", "the item's serial number"),
+    ("item", "condition", "7.8.2.1 g", "the condition of the item"),
+    ("item", "received", "7.8.2.1 h", "the date of receipt"),
+    ("calibration", "begin", "7.8.2.1 i", "the first day of the calibration"),
+    ("calibration", "end", "7.8.2.1 i", "the last day of the calibration"),
+    ("method", "sampling", "7.8.2.1 k", 'the sampling plan, or "not applicable"'),
+    ("method", "deviations", "7.8.2.1 n", 'additions, deviations and exclusions, or "none"'),
+    ("method", "external_results", "7.8.2.1 p", 'results from external providers, or "none"'),
+    ("adjustment", "performed", "7.8.4.1 d", "whether the item was adjusted"),
+    ("traceability", "statement", "7.8.4.1 c", "the statement of traceability"),
+    ("traceability", "standard", "7.8.4.1 c", "the standards that were used"),
+)
+
+
+def missing_items(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None = None
+) -> list[str]:
+    """All that keeps a certificate from being issued, one sentence each; empty when it can be.
+
+    Parameters
+    ----------
+    data:
+        The administrative part.
+    calibration:
+        The calibration that is certified.
+    before:
+        The calibration before adjustment, where there is one.
+    """
+    found = [
+        f"[{table}] {key} ({clause}): {what}"
+        for table, key, clause, what in _NEEDED
+        if getattr(getattr(data, table), key) in ("", None, ())
+    ]
+    found += [*_people(data), *_texts(data), *_conditions(data), *_order_of_dates(data)]
+    found += [
+        *_adjustment(data, calibration, before),
+        *_numbers(data, calibration),
+        *_conformity(data, calibration),
+    ]
+    return found
+
+
+def _people(data: CertificateFile) -> Iterator[str]:
+    person = data.people.authorised
+    if not (person.name and person.role):
+        yield "[people.authorised] name and role (7.8.2.1 o): who authorises the certificate"
+
+
+def _texts(data: CertificateFile) -> Iterator[str]:
+    for table in ("laboratory", "customer"):
+        country = getattr(data, table).country
+        if country and not re.fullmatch("[A-Z]{2}", country):
+            yield f"[{table}] country (7.8.2.1): '{country}' is no two-letter ISO 3166-1 code"
+    if data.certificate.number and not re.fullmatch(r"\S(.*\S)?", data.certificate.number):
+        yield "[certificate] number (7.8.2.1 d): begins or ends with a space"
+    if data.certificate.replaces and not data.certificate.amendment:
+        yield "[certificate] amendment (7.8.8.1): what was changed against the certificate that is replaced, and why"
+    if data.statements.opinions and not data.statements.opinions_by:
+        yield "[statements] opinions_by (7.8.7.1): the person who is authorised to give opinions"
+    if data.statements.recalibrate and not data.statements.interval_agreed:
+        yield "[statements] interval_agreed (7.8.4.3): an interval may stand only where the customer agreed to it"
+
+
+def _conditions(data: CertificateFile) -> Iterator[str]:
+    if not data.environment:
+        yield "[[environment]] (7.8.4.1 b): the conditions that influence the results, e.g. the temperature"
+    for condition in data.environment:
+        try:
+            quantity_text(condition.value)
+            quantity_text(condition.uncertainty or condition.value)
+        except UnitError as error:
+            yield f"[[environment]] {condition.name} (7.8.4.1 b): {error.message}"
+
+
+def quantity_text(text: str) -> tuple[float, str]:
+    """Number and unit of a quantity such as ``"20.1 degC"`` or ``"45 %"``, as written.
+
+    Raises
+    ------
+    UnitError
+        If it is no number with a known unit.
+    """
+    number, _, unit = text.strip().partition(" ")
+    to_si(f"{number} {unit.strip() or '1'}", unit.strip() or "1", what=text)
+    return float(number), unit.strip() or "1"
+
+
+def _order_of_dates(data: CertificateFile) -> Iterator[str]:
+    steps = (
+        ("[item] received", data.item.received),
+        ("[calibration] begin", data.calibration.begin),
+        ("[calibration] end", data.calibration.end),
+        ("[certificate] issued", data.certificate.issued),
+    )
+    given = [(name, date) for name, date in steps if date is not None]
+    for (first, earlier), (second, later) in itertools.pairwise(given):
+        if later < earlier:
+            yield f"{second} (7.8.2.1): {later} is before {first}, {earlier}"
+
+
+def _adjustment(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> Iterator[str]:
+    if data.adjustment.performed and before is None:
+        yield "[adjustment] before (7.8.4.1 d): the calibration.json of the results before adjustment"
+    if before is not None and before.serial != calibration.serial:
+        yield f"[adjustment] before (7.8.4.1 d): is of instrument '{before.serial}', not '{calibration.serial}'"
+    if before is not None and data.adjustment.performed is False:
+        yield "[adjustment] performed (7.8.4.1 d): results before adjustment are given, but no adjustment"
+
+
+def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
+    """What the calibration itself must have."""
+    if data.item.serial and data.item.serial != calibration.serial:
+        yield f"[item] serial (7.8.2.1 g): '{data.item.serial}', but the calibration is of '{calibration.serial}'"
+    if not calibration.degrees_of_freedom >= 1.0:
+        yield "calibration (7.8.4.1 a): too few degrees of freedom for an expanded uncertainty"
+    if not all(c.std > 0.0 and math.isfinite(c.std) for c in calibration.coefficients):
+        yield "calibration (7.8.4.1 a): a coefficient has no uncertainty"
+    if not any(row.get("type") == "B" for row in calibration.budget):
+        yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
+    yield from _budget_sums(calibration)
+    masked = calibration.quality.masked / max(calibration.quality.rows, 1)
+    if masked > data.certificate.largest_masked_share:
+        yield (
+            f"calibration (7.7): {100.0 * masked:.3g} % of the rows are masked, more than [certificate] "
+            f"largest_masked_share of {100.0 * data.certificate.largest_masked_share:.3g} %"
+        )
+
+
+def _budget_sums(calibration: Calibration) -> Iterator[str]:
+    """The budget of each coefficient must add up to its standard uncertainty."""
+    if not any(row.get("type") == "A" for row in calibration.budget):
+        return
+    for c in calibration.coefficients:
+        total = math.hypot(*(float(row.get("contributions", {}).get(c.key, 0.0)) for row in calibration.budget))
+        if abs(total - c.std) > 1e-6 * c.std:
+            yield f"calibration (7.8.4.1 a): the budget of {c.key} adds up to {total:.6g}, not to {c.std:.6g}"
+
+
+def _conformity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
+    rule = data.conformity
+    if rule is None:
+        return
+    if not rule.specification:
+        yield "[conformity] specification (7.8.6.2 b): which specification is met or not"
+    if rule.rule is None:
+        yield '[conformity] rule (7.8.6.2 c): "simple" or "guarded"'
+    if not rule.agreed_with_customer:
+        yield "[conformity] agreed_with_customer (7.8.6.1): the decision rule must be agreed with the customer"
+    if not rule.limits:
+        yield "[conformity.limits] (7.8.6.2 a): the limits of at least one coefficient"
+    names = {c.key for c in calibration.coefficients}
+    for key, pair in rule.limits.items():
+        if key not in names:
+            yield f"[conformity.limits] {key} (7.8.6.2 a): the calibration has no such coefficient"
+            continue
+        try:
+            low, high = limits_in_file_units(key, pair)
+        except UnitError as error:
+            yield f"[conformity.limits] {key} (7.8.6.2 a): {error.message}"
+            continue
+        if not low < high:
+            yield f"[conformity.limits] {key} (7.8.6.2 a): the lower limit is not below the upper one"
+
+
+def limits_in_file_units(key: str, pair: tuple[str, str]) -> tuple[float, float]:
+    """Lower and upper limit of a coefficient in its unit in ``calibration.json``.
+
+    Raises
+    ------
+    UnitError
+        If a limit has no unit or one of another kind.
+    """
+    unit = unit_of(key)
+    one = to_si(f"1 {unit}", unit)
+    low, high = (to_si(text, unit, what=f"limit '{text}'") / one for text in pair)
+    return low, high

@@ -1,0 +1,164 @@
+"""A Digital Calibration Certificate (DCC 3.x) made by piga, read back into a calibration.
+
+The file comes from outside: it is read with limits, and what it says twice (coefficients in SI with their
+covariance, and the attached record) must agree. A signature is checked apart (:mod:`piga.records.xml_signature`).
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote, unquote
+
+import numpy as np
+
+from piga.errors import DataError
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration_json import calibration_from_bytes
+from piga.records.dsi_units import dsi_unit, from_dsi, power_of_g
+from piga.records.terms import check_name, unit_of
+from piga.records.xml_file import read_xml
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+DCC = "https://ptb.de/dcc"
+SI = "https://ptb.de/si"
+JOINT = "piga_jointResult"
+"""``refType`` of the quantity that holds all coefficients with their covariance."""
+RECORD = "piga_calibrationRecord"
+"""``refType`` of the attached calibration.json."""
+MOST_COEFFICIENTS = 4096
+_NAMES = {"dcc": DCC, "si": SI}
+_SAFE = "[]_.,:;+-=()/*"
+
+
+def label_of(key: str) -> str:
+    """A coefficient's key as a word without spaces (segment labels may have some)."""
+    return quote(key, safe=_SAFE)
+
+
+def read_dcc(path: str | Path) -> Calibration:
+    """Read a certificate in XML back into a calibration.
+
+    Raises
+    ------
+    DataError
+        If the file is no DCC, was not made by piga, is damaged, or contradicts itself.
+    """
+    path = Path(path)
+    return calibration_of(read_xml(path)[1], path)
+
+
+def calibration_of(root: etree._Element, path: Path) -> Calibration:
+    """The calibration in a certificate; ``path`` is for messages. Errors as :func:`read_dcc`."""
+    if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
+        raise DataError(f"{path}: is no Digital Calibration Certificate", remedy="name a certificate in XML")
+    version = root.get("schemaVersion", "")
+    if not version.startswith("3."):
+        raise DataError(f"{path}: DCC version '{version[:20]}' is not known", remedy="update piga")
+    record = _attached(root, path)
+    coefficients, covariance = _joint(root, path)
+    _compare(path, record, coefficients, covariance)
+    return replace(record, coefficients=coefficients, covariance=covariance)
+
+
+def _one(root: etree._Element, query: str, path: Path, what: str) -> etree._Element:
+    found = root.findall(query, _NAMES)
+    if len(found) != 1:
+        raise DataError(
+            f"{path}: holds {len(found) or 'no'} {what}: was it made by piga?",
+            remedy="only certificates made by piga can be read back",
+        )
+    return found[0]
+
+
+def _attached(root: etree._Element, path: Path) -> Calibration:
+    data = _one(root, f".//dcc:byteData[@refType='{RECORD}']", path, "calibration record")
+    text = data.findtext("dcc:dataBase64", "", _NAMES)
+    try:
+        raw = base64.b64decode("".join(text.split()), validate=True)
+    except (binascii.Error, ValueError):
+        raise DataError(f"{path}: the attached record is damaged", remedy="get the file again") from None
+    return calibration_from_bytes(raw, path)
+
+
+def _joint(root: etree._Element, path: Path) -> tuple[tuple[Coefficient, ...], np.ndarray]:
+    """Coefficients and covariance in file units, from the quantity in SI."""
+    base = _one(root, f".//dcc:quantity[@refType='{JOINT}']/si:realListXMLList", path, "joint result")
+    keys = [unquote(label) for label in base.findtext("si:labelXMLList", "", _NAMES).split()]
+    if not 0 < len(keys) <= MOST_COEFFICIENTS or len(set(keys)) != len(keys):
+        raise DataError(f"{path}: {len(keys)} coefficients, some perhaps twice", remedy="get the file again")
+    parts = [key.removesuffix("]").split("[", 1) if key.endswith("]") else [key] for key in keys]
+    for name, *_ in parts:
+        if not check_name(name):
+            raise DataError(f"{path}: unknown coefficient '{name[:40]}'", remedy="update piga")
+    units = [unit_of(name) for name, *_ in parts]
+    values = _numbers(base, "si:valueXMLList", "si:unitXMLList", [(unit,) for unit in units], path)
+    spread = base.findtext(
+        "si:measurementUncertaintyUnivariateXMLList/si:standardMUXMLList/si:valueStandardMUXMLList", "", _NAMES
+    )
+    stds = _converted(spread.split(), [(unit,) for unit in units], path)
+    columns = base.findall(".//si:columnXMLList", _NAMES)
+    if len(columns) != len(keys):
+        raise DataError(f"{path}: {len(columns)} columns of covariance for {len(keys)} coefficients")
+    matrix = [
+        _numbers(
+            column,
+            "si:covarianceXMLList/si:valueXMLList",
+            "si:covarianceXMLList/si:unitXMLList",
+            [(row, unit) for row in units],
+            path,
+        )
+        for column, unit in zip(columns, units, strict=True)
+    ]
+    coefficients = tuple(
+        Coefficient(part[0], value, std, unit, part[1] if len(part) > 1 else None)
+        for part, value, std, unit in zip(parts, values, stds, units, strict=True)
+    )
+    return coefficients, np.array(matrix).T.copy()
+
+
+def _numbers(
+    element: etree._Element, values: str, units: str, expected: list[tuple[str, ...]], path: Path
+) -> list[float]:
+    """Numbers of a list whose units must be the expected products."""
+    given = element.findtext(units, "", _NAMES).split()
+    wanted = [dsi_unit(*product) for product in expected]
+    if given != wanted:
+        raise DataError(f"{path}: units {' '.join(given)[:80]} where {' '.join(wanted)[:80]} are needed")
+    return _converted(element.findtext(values, "", _NAMES).split(), expected, path)
+
+
+def _converted(texts: list[str], units: list[tuple[str, ...]], path: Path) -> list[float]:
+    if len(texts) != len(units):
+        raise DataError(
+            f"{path}: {len(texts)} numbers where {len(units)} are needed", remedy="get the file again"
+        )
+    try:
+        return [
+            from_dsi(text, sum(power_of_g(unit) for unit in product))
+            for text, product in zip(texts, units, strict=True)
+        ]
+    except DataError as error:
+        raise DataError(f"{path}: {error.message}", remedy="get the file again") from None
+
+
+def _compare(
+    path: Path, record: Calibration, coefficients: tuple[Coefficient, ...], covariance: np.ndarray
+) -> None:
+    """What the certificate states must be what the attached record holds."""
+    if [c.key for c in record.coefficients] != [c.key for c in coefficients]:
+        raise DataError(f"{path}: the attached record holds other coefficients", remedy="do not use the file")
+    for stated, kept in zip(coefficients, record.coefficients, strict=True):
+        if (stated.value, stated.std) != (kept.value, kept.std):
+            raise DataError(
+                f"{path}: contradicts itself: {stated.key} is stated as {stated.value!r} (u {stated.std!r}), the attached "
+                f"record has {kept.value!r} (u {kept.std!r})",
+                remedy="do not use the file; ask the issuer",
+            )
+    if not np.array_equal(covariance, record.covariance):
+        raise DataError(f"{path}: contradicts itself: the covariance differs from the attached record's")

@@ -1,0 +1,73 @@
+r"""Units and numbers of the Digital System of Units (D-SI 2.2.1): SI only, ``g`` converted exactly.
+
+The unit ``g`` is 9.80665 m/s^2 by definition, a decimal fraction: coefficients are converted with decimal
+arithmetic and written with 17 significant digits, so that reading back gives the same float, bit for bit.
+"""
+
+from __future__ import annotations
+
+from decimal import Context, Decimal, InvalidOperation
+from functools import lru_cache
+
+from piga.errors import DataError
+from piga.units import parse_unit
+
+G = Decimal("9.80665")
+"""Standard gravity [m/s^2], exact."""
+DIGITS = 17
+"""Significant digits of converted numbers: enough to tell any two floats apart."""
+
+_EXACT = Context(prec=60)
+_SHOWN = Context(prec=DIGITS)
+_POWERS = {"rad/s/g": -1, "1": 0, "rad": 0, "g": 1, "g/g^2": -1, "g/g^3": -2, "g/s": 1, "g/K": 1, "1/K": 0}
+"""Power of ``g`` in each unit of a coefficient."""
+_BASE = (r"\metre", r"\second", r"\radian", r"\kilogram", r"\kelvin")
+
+
+def power_of_g(unit: str) -> int:
+    """Power of ``g`` in a coefficient's unit: ``value_SI = value * 9.80665**power``."""
+    return _POWERS[unit]
+
+
+@lru_cache(maxsize=256)
+def dsi_unit(*units: str) -> str:
+    r"""D-SI text of a unit, or of the product of several.
+
+    Examples
+    --------
+    >>> dsi_unit("g/g^2"), dsi_unit("g", "rad")
+    ('\\metre\\tothe{-1}\\second\\tothe{2}', '\\metre\\second\\tothe{-2}\\radian')
+    """
+    totals = [sum(column) for column in zip(*(parse_unit(unit).dimension for unit in units), strict=True)]
+    if any(totals[len(_BASE) :]):
+        raise DataError(f"unit '{' '.join(units)}' is not made of SI base units and the radian")
+    parts = [_powered(name, power) for name, power in zip(_BASE, totals, strict=False) if power]
+    return "".join(parts) or r"\one"
+
+
+def _powered(name: str, power: float) -> str:
+    return name if power == 1.0 else f"{name}\\tothe{{{power:g}}}"
+
+
+def to_dsi(value: float, power: int = 0) -> str:
+    """SI text of a number whose unit holds that power of ``g``."""
+    if power == 0:
+        return repr(float(value))
+    return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), _EXACT.power(G, power))))
+
+
+def from_dsi(text: str, power: int = 0) -> float:
+    """The number whose SI text this is; undoes :func:`to_dsi`.
+
+    Raises
+    ------
+    DataError
+        If the text is no finite number.
+    """
+    try:
+        number = Decimal(text.strip())
+    except InvalidOperation:
+        raise DataError(f"'{text[:40]}' is not a number") from None
+    if not number.is_finite() or abs(number.adjusted()) > 300:
+        raise DataError(f"'{text[:40]}' is not a finite number")
+    return float(_EXACT.divide(number, _EXACT.power(G, power)) if power else number)

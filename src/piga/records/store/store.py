@@ -1,0 +1,430 @@
+"""The store: records are appended, listed and read back; nothing is ever changed or deleted."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+from types import TracebackType
+from typing import Any, Self
+
+import sqlalchemy as sa
+
+from piga.errors import ArgumentError, PigaWarning, StoreError
+from piga.records.calibration import Calibration
+from piga.records.store import blobs
+from piga.records.store.database import Database
+from piga.records.store.documents import (
+    IDENTITY,
+    LINK,
+    RECORD,
+    Identity,
+    Link,
+    RecordDocument,
+    StoredFile,
+    checked_moment,
+    checked_text,
+    decode,
+    encode,
+    is_id,
+    moment,
+    new_id,
+    now,
+    sha256,
+)
+from piga.records.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
+
+MAX_FILES = 1000
+
+
+@dataclass(frozen=True)
+class Head:
+    """Where a chain stands: number of records, and the hash that vouches for all of them."""
+
+    number: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Position:
+    """The place that a new record takes: its name, number, store, and the head before it."""
+
+    id: str
+    number: int
+    store: str
+    after: str
+
+
+@dataclass(frozen=True)
+class DraftFile:
+    """A file to store: its role (run, data, calibration, report, ...), name, and where its bytes are."""
+
+    role: str
+    name: str
+    source: Path | bytes
+
+    def parts(self) -> Iterator[bytes]:
+        """The bytes in parts."""
+        return iter((self.source,)) if isinstance(self.source, bytes) else blobs.parts_of(self.source)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A record before it is written; ``measured`` is the time of the test, in ISO form."""
+
+    serial: str
+    operator: str
+    reason: str
+    files: tuple[DraftFile, ...]
+    request: dict[str, Any] = field(default_factory=dict)
+    software: dict[str, str] = field(default_factory=dict)
+    measured: str | None = None
+    supersedes: str | None = None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A link with its record as the bytes that are hashed; ``document`` is None in an export without it."""
+
+    number: int
+    link: bytes
+    document: bytes | None
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record of the store: its place in the chain and what was written."""
+
+    number: int
+    head: str
+    link: Link
+    document: RecordDocument
+
+    @property
+    def id(self) -> str:
+        """Name of the record; the same in every store."""
+        return self.document.id
+
+    @property
+    def measured(self) -> datetime:
+        """When the test was made; when that was not said, when the record was made."""
+        return moment(self.document.measured or self.document.created)
+
+    def file(self, role: str) -> StoredFile | None:
+        """The first file of a role."""
+        return next((found for found in self.document.files if found.role == role), None)
+
+
+class Store:
+    """A store of records, from :func:`piga.open_store`; use it in a ``with`` block or close it.
+
+    Parameters
+    ----------
+    database:
+        From :func:`piga.records.store.database.open_database`.
+    compress_above:
+        Files larger than this are stored compressed [bytes].
+    """
+
+    def __init__(self, database: Database, *, compress_above: int = blobs.COMPRESS_ABOVE) -> None:
+        self.database, self.compress_above = database, compress_above
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the database go."""
+        self.database.engine.dispose()
+
+    @property
+    def name(self) -> str:
+        """File or URL, without a password."""
+        return self.database.name
+
+    def identity(self) -> Identity:
+        """Who this store is."""
+        with self.database.reading() as connection:
+            return decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
+
+    def head(self) -> Head:
+        """Where the chain stands now."""
+        with self.database.reading() as connection:
+            return read_head(connection)
+
+    def records(self, serial: str | None = None) -> tuple[Record, ...]:
+        """All records in order, or those of one instrument."""
+        with self.database.reading() as connection:
+            wanted = sa.select(ENTRY).order_by(ENTRY.c.number)
+            if serial is not None:
+                wanted = wanted.where(ENTRY.c.serial == serial)
+            return tuple(self._record(row) for row in connection.execute(wanted))
+
+    def record(self, name: str | int) -> Record:
+        """One record by its name, or by its number in this store.
+
+        Raises
+        ------
+        StoreError
+            If there is none.
+        """
+        with self.database.reading() as connection:
+            return self._find(connection, str(name))
+
+    def read(self, name: str | int, role: str) -> bytes:
+        """The first file of a role (run, data, calibration, report, ...) of a record.
+
+        Raises
+        ------
+        StoreError
+            If there is no such record or file, or it is damaged.
+        """
+        with self.database.reading() as connection:
+            found = self._find(connection, str(name))
+            file = found.file(role)
+            if file is None:
+                roles = ", ".join(sorted({stored.role for stored in found.document.files}))
+                raise StoreError(f"record {found.id} has no file '{role}'", remedy=f"it has: {roles}")
+            return b"".join(blobs.read_blob(connection, file.sha256))
+
+    def calibration(self, name: str | int) -> Calibration:
+        """The calibration of a record (without residuals)."""
+        from piga.records.calibration_json import calibration_from_bytes
+
+        return calibration_from_bytes(self.read(name, "calibration"), Path(f"record {name}"))
+
+    def history(self, serial: str) -> list[tuple[str, datetime, Calibration]]:
+        """Calibrations of one instrument by the time of the test: record, time, calibration.
+
+        Records that were superseded are left out: their successors stand for them.
+        """
+        found = self.records(serial)
+        old = {record.document.supersedes for record in found}
+        kept = sorted((r for r in found if r.id not in old and r.file("calibration")), key=lambda r: r.measured)
+        return [(record.id, record.measured, self.calibration(record.id)) for record in kept]
+
+    def extract(self, name: str | int, folder: Path, *, inputs_only: bool = False) -> Path:
+        """Write the files of a record below ``folder`` under their own names; returns the run file's path.
+
+        Raises
+        ------
+        StoreError
+            If a name would lead out of the folder, or a file is there already.
+        """
+        record = self.record(name)
+        kept = [file for file in record.document.files if not inputs_only or file.role in INPUT_ROLES]
+        run = folder
+        with self.database.reading() as connection:
+            for file in kept:
+                path = folder / safe_name(file.name)
+                run = path if file.role == "run" else run
+                _write_new(path, blobs.read_blob(connection, file.sha256))
+        return run
+
+    def append(self, make: Callable[[Position], Draft]) -> Record:
+        """Append one record; when this returns it is on disk.
+
+        Parameters
+        ----------
+        make:
+            Gives the record for the place it will have; called while no one else can write.
+
+        Raises
+        ------
+        StoreError, ArgumentError
+            With nothing changed.
+        """
+        with self.database.writing() as connection:
+            head = read_head(connection)
+            identity = decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
+            place = Position(new_id(), head.number + 1, identity.store, head.sha256)
+            draft = make(place)
+            document = self._document(connection, place, draft)
+            entry = self.insert(connection, encode(document), None)
+            return Record(entry.number, sha256(entry.link), decode(entry.link, Link, LINK, "link"), document)
+
+    def insert(
+        self, connection: sa.Connection, document: bytes, link: bytes | None, **taken_over: Any
+    ) -> Entry:
+        """Chain a record document whose files are stored: by a new link, or by the given one word for word."""
+        head = read_head(connection)
+        if link is None:
+            self._check_clock(connection, head)
+            made = Link(LINK, head.number + 1, head.sha256, sha256(document), now(), **taken_over)
+            link = encode(made)
+        found = decode(document, RecordDocument, RECORD, "record")
+        entry = Entry(head.number + 1, link, document)
+        connection.execute(
+            ENTRY.insert().values(
+                number=entry.number,
+                head=sha256(link),
+                id=found.id,
+                serial=found.serial,
+                link=link,
+                document=document,
+            )
+        )
+        connection.execute(HEAD.update().values(number=entry.number, head=sha256(link)))
+        return entry
+
+    def _document(self, connection: sa.Connection, place: Position, draft: Draft) -> RecordDocument:
+        files = []
+        for file in draft.files:
+            safe_name(file.name)
+            digest, size = blobs.digest_of(file.parts())
+            blobs.insert_blob(connection, digest, size, file.parts(), self.compress_above)
+            files.append(StoredFile(file.role, file.name, digest, size))
+        if len({file.name for file in files}) != len(files) or len(files) > MAX_FILES:
+            raise ArgumentError(
+                "files: two have the same name, or there are too many", remedy="give each its name"
+            )
+        if draft.supersedes is not None:
+            self._check_superseded(connection, draft)
+        return RecordDocument(
+            schema=RECORD,
+            id=place.id,
+            store=place.store,
+            number=place.number,
+            after=place.after,
+            created=now(),
+            operator=checked_text("operator", draft.operator),
+            reason=checked_text("reason", draft.reason),
+            serial=draft.serial,
+            files=tuple(files),
+            request=draft.request,
+            software=draft.software,
+            measured=None if draft.measured is None else checked_moment("measured", draft.measured),
+            supersedes=draft.supersedes,
+        )
+
+    def _check_superseded(self, connection: sa.Connection, draft: Draft) -> None:
+        old = self._find(connection, str(draft.supersedes))
+        if old.id != draft.supersedes:
+            raise ArgumentError(
+                f"supersedes: '{draft.supersedes}' is a number", remedy=f"name the record: {old.id}"
+            )
+        if old.document.serial != draft.serial:
+            raise ArgumentError(
+                f"supersedes: record {old.id} is of instrument '{old.document.serial}', not '{draft.serial}'",
+                remedy="name a record of the same instrument",
+            )
+        same = connection.execute(sa.select(ENTRY).where(ENTRY.c.serial == draft.serial))
+        for row in same:
+            other = self._record(row)
+            if other.document.supersedes == old.id:
+                raise ArgumentError(
+                    f"supersedes: record {old.id} is superseded already, by {other.id}",
+                    remedy=f"supersede {other.id}",
+                )
+
+    def _check_clock(self, connection: sa.Connection, head: Head) -> None:
+        if head.number == 0:
+            return
+        last = connection.execute(sa.select(ENTRY.c.link).where(ENTRY.c.number == head.number)).scalar_one()
+        added = decode(blobs.as_bytes(last, "the last link"), Link, LINK, "link").added
+        if now() < added:
+            warnings.warn(
+                f"{self.name}: the clock is behind the last record ({added}); the order of the chain holds",
+                PigaWarning,
+                stacklevel=4,
+            )
+
+    def _find(self, connection: sa.Connection, name: str) -> Record:
+        text = name.strip().upper()
+        if is_id(text):
+            condition = ENTRY.c.id == text
+        elif text.isascii() and text.isdigit() and len(text) < 10:
+            condition = ENTRY.c.number == int(text)
+        else:
+            raise StoreError(f"'{name}' is no record", remedy="give a number, or a name like 7K3QP-9XW2M")
+        row = connection.execute(sa.select(ENTRY).where(condition)).one_or_none()
+        if row is None:
+            raise StoreError(f"{self.name}: no record {name}", remedy="piga records list shows them")
+        return self._record(row)
+
+    def _record(self, row: sa.Row) -> Record:
+        what = f"{self.name}: record {row.number}"
+        link = decode(blobs.as_bytes(row.link, what), Link, LINK, what)
+        document = decode(blobs.as_bytes(row.document, what), RecordDocument, RECORD, what)
+        return Record(row.number, row.head, link, document)
+
+
+INPUT_ROLES = ("run", "data", "sidecar", "stand")
+"""Roles of the files that a calibration is computed from."""
+
+
+def read_identity(connection: sa.Connection) -> bytes:
+    """The identity document."""
+    return blobs.as_bytes(connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
+
+
+def read_head(connection: sa.Connection) -> Head:
+    """Number and hash of the last entry."""
+    row = connection.execute(sa.select(HEAD)).one()
+    if not isinstance(row.number, int) or not isinstance(row.head, str):
+        raise StoreError("the head is damaged in the store", remedy="restore a backup")
+    return Head(row.number, row.head)
+
+
+def read_entries(connection: sa.Connection) -> Iterator[Entry]:
+    """The chain in order, one entry at a time."""
+    number = 0
+    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number)
+    while row := connection.execute(wanted.where(ENTRY.c.number > number).limit(1)).one_or_none():
+        number, what = row.number, f"record {row.number}"
+        yield Entry(number, blobs.as_bytes(row.link, what), blobs.as_bytes(row.document, what))
+
+
+def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:
+    """Size of each stored file, and of what it takes in the store [bytes]."""
+    taken = sa.select(CHUNK.c.sha256, sa.func.sum(sa.func.length(CHUNK.c.data)).label("taken")).group_by(
+        CHUNK.c.sha256
+    )
+    packed = {row.sha256: int(row.taken) for row in connection.execute(taken)}
+    return {row.sha256: (row.size, packed.get(row.sha256, 0)) for row in connection.execute(sa.select(BLOB))}
+
+
+def safe_name(name: str) -> PurePosixPath:
+    """A file name of a record as a path below some folder.
+
+    Raises
+    ------
+    StoreError
+        If it is absolute, leads upwards, or holds what some file system takes for more than a name.
+    """
+    parts = name.split("/")
+    bad = any(
+        part in ("", ".", "..")
+        or part.endswith((".", " "))
+        or any(c in '\\:*?"<>|' or ord(c) < 32 for c in part)
+        for part in parts
+    )
+    if bad or len(name) > 500 or any(part.split(".")[0].upper() in _RESERVED for part in parts):
+        raise StoreError(
+            f"file name '{name}' cannot be stored",
+            remedy="use letters, digits and plain folders, relative to the run",
+        )
+    return PurePosixPath(name)
+
+
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
+
+
+def _write_new(path: Path, parts: Iterator[bytes]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as stream:
+            for part in parts:
+                stream.write(part)
+    except FileExistsError:
+        raise StoreError(f"{path}: exists already", remedy="extract into an empty folder") from None
+    except OSError as error:
+        raise StoreError(
+            f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
+        ) from None

@@ -1,0 +1,291 @@
+"""Verification: every byte that a record is read from is checked, and everything that is wrong is named."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import sqlalchemy as sa
+
+from piga.errors import PigaError, StoreError
+from piga.records.store.blobs import digest_of, read_blob
+from piga.records.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA, is_url, new_sqlite, open_database
+from piga.records.store.documents import (
+    IDENTITY,
+    LINK,
+    RECORD,
+    Identity,
+    Link,
+    RecordDocument,
+    TakenOver,
+    decode,
+    is_digest,
+    sha256,
+)
+from piga.records.store.export import Export, is_export
+from piga.records.store.store import Entry, Head, Store, read_entries, read_head, read_identity
+from piga.records.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
+
+MAX_PROBLEMS = 100
+
+
+class Source(Protocol):
+    """What a chain is read from: a store or an export."""
+
+    def identity(self) -> bytes:
+        """The identity document."""
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order."""
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every file there is."""
+
+    def file_size(self, name: str) -> int:
+        """Size of a file as recorded [bytes]."""
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The parts of a file."""
+
+
+@dataclass
+class Verification:
+    """What was found: records and files that were checked, the head, known heads, and problems in words."""
+
+    name: str
+    records: int = 0
+    files: int = 0
+    head: str = ""
+    known: dict[str, int | None] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def sound(self) -> bool:
+        """True when nothing is wrong."""
+        return not self.problems
+
+    def problem(self, text: str) -> None:
+        """Note a problem; the first hundred are kept."""
+        if len(self.problems) < MAX_PROBLEMS:
+            self.problems.append(text)
+
+
+class StoreSource:
+    """A store's rows on one snapshot."""
+
+    def __init__(self, connection: sa.Connection) -> None:
+        self.connection = connection
+
+    def identity(self) -> bytes:
+        """The identity document."""
+        return read_identity(self.connection)
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order."""
+        return read_entries(self.connection)
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every stored file."""
+        return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
+
+    def file_size(self, name: str) -> int:
+        """Size as recorded."""
+        return int(self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).scalar_one())
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The parts of a stored file."""
+        return read_blob(self.connection, name)
+
+
+def verify(where: str | Path, heads: Iterable[str] = ()) -> Verification:
+    """Check a store or an export from end to end.
+
+    Parameters
+    ----------
+    where:
+        Store (file or URL) or export.
+    heads:
+        Heads noted earlier, on reports or elsewhere: each must be one of the chain's.
+    """
+    found = Verification(str(where))
+    try:
+        if not is_url(where) and is_export(Path(where)):
+            with Export(Path(where)) as export:
+                check_chain(found, export, heads)
+        else:
+            _verify_store(found, where, heads)
+    except PigaError as error:
+        found.problem(error.message)
+    except (TypeError, ValueError, OverflowError) as error:
+        found.problem(f"something in it cannot be read at all ({error})")
+    return found
+
+
+def _verify_store(found: Verification, where: str | Path, heads: Iterable[str]) -> None:
+    with Store(open_database(where)) as store:
+        found.name = store.name
+        with store.database.reading() as connection:
+            if connection.dialect.name == "sqlite":
+                _check_sqlite(found, connection)
+            else:
+                _check_postgresql(found, connection)
+            check_chain(found, StoreSource(connection), heads)
+            _check_columns(found, connection)
+
+
+def check_chain(found: Verification, source: Source, heads: Iterable[str] = ()) -> None:
+    """Check links, records and files of a chain; problems are added to ``found``."""
+    identity = source.identity()
+    store = decode(identity, Identity, IDENTITY, "identity").store
+    head, expected = sha256(identity), 1
+    seen: dict[str, int] = {head: 0}
+    names: set[str] = set()
+    wanted: dict[str, int] = {}
+    for entry in source.entries():
+        try:
+            link = decode(entry.link, Link, LINK, f"link {entry.number}")
+            if entry.number != expected or link.number != expected:
+                found.problem(f"record {expected} is missing: {entry.number} follows")
+            if link.previous != head:
+                found.problem(f"record {entry.number}: its link does not follow the one before it")
+            if entry.document is not None:
+                _check_document(found, entry, link, store, names, wanted)
+        except StoreError as error:
+            found.problem(error.message)
+        head, expected = sha256(entry.link), entry.number + 1
+        seen[head] = entry.number
+        found.records += entry.document is not None
+    _check_files(found, source, wanted)
+    found.head = head
+    for known in heads:
+        found.known[known] = seen.get(known.lower())
+        if found.known[known] is None:
+            found.problem(
+                f"head {known}: is not in this chain: it was altered, cut short, or is another store's"
+            )
+
+
+def _check_document(
+    found: Verification, entry: Entry, link: Link, store: str, names: set[str], wanted: dict[str, int]
+) -> None:
+    raw = entry.document or b""
+    if sha256(raw) != link.record:
+        found.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
+    document = decode(raw, RecordDocument, RECORD, f"record {entry.number}")
+    place = (store, link.number, link.previous)
+    if link.taken_over is not None:
+        place = _place_of_origin(link.taken_over, link.record)
+    if (document.store, document.number, document.after) != place:
+        found.problem(f"record {entry.number}: was not written for this place")
+    if document.id in names:
+        found.problem(f"record {entry.number}: has the name of another ({document.id})")
+    names.add(document.id)
+    for file in document.files:
+        if not is_digest(file.sha256) or wanted.setdefault(file.sha256, file.size) != file.size:
+            found.problem(f"record {entry.number}: file '{file.name}' has no valid digest or size")
+
+
+def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
+    """Store, number and head before it, of an imported record where it comes from."""
+    identity = decode(taken_over.identity.encode(), Identity, IDENTITY, "identity of the origin")
+    link = decode(taken_over.link.encode(), Link, LINK, "link of the origin")
+    return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
+
+
+def _check_files(found: Verification, source: Source, wanted: dict[str, int]) -> None:
+    there = source.file_names()
+    for name in sorted(wanted.keys() - there):
+        found.problem(f"file {name[:12]}: is missing")
+    for name in sorted(there - wanted.keys()):
+        found.problem(f"file {str(name)[:12]}: belongs to no record")
+    for name in sorted(wanted.keys() & there):
+        try:
+            if digest_of(source.file(name)) != (name, wanted[name]) or source.file_size(name) != wanted[name]:
+                found.problem(f"file {name[:12]}: was altered")
+        except StoreError as error:
+            found.problem(error.message)
+        found.files += 1
+
+
+def _check_columns(found: Verification, connection: sa.Connection) -> None:
+    """What is kept beside the documents for look-ups must say the same, and no part may be left over."""
+    last = Head(0, sha256(read_identity(connection)))
+    for row in connection.execute(sa.select(ENTRY).order_by(ENTRY.c.number)):
+        document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
+        if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
+            found.problem(f"record {row.number}: the table's columns do not fit the record")
+        last = Head(row.number, sha256(row.link))
+    if read_head(connection) != last:
+        found.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
+    for table, rows in ((STORE, 1), (HEAD, 1)):
+        if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != rows:
+            found.problem(f"table {table.name}: one row is needed")
+    _check_parts(found, connection)
+
+
+def _check_parts(found: Verification, connection: sa.Connection) -> None:
+    """Parts are numbered from 0 without gaps, and each belongs to a file."""
+    grouped = sa.select(
+        CHUNK.c.sha256, sa.func.count().label("rows"), sa.func.min(CHUNK.c.part), sa.func.max(CHUNK.c.part)
+    ).group_by(CHUNK.c.sha256)
+    names = set(connection.execute(sa.select(BLOB.c.sha256)).scalars())
+    for name, rows, first, last in connection.execute(grouped):
+        if name not in names or first != 0 or last != rows - 1:
+            found.problem(f"file {str(name)[:12]}: its parts are not complete, or too many")
+
+
+def _check_sqlite(found: Verification, connection: sa.Connection) -> None:
+    for pragma, sound in (
+        ("integrity_check", "ok"),
+        ("application_id", APPLICATION_ID),
+        ("user_version", SCHEMA),
+        ("journal_mode", "delete"),
+        ("encoding", "UTF-8"),
+    ):
+        rows = connection.exec_driver_sql(f"PRAGMA {pragma}").scalars().all()
+        if rows != [sound]:
+            found.problem(f"SQLite {pragma}: {'; '.join(str(row) for row in rows[:3])}")
+    if connection.exec_driver_sql("PRAGMA foreign_key_check").first() is not None:
+        found.problem("a part of a file belongs to no file")
+    if _schema(connection.exec_driver_sql(_SCHEMA_QUERY).all()) != _sqlite_schema():
+        found.problem("tables or the triggers that refuse changes were altered")
+    _check_revision(found, connection)
+
+
+_SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master"
+
+
+def _schema(rows: Iterable[Any]) -> frozenset[tuple[Any, ...]]:
+    return frozenset(tuple(row) for row in rows)
+
+
+@lru_cache(maxsize=1)
+def _sqlite_schema() -> frozenset[tuple[Any, ...]]:
+    """Tables and triggers as this piga makes them."""
+    with closing(sqlite3.connect(":memory:")) as memory:
+        memory.deserialize(new_sqlite(None))
+        return _schema(memory.execute(_SCHEMA_QUERY).fetchall())
+
+
+def _check_postgresql(found: Verification, connection: sa.Connection) -> None:
+    rows = connection.exec_driver_sql(
+        "SELECT tgname, tgenabled FROM pg_trigger WHERE NOT tgisinternal AND tgrelid IN "
+        "(SELECT oid FROM pg_class WHERE relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
+    ).all()
+    tables = ("store", "entry", "blob", "chunk")
+    wanted = {f"piga_{table}_no_{what}" for table in tables for what in ("truncate", "delete", "update")}
+    wanted |= {"piga_head_no_truncate", "piga_head_no_delete", "piga_head_forward"}
+    if {name for name, enabled in rows if enabled in ("O", b"O")} != wanted:
+        found.problem("the triggers that refuse changes were altered or disabled")
+    _check_revision(found, connection)
+
+
+def _check_revision(found: Verification, connection: sa.Connection) -> None:
+    rows = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalars().all()
+    if rows != [f"{SCHEMA:04d}"] or not list(MIGRATIONS.glob(f"v{SCHEMA:04d}_*.py")):
+        found.problem("the schema version was altered")

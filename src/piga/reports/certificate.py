@@ -1,0 +1,263 @@
+"""The calibration certificate by ISO/IEC 17025:2017, 7.8.2 and 7.8.4, as one HTML file that prints on A4.
+
+The unique number stands on every printed page (running head, and page foot with "page n of m"), and a line
+marks the end. Nothing is issued while an item is missing: :func:`certificate_html` refuses with the whole list.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from piga.errors import CalibrationError
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.certificate_file import CertificateFile, missing_items
+from piga.reports.calibration_tables import budget_table, common_coefficients, correlation_table, meaning
+from piga.reports.certificate_statements import Verdict, decision_rule, statements, verdicts
+from piga.reports.numbers import (
+    count,
+    coverage_factor,
+    friendly,
+    pretty_unit,
+    printed,
+    relative,
+    rounded,
+)
+from piga.reports.page import Column, Table, resource, template
+
+_COARSE = 100.0
+"""Expanded uncertainty from which a coefficient is not shown in micro-units: the last digits would be zeros."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One part of the certificate: heading, paragraphs, tables."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+
+
+def require_complete(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None = None
+) -> None:
+    """Refuse a certificate that lacks an item.
+
+    Raises
+    ------
+    CalibrationError
+        With everything that is missing, and the clause that asks for it.
+    """
+    found = missing_items(data, calibration, before)
+    if found:
+        listed = "\n".join(f"  - {item}" for item in found)
+        raise CalibrationError(
+            f"the certificate cannot be issued: {len(found)} item{'s' * (len(found) > 1)} of ISO/IEC 17025:2017 "
+            f"missing or wrong\n{listed}",
+            remedy="complete the file given with --data",
+        )
+
+
+def certificate_html(
+    data: CertificateFile,
+    calibration: Calibration,
+    before: Calibration | None = None,
+    *,
+    record_sha256: str = "",
+) -> str:
+    """The certificate as HTML text; the same input always gives the same bytes.
+
+    Raises
+    ------
+    CalibrationError
+        If an item is missing.
+    """
+    require_complete(data, calibration, before)
+    return template("certificate.html.jinja").render(
+        data=data,
+        css=resource("templates", "certificate.css"),
+        number_css=_css_string(data.certificate.number),
+        identity=_identity(data),
+        parts=_parts(data, calibration, before),
+        statements=statements(data, calibration),
+        record=_record(calibration, record_sha256),
+    )
+
+
+def write_certificate(html: str, path: Path) -> Path:
+    """Write the certificate."""
+    path.write_bytes(html.encode("utf-8"))
+    return path
+
+
+def _css_string(text: str) -> str:
+    """Text for a CSS string: everything but letters, digits and some marks is escaped."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in " -_.:") else f"\\{ord(c):x} " for c in text)
+
+
+def _identity(data: CertificateFile) -> list[tuple[str, str]]:
+    item, when = data.item, data.calibration
+    performed = f"{when.begin}" if when.begin == when.end else f"{when.begin} to {when.end}"
+    place = {
+        "laboratory": "in the laboratory",
+        "customer": "at the customer's",
+        "laboratoryBranch": "in a branch of the laboratory",
+        "customerBranch": "in a branch of the customer",
+        "other": "elsewhere",
+    }[when.place or "laboratory"]
+    rows = [
+        ("Customer", f"{data.customer.name}, {data.customer.address}"),
+        ("Order", when.order),
+        ("Item", item.description),
+        ("Manufacturer, model", f"{item.manufacturer}, {item.model}"),
+        ("Serial number", item.serial),
+        ("Customer's identification", item.customer_id),
+        ("Condition on receipt", item.condition),
+        ("Received", f"{item.received}"),
+        ("Calibrated", f"{performed}, {place}{': ' + when.place_detail if when.place_detail else ''}"),
+        ("Issued", f"{data.certificate.issued}"),
+    ]
+    return [(name, value) for name, value in rows if value]
+
+
+def _parts(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> list[_Part]:
+    parts = [
+        _method(data),
+        _Part("Conditions", (), (_conditions_table(data),)),
+        _Part("Traceability", (data.traceability.statement,), (_standards_table(data),)),
+        _results(calibration, before),
+    ]
+    found = verdicts(data, calibration)
+    if found and data.conformity is not None:
+        rule = f"Specification: {data.conformity.specification}. Decision rule, agreed with the customer: "
+        parts.append(_Part("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(found),)))
+    return parts
+
+
+def _method(data: CertificateFile) -> _Part:
+    documents = ", ".join(data.method.documents)
+    lines = (f"{data.method.name} ({documents}).", data.method.description)
+    return _Part("Method", tuple(line for line in lines if line))
+
+
+def _conditions_table(data: CertificateFile) -> Table:
+    columns = (Column("Condition", align="text"), Column("Value"), Column("Expanded uncertainty (k = 2)"))
+    rows = tuple(
+        (c.name, pretty_unit(c.value).replace("-", "−"), pretty_unit(c.uncertainty) or "–")
+        for c in data.environment
+    )
+    return Table(columns, rows)
+
+
+def _standards_table(data: CertificateFile) -> Table:
+    headings = ("Standard", "Realises", "Identification", "Certificate")
+    rows = tuple(
+        (s.name, s.realises or "–", s.identification or "–", s.certificate or "–")
+        for s in data.traceability.standard
+    )
+    return Table(tuple(Column(heading, align="text") for heading in headings), rows)
+
+
+def _results(calibration: Calibration, before: Calibration | None) -> _Part:
+    factor = coverage_factor(calibration.degrees_of_freedom)
+    freedom = calibration.degrees_of_freedom
+    number = "infinitely many" if math.isinf(freedom) else count(round(freedom))
+    text = (
+        f"U is the expanded uncertainty: the standard uncertainty times the coverage factor k = {factor:.3f} of "
+        f"Student's t with {number} degrees of freedom, for a coverage probability of 95 %. It was evaluated by "
+        "JCGM 100 from the contributions below and stands in the unit of the value. The unit g is 9.80665 m/s² "
+        "exactly."
+    )
+    paragraphs = [text]
+    tables = [_result_table(calibration, "Results" if before is None else "Results after adjustment")]
+    if before is not None:
+        tables.insert(0, _result_table(before, "Results before adjustment"))
+    if len(common_coefficients(calibration)) < len(calibration.coefficients):
+        paragraphs.append(
+            "Phases of single segments hold for one power-up of the readout each and are not listed."
+        )
+    budget = budget_table(calibration)
+    tables.append(Table(budget.columns, budget.rows, "Standard uncertainty of each coefficient by source"))
+    correlation = correlation_table(calibration)
+    if correlation is not None:
+        tables.append(Table(correlation.columns, correlation.rows, "Correlation coefficients of the results"))
+    return _Part("Results", tuple(paragraphs), tuple(tables))
+
+
+def _result_table(calibration: Calibration, caption: str) -> Table:
+    factor = coverage_factor(calibration.degrees_of_freedom)
+    columns = (
+        Column("Coefficient", align="text"),
+        Column("Meaning", align="text"),
+        Column("Value"),
+        Column("U (95 %)"),
+        Column("Unit", align="text"),
+        Column("U / value"),
+    )
+    rows = tuple(_result_row(c, factor) for c in common_coefficients(calibration))
+    return Table(columns, rows, caption)
+
+
+def _result_row(c: Coefficient, factor: float) -> tuple[str, ...]:
+    value, wide, unit = friendly(c.value, factor * c.std, c.unit)
+    if wide >= _COARSE:
+        value, wide, unit = c.value, factor * c.std, c.unit
+    number = rounded(value, wide)
+    share = relative(value, wide)
+    return (
+        c.name,
+        meaning(c.name),
+        printed(number.value),
+        printed(number.uncertainty),
+        pretty_unit(unit) or "1",
+        share,
+    )
+
+
+def _conformity_table(found: tuple[Verdict, ...]) -> Table:
+    columns = (
+        Column("Coefficient", align="text"),
+        Column("Lower limit"),
+        Column("Value"),
+        Column("U (95 %)"),
+        Column("Upper limit"),
+        Column("Unit", align="text"),
+        Column("Verdict", align="text"),
+    )
+    rows = []
+    for verdict in found:
+        _, scale, unit = friendly(
+            max(abs(verdict.low), abs(verdict.high), abs(verdict.value)), 1.0, verdict.unit
+        )
+        number = rounded(verdict.value * scale, verdict.expanded * scale)
+        ends = [printed(f"{end * scale:.6g}") for end in (verdict.low, verdict.high)]
+        rows.append(
+            (
+                verdict.key,
+                ends[0],
+                printed(number.value),
+                printed(number.uncertainty),
+                ends[1],
+                pretty_unit(unit) or "1",
+                verdict.words,
+            )
+        )
+    return Table(columns, tuple(rows))
+
+
+def _record(calibration: Calibration, record_sha256: str) -> list[tuple[str, Any]]:
+    """What ties the certificate to data and software."""
+    quality = calibration.quality
+    rows = [
+        ("Software", calibration.provenance.software),
+        ("Evaluated", calibration.provenance.created),
+        ("Model terms", ", ".join(calibration.terms)),
+        ("Rows", f"{count(quality.used)} of {count(quality.rows)} used, {count(quality.masked)} masked"),
+    ]
+    rows += [
+        (f"SHA-256 of {Path(name).name}", digest)
+        for name, digest in calibration.provenance.input_sha256.items()
+    ]
+    return [*rows, ("SHA-256 of calibration.json", record_sha256)] if record_sha256 else rows

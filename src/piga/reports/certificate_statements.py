@@ -1,0 +1,200 @@
+"""What a certificate declares, in sentences with the clause of ISO/IEC 17025:2017 that asks for them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+from typing import Literal
+
+from piga.records.calibration import Calibration
+from piga.records.certificate_file import CertificateFile, limits_in_file_units
+from piga.reports.numbers import coverage_factor
+
+Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
+
+_WORDS: dict[Status, str] = {
+    "pass": "conforms",
+    "fail": "does not conform",
+    "conditionalPass": "inside the limits, by less than the expanded uncertainty",
+    "conditionalFail": "outside the limits, by less than the expanded uncertainty",
+}
+_WORST: tuple[Status, ...] = ("pass", "conditionalPass", "conditionalFail", "fail")
+_RULES = {
+    "simple": "simple acceptance: a result conforms when it lies inside the limits, whatever its uncertainty",
+    "guarded": "guarded acceptance (guard band of one expanded uncertainty): a result conforms when the interval of "
+    "its expanded uncertainty lies inside the limits, and does not when the interval lies outside",
+}
+_RANGE_NAMES = {
+    "a_x": ("axial specific force", "m/s^2"),
+    "a_t": ("transverse specific force", "m/s^2"),
+    "temperature": ("temperature of the instrument", "K"),
+}
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One declaration; ``ranges`` are (name, low, high, SI unit), ``ref_type`` names it in a DCC."""
+
+    title: str
+    text: str
+    clause: str
+    kind: str = ""
+    ref_type: str = ""
+    conformity: str = ""
+    date: dt.date | None = None
+    ranges: tuple[tuple[str, float, float, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Conformity of one coefficient: limits and values in its file unit."""
+
+    key: str
+    unit: str
+    low: float
+    high: float
+    value: float
+    expanded: float
+    status: Status
+
+    @property
+    def words(self) -> str:
+        """The verdict in words."""
+        return _WORDS[self.status]
+
+    @property
+    def dcc(self) -> str:
+        """The verdict as a DCC writes it."""
+        return self.status
+
+
+def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Verdict, ...]:
+    """Conformity of each coefficient that has limits, by the agreed decision rule (JCGM 106, 8.2 and 8.3.2)."""
+    rule = data.conformity
+    if rule is None:
+        return ()
+    factor = coverage_factor(calibration.degrees_of_freedom)
+    found = []
+    for key, pair in rule.limits.items():
+        low, high = limits_in_file_units(key, pair)
+        c = calibration[key]
+        guard = factor * c.std if rule.rule == "guarded" else 0.0
+        status = _status(c.value, low, high, guard)
+        found.append(Verdict(key, c.unit, low, high, c.value, factor * c.std, status))
+    return tuple(found)
+
+
+def _status(value: float, low: float, high: float, guard: float) -> Status:
+    if low + guard <= value <= high - guard:
+        return "pass"
+    if value < low - guard or value > high + guard:
+        return "fail"
+    if guard == 0.0:
+        return "fail"
+    return "conditionalPass" if low <= value <= high else "conditionalFail"
+
+
+def decision_rule(data: CertificateFile) -> str:
+    """The decision rule in words."""
+    return "" if data.conformity is None or data.conformity.rule is None else _RULES[data.conformity.rule]
+
+
+def statements(data: CertificateFile, calibration: Calibration) -> tuple[Statement, ...]:
+    """All declarations that apply, in the order of the standard."""
+    found = [
+        Statement(
+            "Scope of the results",
+            "The results relate only to the item described here, in the state in which it was calibrated.",
+            "7.8.2.1 l",
+        ),
+        Statement(
+            "Reproduction",
+            "This certificate shall not be reproduced except in full without approval of the laboratory.",
+            "7.8.2.1",
+        ),
+        Statement("Sampling", f"Sampling plan: {data.method.sampling}.", "7.8.2.1 k"),
+        Statement(
+            "Method",
+            f"Additions, deviations and exclusions from the method: {data.method.deviations}.",
+            "7.8.2.1 n",
+        ),
+        Statement(
+            "External providers",
+            f"Results from external providers: {data.method.external_results}.",
+            "7.8.2.1 p",
+        ),
+        Statement("Adjustment", _adjustment(data), "7.8.4.1 d"),
+        Statement(
+            "Traceability",
+            data.traceability.statement,
+            "7.8.4.1 c",
+            kind="traceability",
+            ref_type="basic_traceability",
+        ),
+        *_validity(calibration),
+        *_conformity(data, calibration),
+        *_optional(data),
+    ]
+    return tuple(found)
+
+
+def _adjustment(data: CertificateFile) -> str:
+    if not data.adjustment.performed:
+        return "The item was neither adjusted nor repaired; the results are those of the item as received."
+    how = f": {data.adjustment.description}" if data.adjustment.description else ""
+    return f"The item was adjusted or repaired{how}. Results before and after are given."
+
+
+def _validity(calibration: Calibration) -> list[Statement]:
+    stated = calibration.diagnostics.get("range", {})
+    ranges = tuple(
+        (_RANGE_NAMES[name][0], float(ends[0]), float(ends[1]), _RANGE_NAMES[name][1])
+        for name, ends in stated.items()
+        if name in _RANGE_NAMES
+    )
+    if not ranges:
+        return []
+    words = "; ".join(f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)
+    text = f"The results were found, and hold, in this range: {words}."
+    return [
+        Statement("Range", text.replace("^2", "²"), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
+    ]
+
+
+def _conformity(data: CertificateFile, calibration: Calibration) -> list[Statement]:
+    rule = data.conformity
+    if rule is None:
+        return []
+    found = verdicts(data, calibration)
+    worst = max((verdict.status for verdict in found), key=_WORST.index)
+    names = ", ".join(verdict.key for verdict in found)
+    text = f"Specification: {rule.specification}. Decision rule: {decision_rule(data)}. Applies to: {names}."
+    overall = {"pass": "conforms", "fail": "does not conform"}.get(worst, "cannot be decided for every result")
+    return [
+        Statement(
+            "Conformity",
+            f"{text} Overall: {overall}.",
+            "7.8.6.2",
+            ref_type="basic_conformity",
+            conformity=worst,
+        )
+    ]
+
+
+def _optional(data: CertificateFile) -> list[Statement]:
+    found = []
+    if data.statements.opinions:
+        text = f"{data.statements.opinions} (Opinion of {data.statements.opinions_by}.)"
+        found.append(Statement("Opinions and interpretations", text, "7.8.7"))
+    if data.statements.recalibrate and data.statements.interval_agreed:
+        text = "As agreed with the customer, the item is to be recalibrated by this date."
+        when = data.statements.recalibrate
+        found.append(Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when))
+    if data.certificate.replaces:
+        text = (
+            f"This certificate replaces certificate {data.certificate.replaces}. {data.certificate.amendment}"
+        )
+        found.append(Statement("Amendment", text, "7.8.8"))
+    if data.statements.remarks:
+        found.append(Statement("Remarks", data.statements.remarks, "7.8.2"))
+    return found

@@ -1,0 +1,138 @@
+"""Spikes, jumps and stuck readings are found, left out with their times, and leave right intervals behind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.outliers import limit
+from piga.units import G0
+from tests.calibration.synthetic import BETA, SCALE, TERMS, errors, record
+
+pytestmark = pytest.mark.only_compiled
+
+NOISE = {"white": 2.5e-5, "walk": 1e-5, "seconds": 20.0}
+
+
+def spiked(run: piga.Run, seed: int, share: float, size: float) -> tuple[piga.Run, np.ndarray]:
+    rng = np.random.default_rng([seed, 9])
+    bad = np.sort(rng.choice(run.size, int(share * run.size), replace=False))
+    output = run.output.copy()
+    output[bad] += size * rng.standard_normal(bad.size)
+    return replace(run, output=output), bad
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("share", [0.001, 0.05, 0.2])
+def test_spikes_are_left_out(share: float, size: float) -> None:
+    run = record(np.random.default_rng(31), **NOISE)
+    bad, where = spiked(run, 31, share, size)
+    calibration, clean = piga.calibrate(bad, TERMS), piga.calibrate(run, TERMS)
+    found = sum(outlier.samples for outlier in calibration.outliers)
+    assert 0.85 * where.size <= found <= where.size + 12
+    assert {outlier.kind for outlier in calibration.outliers} == {"spike"}
+    assert calibration.quality.used == run.size - found
+    assert all(abs(z) < 4.0 for z in errors(calibration).values()), errors(calibration)
+    for name in TERMS:
+        assert calibration[name].std == pytest.approx(clean[name].std, rel=0.05)
+        assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
+
+
+def test_intervals_hold_under_contamination() -> None:
+    """40 records with 20 % bad samples: mean square of error over uncertainty within the 99.9 % band."""
+    squares = []
+    for seed in range(40):
+        run = record(np.random.default_rng([seed, 33]), **{**NOISE, "seconds": 10.0}, count=8)
+        calibration = piga.calibrate(spiked(run, seed, 0.2, 0.05)[0], TERMS)
+        squares += [z**2 for z in errors(calibration).values()]
+    assert 0.7 < np.mean(squares) < 1.35
+
+
+def test_jumps_and_stuck_readings_have_their_times() -> None:
+    run = record(np.random.default_rng(32), **NOISE)
+    output = run.output.copy()
+    output[1500:] += 0.3
+    output[4500:] -= 2e-3
+    output[2500:2560] = output[2500]
+    calibration = piga.calibrate(replace(run, output=output), TERMS)
+    assert all(abs(z) < 4.0 for z in errors(calibration).values())
+    jumps = [o for o in calibration.outliers if o.kind == "jump"]
+    assert [o.time for o in jumps] == [run.t[1500], run.t[4500]]
+    assert [o.size for o in jumps] == [pytest.approx(0.3, abs=2e-4), pytest.approx(2e-3, abs=2e-4)]
+    stuck = [o for o in calibration.outliers if o.kind == "stuck"]
+    assert len(stuck) == 1
+    assert stuck[0].samples == pytest.approx(59, abs=2)
+    kinds = {event.kind: event.count for event in calibration.quality.events}
+    assert kinds["outlier-jump"] == 2
+
+
+def test_increment_across_a_bad_sample_is_exact() -> None:
+    """Noiseless vibration with every fifth sample bad: merged columns integrate the inner samples too."""
+    t = np.arange(0.0, 60.0, 0.005)
+    f = G0 * np.column_stack([1.0 + 3.0 * np.sin(40.0 * t), np.cos(0.3 * t), 0.0 * t])
+    inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
+    alpha = piga.propagate(inst, t, f) + 1e-7 * np.random.default_rng(1).standard_normal(t.size)
+    good = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    output = alpha.copy()
+    output[2::5] += 0.01
+    bad = piga.Run.from_arrays(t, output, f, scale_factor=SCALE)
+    terms = ["scale_factor", "tan_beta", "k0", "k2"]
+    with_all, without = piga.calibrate(good, terms), piga.calibrate(bad, terms)
+    assert sum(o.samples for o in without.outliers) == output[2::5].size
+    for name in terms:
+        assert without[name].value == pytest.approx(with_all[name].value, abs=3.0 * without[name].std)
+
+
+def test_too_much_is_refused() -> None:
+    run = record(np.random.default_rng(34), **NOISE)
+    with pytest.raises(piga.DataError, match=r"% of the samples do not lie on any path"):
+        piga.calibrate(spiked(run, 34, 0.5, 1.0)[0], TERMS)
+
+
+def test_rate_log() -> None:
+    rng = np.random.default_rng(35)
+    t = np.arange(20_001) * 0.01
+    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
+    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True)
+    rate = rate + 1e-5 * rng.standard_normal(t.size)
+    bad = rng.choice(t.size, 2000, replace=False)
+    rate[bad] += rng.standard_normal(bad.size)
+    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
+    assert sum(o.samples for o in calibration.outliers) == pytest.approx(2000, abs=2)
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
+    assert calibration.angle_random_walk == pytest.approx(1e-6, rel=0.03)
+
+
+def test_clean_records_stay_whole() -> None:
+    """20 records, 96 000 good samples: fewer than 5 are left out (1 expected)."""
+    lost = 0
+    for seed in range(20):
+        calibration = piga.calibrate(
+            record(np.random.default_rng([seed, 36]), **NOISE, levels=(1.0,)), TERMS[:3]
+        )
+        lost += sum(outlier.samples for outlier in calibration.outliers)
+    assert lost < 5
+    assert limit(1_000_000) == pytest.approx(5.45, abs=0.01)
+
+
+@pytest.mark.parametrize("count", [2.0 * np.pi / 3600, 2.0 * np.pi / 360])
+def test_coarse_counts_are_no_outliers(count: float) -> None:
+    run = record(np.random.default_rng(37), white=1e-7, count_angle=count)
+    assert piga.calibrate(run, TERMS).outliers == ()
+    assert piga.calibrate(replace(run, resolution=0.0), TERMS).outliers == ()
+
+
+def test_missing_terms_are_no_outliers() -> None:
+    run = record(np.random.default_rng(38), white=1e-7)
+    assert piga.calibrate(run, ["scale_factor"]).outliers == ()
+
+
+def test_outliers_in_the_file(tmp_path) -> None:
+    run = record(np.random.default_rng(39), **NOISE)
+    calibration = piga.calibrate(spiked(run, 39, 0.01, 1.0)[0], TERMS)
+    calibration.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").outliers == calibration.outliers

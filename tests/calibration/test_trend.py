@@ -1,0 +1,250 @@
+"""Trends: what is shared, drift, forecasts, control chart, words; coverage by simulation (slow)."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from piga.calibration.trend import YEAR, effective_freedom, find_trend, moving_average, student
+from piga.errors import ArgumentError
+from tests.calibration.history import START, history, record
+
+
+def test_drift_is_least_squares_with_student():
+    rng = np.random.default_rng(1)
+    t = np.arange(8) * 0.5
+    y = 1.6e-3 + 2e-6 * t + rng.normal(0, 1e-6, 8)
+    trend = find_trend(history(t, y, 4e-7))["k0"]
+    fit = stats.linregress(t, y)
+    assert trend.drift.value == pytest.approx(fit.slope, rel=1e-9)
+    assert trend.drift.half_width() == pytest.approx(fit.stderr * stats.t.ppf(0.975, 6), rel=1e-9)
+    assert trend.day_to_day == pytest.approx(
+        math.sqrt(np.sum((y - fit.intercept - fit.slope * t) ** 2) / 6 - 1.6e-13)
+    )
+    assert math.isnan(trend.turn_on)
+
+
+def test_prediction_interval_of_the_textbook():
+    """A further record: ``s^2 (1 + 1/n + (t - mean)^2/S)`` with Student's t."""
+    rng = np.random.default_rng(2)
+    t = np.arange(10) * 0.3
+    y = rng.normal(0, 1, 10)
+    trend = find_trend(history(t, y, 0.3))["k0"]
+    fit = stats.linregress(t, y)
+    s2 = np.sum((y - fit.intercept - fit.slope * t) ** 2) / 8
+    forecast = trend.next_record(4.0)
+    expected = s2 * (1 + 0.1 + (4.0 - t.mean()) ** 2 / np.sum((t - t.mean()) ** 2))
+    assert forecast.std**2 == pytest.approx(expected, rel=1e-6)
+    assert forecast.degrees_of_freedom == pytest.approx(8.0)
+    assert forecast.value == pytest.approx(fit.intercept + 4 * fit.slope, rel=1e-6)
+
+
+def test_shared_type_b_is_not_averaged_away_and_cancels_in_drift():
+    rng = np.random.default_rng(3)
+    t = np.arange(25) * 0.2
+    y = rng.normal(0, 1e-6, 25)
+    shared = {"reference_scale": {"k0": 5e-6}}
+    std = math.hypot(1e-6, 5e-6)
+    trend = find_trend(history(t, y, std, common=shared))["k0"]
+    assert trend.points[0].own == pytest.approx(1e-6)
+    assert trend.model.coefficient_at(2.4).std > 5e-6
+    assert trend.next_record(2.4).std < 1.6e-6
+    assert trend.drift.std < 5e-7
+    own = find_trend(history(t, y, std, common=shared), common=0.0)["k0"]
+    assert own.points[0].own == pytest.approx(std)
+    assert own.model.coefficient_at(2.4).std < 3e-6
+    part = find_trend(history(t, y, std, common=shared), common={"reference_scale": 0.25})["k0"]
+    assert part.points[0].own == pytest.approx(math.sqrt(1e-12 + 0.75 * 25e-12))
+    assert 2.5e-6 < part.model.coefficient_at(2.4).std < 3.5e-6
+
+
+def test_a_shared_error_that_grows_is_part_of_the_drift():
+    entries = [
+        (
+            f"r{i}",
+            START + dt.timedelta(days=100 * i),
+            record({"k0": 1e-3}, {"k0": 2e-6}, {"arm": {"k0": 1e-6 * i}}),
+        )
+        for i in range(5)
+    ]
+    drift = find_trend(entries)["k0"].drift
+    assert drift.std == pytest.approx(1e-6 * 365.25 / 100, rel=1e-6)
+
+
+def test_turn_on_and_day_to_day_are_told_apart():
+    rng = np.random.default_rng(4)
+    days, per_day = 60, 4
+    day_effect, t, y = rng.normal(0, 3.0, days), [], []
+    for day in range(days):
+        for run in range(per_day):
+            t.append(day * 36 / 365.25 + run * 2e-4)
+            y.append(10.0 + day_effect[day] + rng.normal(0, 1.5) + rng.normal(0, 0.5))
+    trend = find_trend(history(t, y, 0.5))["k0"]
+    assert trend.turn_on == pytest.approx(1.5, rel=0.15)
+    assert trend.day_to_day == pytest.approx(3.0, rel=0.25)
+    assert trend.model.line.degrees_of_freedom == days - 2
+    forecast = trend.next_record(6.0)
+    assert forecast.std**2 == pytest.approx(9.0 + 2.25 + 0.25, rel=0.4)
+
+
+def test_an_outlier_and_a_shift_raise_alarms_in_words():
+    rng = np.random.default_rng(5)
+    t = np.arange(24) / 12.0
+    y = 1.6e-3 + rng.normal(0, 1e-6, 24)
+    y[14] += 1.2e-5
+    found = find_trend(history(t, y, 1e-6))
+    assert any("r14" in alarm and "standard deviations above" in alarm for alarm in found.alarms)
+    assert not any("r13" in alarm for alarm in found.alarms)
+    t = np.arange(36) / 12.0
+    shifted = 1.6e-3 + np.random.default_rng(3).normal(0, 1e-6, 36)
+    shifted[26:] -= 4e-6
+    alarms = find_trend(history(t, shifted, 1e-6)).alarms
+    assert any("below" in alarm and "moving average" in alarm for alarm in alarms)
+
+
+def test_a_quiet_history_raises_none():
+    rng = np.random.default_rng(6)
+    found = find_trend(history(np.arange(20) / 10, 1e-3 + rng.normal(0, 1e-6, 20), 1e-6))
+    assert found.alarms == ()
+    assert found.remarks == ()
+
+
+def test_remarks():
+    found = find_trend(history([0, 0.5], [1.0, 2.0], 0.1))
+    assert any("need three days" in remark for remark in found.remarks)
+    assert found["k0"].drift is None
+    with pytest.raises(ArgumentError, match="at least three days"):
+        found["k0"].next_record(1.0)
+    t = np.arange(12) / 4
+    assert any("k0 drifts by 1" in r for r in find_trend(history(t, t, 0.01)).remarks)
+    rng = np.random.default_rng(1)
+    wild = find_trend(history(t, rng.normal(0, 1, 12), 0.01)).remarks
+    assert any("times as much" in r for r in wild)
+    calm = find_trend(history(t, rng.normal(0, 1, 12), 30.0)).remarks
+    assert any("scatter less" in r for r in calm)
+    assert any("extrapolation" in r for r in find_trend(history(t / 100, rng.normal(0, 1, 12), 1.0)).remarks)
+
+
+def test_refusals():
+    one = history([0.0], [1.0], 0.1)
+    with pytest.raises(ArgumentError, match="at least two records"):
+        find_trend(one)
+    other = [("x", START, record({"k0": 1.0}, {"k0": 0.1}, serial="Z"))]
+    with pytest.raises(ArgumentError, match="different instruments: G-0417, Z"):
+        find_trend(one + other)
+    with pytest.raises(ArgumentError, match="given twice"):
+        find_trend(one + one)
+    with pytest.raises(ArgumentError, match="no time zone"):
+        find_trend([*one, ("y", dt.datetime(2024, 1, 1), record({"k0": 1.0}, {"k0": 0.1}))])
+    with pytest.raises(ArgumentError, match="not between 0 and 1"):
+        find_trend(history([0, 1], [1.0, 1.0], 0.1), common=1.5)
+
+
+def test_phases_are_left_out_and_order_does_not_matter():
+    rng = np.random.default_rng(7)
+    values = [{"tan_beta": 3e-4 + rng.normal(0, 1e-7), "phi": rng.uniform(-3, 3), "k0": 1e-3} for _ in range(5)]
+    entries = [
+        (f"r{i}", START + dt.timedelta(days=30 * i), record(v, {"tan_beta": 1e-7, "phi": 1e-3, "k0": 1e-6}))
+        for i, v in enumerate(values)
+    ]
+    found = find_trend(entries)
+    assert [trend.key for trend in found.coefficients] == ["tan_beta", "k0"]
+    again = find_trend(entries[::-1])
+    assert again.records == found.records
+    assert again["tan_beta"].drift == found["tan_beta"].drift
+    assert found.years(START + dt.timedelta(seconds=YEAR)) == pytest.approx(1.0)
+
+
+def test_moving_average_limits_by_simulation():
+    """Standard deviation of the average of independent scores is its limit over three."""
+    scores = np.random.default_rng(9).standard_normal((4000, 12)).clip(-3, 3)
+    ends = np.array([moving_average(row)[0][-1] for row in scores])
+    assert ends.std() == pytest.approx(moving_average(scores[0])[1][-1] / 3, rel=0.04)
+    average, limit = moving_average(np.array([math.nan, 1.0]))
+    assert math.isnan(average[0])
+    assert average[1] == pytest.approx(0.2)
+    assert limit[1] == pytest.approx(0.6)
+
+
+def test_effective_freedom_of_the_gum():
+    """JCGM 100, G.4.1 and example H.1.6: u 1.4, 9.., effective degrees of freedom as the formula."""
+    assert effective_freedom([(4.0, 5.0), (0.0, math.inf)]) == pytest.approx(5.0)
+    assert effective_freedom([(1.0, 4.0), (1.0, 4.0)]) == pytest.approx(8.0)
+    assert math.isinf(effective_freedom([(1.0, math.inf)]))
+    assert student(16) == pytest.approx(2.12, abs=0.005)  # JCGM 100, table G.2
+    assert student(math.inf) == pytest.approx(1.960, abs=5e-4)
+    assert student(4, 0.99) == pytest.approx(4.60, abs=0.005)
+
+
+def simulate(rng, days, per_day, excess, within, own, shared, drift):
+    """One history with known truth; returns it and the truth at 1.3 times its length, and a further record."""
+    t, y, s = [], [], []
+    scale = rng.normal(0, shared) if shared else 0.0
+    span = 4.0
+    for day in range(days):
+        at = round(365.25 * span * day / (days - 1)) / 365.25
+        effect = rng.normal(0, excess)
+        for run in range(per_day):
+            std = own * (0.6 + 0.8 * ((day + run) % 3) / 2)
+            t.append(at + run * 1e-4)
+            y.append(5.0 + drift * at + effect + rng.normal(0, within) + rng.normal(0, std) + scale)
+            s.append(math.hypot(std, shared))
+    later = 1.3 * span
+    coefficient = 5.0 + drift * later + rng.normal(0, excess) + rng.normal(0, within)
+    further = coefficient + scale + rng.normal(0, math.sqrt(max(s[-1] ** 2 - shared**2, 0.0)))
+    common = {"reference": {"k0": shared}} if shared else None
+    return history(t, y, s, common=common), later, coefficient, further
+
+
+SCENARIOS = {
+    "stated scatter only": (8, 1, 0.0, 0.0, 1.0, 0.0),
+    "instability as large": (8, 1, 1.0, 0.0, 1.0, 0.0),
+    "instability rules": (6, 1, 5.0, 0.0, 1.0, 0.0),
+    "few records": (4, 1, 1.0, 0.0, 1.0, 0.0),
+    "many records": (24, 1, 0.5, 0.0, 1.0, 0.0),
+    "turn-ons": (7, 3, 1.0, 2.0, 1.0, 0.0),
+    "shared standard": (10, 1, 1.0, 0.0, 1.0, 3.0),
+}
+
+
+def covered(scenario, repeats, seed):
+    rng = np.random.default_rng(seed)
+    hits = np.zeros(3)
+    for _ in range(repeats):
+        entries, later, coefficient, further = simulate(rng, *SCENARIOS[scenario], drift=0.7)
+        trend = find_trend(entries)["k0"]
+        pairs = (
+            (trend.drift, 0.7),
+            (trend.model.coefficient_at(later), coefficient),
+            (trend.next_record(later), further),
+        )
+        hits += [abs(f.value - truth) <= f.half_width() for f, truth in pairs]
+    return hits / repeats
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_coverage(scenario):
+    drift, coefficient, further = covered(scenario, 2000, 11)
+    assert 0.92 < drift < 0.975
+    assert coefficient > 0.93
+    assert 0.93 < further < 0.98
+
+
+@pytest.mark.slow
+def test_false_alarms():
+    """In control, one value in 370 is beyond three standard deviations; the average alarms about as rarely."""
+    rng = np.random.default_rng(12)
+    outside = scored = shifted = 0
+    for _ in range(600):
+        entries, *_ = simulate(rng, 20, 1, 1.0, 0.0, 1.0, 0.0, drift=0.3)
+        trend = find_trend(entries)["k0"]
+        outside += sum(point.outside for point in trend.points)
+        scored += sum(point.forecast is not None for point in trend.points)
+        shifted += int(trend.chart.shifted.sum())
+    assert 0.0015 < outside / scored < 0.0045
+    assert shifted / scored < 0.008

@@ -1,0 +1,133 @@
+"""The line with excess variance against certified and published values and 50-digit arithmetic."""
+
+from __future__ import annotations
+
+import mpmath as mp
+import numpy as np
+import pytest
+from scipy import stats
+
+from piga.calibration.trend_line import fit_line, merge_groups
+from piga.errors import ArgumentError
+
+NORRIS = np.array([
+    [0.1, 0.2], [338.8, 337.4], [118.1, 118.2], [888.0, 884.6], [9.2, 10.1], [228.1, 226.5], [668.5, 666.3],
+    [998.5, 996.3], [449.1, 448.6], [778.9, 777.0], [559.2, 558.2], [0.3, 0.4], [0.1, 0.6], [778.1, 775.5],
+    [668.8, 666.9], [339.3, 338.0], [448.9, 447.5], [10.8, 11.6], [557.7, 556.0], [228.3, 228.1], [998.0, 995.8],
+    [888.8, 887.6], [119.6, 120.2], [0.3, 0.3], [0.6, 0.3], [557.6, 556.8], [339.3, 339.1], [888.0, 887.2],
+    [998.5, 999.0], [778.9, 779.0], [10.2, 11.1], [117.6, 118.3], [228.9, 229.2], [668.4, 669.1], [449.2, 448.9],
+    [0.2, 0.5],
+])  # fmt: skip
+"""NIST StRD data set Norris (y, x)."""
+
+THERMOMETER = np.array([
+    [21.521, -0.171], [22.012, -0.169], [22.512, -0.166], [23.003, -0.159], [23.507, -0.164], [23.999, -0.165],
+    [24.513, -0.156], [25.002, -0.157], [25.503, -0.159], [26.010, -0.161], [26.511, -0.160],
+])  # fmt: skip
+"""JCGM 100, table H.6: thermometer reading and correction [degC]."""
+
+
+@pytest.mark.parametrize("stated", [1e-3, 0.8, 0.9])
+def test_certified_line_whatever_the_stated_size(stated):
+    """NIST StRD Norris: certified estimates and standard deviations to 10 digits."""
+    fit = fit_line(NORRIS[:, 1], NORRIS[:, 0], np.full(36, stated**2), origin=0.0)
+    assert fit.coefficients == pytest.approx([-0.262323073774029, 1.00211681802045], rel=1e-10)
+    std = np.sqrt(np.diag(fit.covariance))
+    assert std == pytest.approx([0.232818234301152, 0.429796848199937e-3], rel=1e-10)
+    residual_std = np.sqrt(fit.scale * (stated**2 + fit.excess))
+    assert residual_std == pytest.approx(0.884796396144373, rel=1e-10)
+
+
+def test_thermometer_of_the_gum():
+    """JCGM 100, H.3: line, standard uncertainties, correlation, and the correction at 30 degC."""
+    fit = fit_line(THERMOMETER[:, 0], THERMOMETER[:, 1], np.full(11, 1e-6), origin=20.0)
+    assert [round(fit.coefficients[0], 4), round(fit.coefficients[1], 5)] == [-0.1712, 0.00218]
+    std = np.sqrt(np.diag(fit.covariance))
+    assert [round(std[0], 4), round(std[1], 5)] == [0.0029, 0.00067]
+    assert fit.covariance[0, 1] / std.prod() == pytest.approx(-0.930, abs=5e-4)
+    value, variance = fit.at(30.0)
+    assert (round(value, 4), round(variance**0.5, 4)) == (-0.1494, 0.0041)
+
+
+def exact(t, y, v, excess):
+    """Weighted line, its covariance and residual sum at 50 digits."""
+    with mp.workdps(50):
+        w = [1 / (mp.mpf(x) + mp.mpf(excess)) for x in v]
+        X = mp.matrix([[1, mp.mpf(x)] for x in t])
+        W = mp.diag(w)
+        normal = X.T * W * X
+        b = mp.lu_solve(normal, X.T * W * mp.matrix([mp.mpf(x) for x in y]))
+        r = [mp.mpf(y[i]) - b[0] - b[1] * mp.mpf(t[i]) for i in range(len(y))]
+        q = mp.fsum(w[i] * r[i] ** 2 for i in range(len(y)))
+        return b, normal**-1, q
+
+
+def test_unequal_weights_at_50_digits():
+    rng = np.random.default_rng(5)
+    t, v = np.sort(rng.uniform(0, 9, 12)), rng.uniform(0.2, 4.0, 12) ** 2
+    y = 3.0 - 0.4 * t + rng.normal(0, np.sqrt(v + 4.0))
+    fit = fit_line(t, y, v, origin=0.0)
+    b, covariance, q = exact(t, y, v, fit.excess)
+    assert fit.excess > 0.2
+    assert float(q) == pytest.approx(10.0, rel=1e-10)  # Paule and Mandel's condition
+    assert fit.scale == pytest.approx(1.0, rel=1e-10)
+    assert fit.coefficients == pytest.approx([float(b[0]), float(b[1])], rel=1e-12)
+    assert fit.covariance == pytest.approx(np.array(covariance.tolist(), dtype=float), rel=1e-10)
+    assert fit.chi2 == pytest.approx(float(exact(t, y, v, 0.0)[2]), rel=1e-12)
+    assert fit.weights @ y == pytest.approx(fit.coefficients, rel=1e-12)
+
+
+def test_no_excess_when_the_stated_scatter_explains_it():
+    rng = np.random.default_rng(2)
+    t = np.arange(9.0)
+    y = 1.0 + rng.normal(0, 0.1, 9)
+    fit = fit_line(t, y, np.ones(9))
+    assert fit.excess == 0.0
+    assert fit.chi2 < 0.2
+    assert fit.scale * 7 == pytest.approx(stats.chi2.ppf(0.2, 7), rel=1e-10)
+
+
+def test_units_and_shift_of_time_do_not_matter():
+    rng = np.random.default_rng(3)
+    t, y = np.sort(rng.uniform(0, 5, 8)), rng.normal(0, 1, 8)
+    v = rng.uniform(0.1, 0.4, 8)
+    first = fit_line(t, y, v)
+    second = fit_line(365.25 * t + 4000.0, 1e-6 * y, 1e-12 * v)
+    assert second.coefficients[1] == pytest.approx(1e-6 * first.coefficients[1] / 365.25, rel=1e-9)
+    assert second.covariance[1, 1] == pytest.approx(1e-12 * first.covariance[1, 1] / 365.25**2, rel=1e-9)
+
+
+def test_exact_values_are_a_line_without_excess():
+    fit = fit_line(np.arange(5.0), 2.0 + 3.0 * np.arange(5.0), np.zeros(5))
+    assert fit.coefficients[1] == pytest.approx(3.0, rel=1e-12)
+
+
+def test_groups_are_one_way_analysis_of_variance():
+    """Balanced groups: within and between as in the analysis of variance of JCGM 100, H.5."""
+    rng = np.random.default_rng(8)
+    labels = np.repeat(np.arange(10), 5)
+    values = rng.normal(0, 3.0, 10)[labels] + rng.normal(0, 2.0, 50)
+    groups = merge_groups(np.arange(50.0), values, np.full(50, 0.01), labels)
+    table = values.reshape(10, 5)
+    inside = float(np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / 40)
+    assert groups.spread == pytest.approx(np.sqrt(inside), rel=1e-12)
+    assert groups.within == pytest.approx(inside - 0.01, rel=1e-10)
+    assert groups.means == pytest.approx(table.mean(axis=1), rel=1e-12)
+    assert groups.variances == pytest.approx(np.full(10, inside / 5), rel=1e-10)
+    line = fit_line(groups.time, groups.means, groups.variances)
+    fit = stats.linregress(groups.time, groups.means)
+    assert np.sqrt(line.covariance[1, 1]) == pytest.approx(fit.stderr, rel=1e-10)
+
+
+def test_single_values_are_groups_of_their_own():
+    groups = merge_groups(np.arange(4.0), np.arange(4.0), np.full(4, 0.5), np.arange(4))
+    assert groups.freedom == 0
+    assert np.isnan(groups.within)
+    assert groups.variances == pytest.approx(np.full(4, 0.5))
+
+
+def test_too_few_values():
+    with pytest.raises(ArgumentError, match="needs 3 values"):
+        fit_line(np.arange(2.0), np.arange(2.0), np.ones(2))
+    with pytest.raises(ArgumentError, match="different times"):
+        fit_line(np.zeros(4), np.arange(4.0), np.ones(4))

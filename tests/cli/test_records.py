@@ -1,0 +1,122 @@
+"""``piga records`` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from piga.cli import main as entry
+from tests.evidence.test_keep_and_reproduce import small_run
+from tests.records.store.drafts import filled
+
+
+class Command:
+    """Runs ``piga records ...`` in this process, in a folder, as the entry point does."""
+
+    def __init__(self, folder: Path, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]) -> None:
+        self.patch, self.capture = patch, capture
+        patch.chdir(folder)
+        patch.delenv("PIGA_STORE", raising=False)
+
+    def __call__(self, *arguments: object) -> tuple[int, str, str]:
+        self.patch.setattr(sys, "argv", ["piga", "records", *map(str, arguments)])
+        code = 0
+        try:
+            entry.main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        output = self.capture.readouterr()
+        return code, output.out, output.err
+
+    def ok(self, *arguments: object) -> str:
+        code, out, err = self(*arguments)
+        assert code == 0, err
+        return out
+
+
+@pytest.fixture
+def records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    return Command(tmp_path, monkeypatch, capsys)
+
+
+def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
+    small_run(tmp_path)
+    lab = ("--store", "lab.sqlite")
+    who = ("--operator", "A. Meyer", "--reason", "yearly")
+    added = json.loads(records.ok("add", "run.toml", *lab, *who, "--no-report", "--json"))
+    name, head = added["id"], added["head"]
+    assert name in records.ok("list", *lab)
+    shown = records.ok("show", name, *lab, "--extract", "x")
+    assert "scale_factor" in shown
+    assert head in shown
+    assert (tmp_path / "x" / "results" / "calibration.json").exists()
+    assert "identical to the bit" in records.ok("reproduce", *lab)
+    assert "known head" in records.ok("verify", *lab, "--head", head)
+    assert head in records.ok("export", "lab.zip", *lab)
+    assert json.loads(records.ok("verify", "lab.zip", "--json"))["sound"] is True
+    taken = json.loads(records.ok("import", "lab.zip", "--store", "b.sqlite", *who, "--json"))
+    assert taken["added"] == [name]
+    assert "+0.000000e+00" in records.ok("diff", "1", name, *lab)
+    assert head in records.ok("backup", "copy.sqlite", *lab)
+    assert head in records.ok("restore", "copy.sqlite", "--store", "c.sqlite")
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"run.csv", "run.toml", "x", "lab.sqlite", "lab.zip", "b.sqlite", "copy.sqlite", "c.sqlite"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["list"], "Missing option '--store'"),
+        (["list", "--store", "none.sqlite"], "no such store"),
+        (["list", "--store", "text.txt"], "no SQLite database"),
+        (["show", "77", "--store", "a.sqlite"], "no record 77"),
+        (["show", "first", "--store", "a.sqlite"], "is no record"),
+        (["verify"], "nothing to verify"),
+        (["verify", "--store", "bad.sqlite"], "damaged"),
+        (["verify", "--store", "a.sqlite", "--head", "12"], "head 12: is not in this chain"),
+        (["export", "a.sqlite", "--store", "a.sqlite"], "exists already"),
+        (["import", "text.txt", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "no ZIP file"),
+        (["backup", "missing/x", "--store", "a.sqlite"], "cannot be written"),
+        (["restore", "text.txt", "--store", "new.sqlite"], "no SQLite database"),
+        (["reproduce", "--store", "a.sqlite"], "cannot be recomputed"),
+        (["add", "none.toml", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "cannot be read"),
+    ],
+)
+def test_wrong_use_is_exit_2_with_one_message(
+    tmp_path: Path, records: Command, arguments: list[str], message: str
+) -> None:
+    filled(tmp_path / "a.sqlite", 1).close()
+    (tmp_path / "text.txt").write_text("hello")
+    (tmp_path / "bad.sqlite").write_bytes((tmp_path / "a.sqlite").read_bytes()[:8192])
+    code, _, errors = records(*arguments)
+    assert code == 2, errors
+    assert message in errors
+    assert "Traceback" not in errors
+
+
+def test_help_is_light() -> None:
+    code = (
+        "import sys; sys.argv = ['piga', 'records', '--help']\n"
+        "from piga.cli.main import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'pyarrow', 'sqlalchemy', 'alembic', 'sqlite3'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "reproduce" in done.stdout
+
+
+def test_missing_extra_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib.util
+
+    from piga.errors import StoreError
+    from piga.records.store import open_store
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(StoreError, match="needs the extra 'records'"):
+        open_store(tmp_path / "a.sqlite")

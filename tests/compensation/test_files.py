@@ -1,0 +1,194 @@
+"""Large files: parts that a killed run continues from, sets in chunks, every kind of data file."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+import piga
+from piga.compensation import file_to_file, parts, set_files
+from piga.compensation.resample import Resampler
+from piga.compensation.triad import RateAngle, integrated_rate
+from piga.compensation.triad_file import orthogonal_triad
+
+from .test_command import CAL, command, small_chunks, write
+from .twin_data import calibration_of
+
+
+@pytest.fixture
+def streamed(monkeypatch):
+    """Chunks of 100 rows, parts of 300, whatever the size of the file."""
+    small_chunks(monkeypatch, 100)
+    monkeypatch.setattr(parts, "PART_ROWS", 300)
+    monkeypatch.setattr("piga.cli.compensate.STREAM_BYTES", 0)
+
+
+@pytest.mark.parametrize("options", [(), ("--rate", "40 Hz")])
+@pytest.mark.parametrize("stop", [1, 4, 8, 11])
+def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys, streamed, stop, options):
+    run = write(tmp_path, rows=1050)
+    words = (run, "--calibration", tmp_path / "run.json", *options, "--out")
+    assert command(monkeypatch, capsys, *words, tmp_path / "whole.parquet")[0] == 0
+    step, calls = file_to_file.run_kernel, []
+
+    def stop_at(*inputs):
+        calls.append(1)
+        if len(calls) == stop:
+            raise KeyboardInterrupt
+        step(*inputs)
+
+    monkeypatch.setattr(file_to_file, "run_kernel", stop_at)
+    assert command(monkeypatch, capsys, *words, tmp_path / "o.parquet", "--resume")[0] != 0
+    assert not (tmp_path / "o.parquet").exists()
+    calls.clear()
+    stop = 0
+    code, _, text = command(monkeypatch, capsys, *words, tmp_path / "o.parquet", "--resume")
+    assert code == 0, text
+    assert len(calls) < 11 or stop < 4
+    assert (tmp_path / "o.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+    assert not list(tmp_path.glob(".o*"))
+
+
+def test_parts_of_another_calibration_are_refused(tmp_path, monkeypatch, capsys, streamed):
+    run = write(tmp_path, rows=500)
+    other = calibration_of({**CAL, "k0": 2e-3}, serial="A")
+    other.to_json(tmp_path / "other.json")
+    made = parts.Parts(tmp_path / "o.csv", "another")
+    words = (run, "--calibration", tmp_path / "other.json", "--out", tmp_path / "o.csv", "--resume")
+    code, _, text = command(monkeypatch, capsys, *words)
+    assert code == 2
+    assert "parts of another input, calibration or set of options" in text
+    made.remove()
+    assert command(monkeypatch, capsys, *words)[0] == 0
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
+    run = write(tmp_path, rows=200_000)
+    script = (
+        "import sys\nfrom piga.compensation import parts\nimport piga.cli.compensate as c\n"
+        "from piga.cli.main import main\nfrom piga.records.parquet_reader import ParquetStream\n"
+        "parts.PART_ROWS = 20_000\nc.STREAM_BYTES = 0\nParquetStream.__init__.__defaults__ = (5000,)\n"
+        f"sys.argv = ['piga', 'compensate', {str(run)!r}, '--calibration', {str(tmp_path / 'run.json')!r}, '--out',"
+        " *sys.argv[1:]]\nmain()\n"
+    )
+    words = [sys.executable, "-c", script]
+    started = time.monotonic()
+    subprocess.run([*words, str(tmp_path / "whole.parquet")], check=True)
+    usual = time.monotonic() - started
+    rng = np.random.default_rng(1)
+    for _ in range(12):
+        child = subprocess.Popen([*words, str(tmp_path / "o.parquet"), "--resume"])
+        time.sleep(usual * rng.uniform(0.3, 1.1))
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+    subprocess.run([*words, str(tmp_path / "o.parquet"), "--resume"], check=True)
+    assert (tmp_path / "o.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kind):
+    small_chunks(monkeypatch, 70)
+    runs = []
+    for i, name in enumerate("xyz"):
+        path = write(
+            tmp_path, f"{name}.parquet", rows=400, axes=np.roll(np.eye(3), -i, axis=0).tolist(), phi=0.2 * i
+        )
+        if kind == "rate":
+            path.write_text(path.read_text().replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"'))
+            table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
+            rate = 0.9 + 0.1 * np.sin(0.3 * (i + 1) * table["t"].to_numpy())
+            pa.parquet.write_table(table.set_column(1, "psi", pa.array(rate)), tmp_path / f"{name}.parquet")
+        runs.append(path)
+    mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
+    for name, large in (("whole", 1 << 30), ("parts", 0)):
+        set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet", large=large)
+    whole, pieces = (pa.parquet.read_table(tmp_path / name) for name in ("whole", "parts"))
+    assert pieces.num_rows == 400
+    for name in whole.column_names:
+        assert pieces[name].to_numpy().tobytes() == whole[name].to_numpy().tobytes(), name
+
+
+def test_set_whose_times_differ_is_refused_by_name(tmp_path):
+    runs = [write(tmp_path, f"{name}.parquet", rows=200) for name in "xyz"]
+    table = pa.parquet.read_table(tmp_path / "z.parquet")
+    late = table["t"].to_numpy() + np.where(np.arange(200) > 150, 1e-4, 0.0)
+    pa.parquet.write_table(table.set_column(0, "t", pa.array(late)), tmp_path / "z.parquet")
+    mounted = orthogonal_triad([calibration_of(CAL, serial="A") for _ in runs])
+    with pytest.raises(piga.DataError, match=r"z\.toml: at t = 1\.51"):
+        set_files.compensate_set_files(runs, mounted, tmp_path / "o.parquet", "parquet")
+
+
+def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
+    words = []
+    for i, name in enumerate("xyz"):
+        words.append(write(tmp_path, f"{name}.parquet", axes=np.roll(np.eye(3), -i, axis=0).tolist()))
+    for name in "xyz":
+        words += ["--calibration", tmp_path / f"{name}.json"]
+    for name, more in (("a", ()), ("b", ("--rate", "10 Hz"))):
+        code, _, text = command(monkeypatch, capsys, *words, "--out", tmp_path / f"{name}.parquet", *more)
+        assert code == 0, text
+    fine, slow = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
+    assert slow.column_names == ["t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "flags"]
+    last = np.searchsorted(fine["t"].to_numpy(), slow["t"].to_numpy()[-1] - 1e-9)
+    for axis in ("dvx", "dvy", "dvz"):
+        total = np.cumsum(fine[axis].to_numpy())[last]
+        assert abs(np.cumsum(slow[axis].to_numpy())[-1] - total) < 1e-12
+
+
+def test_angle_from_rate_does_not_depend_on_the_chunks():
+    rng = np.random.default_rng(2)
+    t = np.cumsum(0.01 + 1e-3 * rng.random(200))
+    rate, begins = np.sin(t), np.zeros(200, dtype=bool)
+    begins[[0, 90, 91, 150]] = True
+    whole = integrated_rate(t, rate, begins)
+    for cuts in ([1, 2, 90, 91, 92, 150], [89, 151], list(range(1, 200))):
+        follower = RateAngle()
+        edges = [0, *cuts, 200]
+        found = [follower.push(t[a:b], rate[a:b], begins[a:b]) for a, b in itertools.pairwise(edges)]
+        assert np.concatenate([*found, follower.finish()]).tobytes() == whole.tobytes()
+
+
+def test_state_of_a_resampler_moves_to_another_one():
+    t, dv = 0.01 * np.arange(100.0), np.sin(np.arange(100.0))
+    one, two = Resampler(0.03), Resampler(0.03)
+    one.push(t[:40], dv[:40])
+    two.go_on(one.carried())
+    assert one.push(t[40:], dv[40:])[1].tobytes() == two.push(t[40:], dv[40:])[1].tobytes()
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.mat", "run.xlsx"])
+def test_other_kinds_of_files_are_streamed_too(tmp_path, monkeypatch, capsys, streamed, name):
+    run = write(tmp_path, rows=350)
+    table = {
+        n: pa.parquet.read_table(tmp_path / "run.parquet")[n].to_numpy() for n in ("t", "psi", "fx", "fy", "fz")
+    }
+    if name.endswith("h5"):
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(tmp_path / name, "w") as file:
+            for column, values in table.items():
+                file[column] = values
+    elif name.endswith("mat"):
+        pytest.importorskip("scipy.io").savemat(tmp_path / name, table)
+    else:
+        book = pytest.importorskip("openpyxl").Workbook()
+        book.active.append(list(table))
+        for row in zip(*(values.tolist() for values in table.values()), strict=True):
+            book.active.append(row)
+        book.save(tmp_path / name)
+    words = ("--calibration", tmp_path / "run.json", "--out")
+    assert command(monkeypatch, capsys, run, *words, tmp_path / "a.parquet")[0] == 0
+    run.write_text(run.read_text().replace("run.parquet", name))
+    code, _, text = command(monkeypatch, capsys, run, *words, tmp_path / "b.parquet")
+    assert code == 0, text
+    a, b = (pa.parquet.read_table(tmp_path / n)["ax"].to_numpy() for n in ("a.parquet", "b.parquet"))
+    assert np.nanmax(np.abs(a - b)) < 1e-12

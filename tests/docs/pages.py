@@ -1,0 +1,65 @@
+"""The pages of the documentation and the blocks of code in them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+_FENCE = re.compile(r"^(?P<indent> *)(?P<mark>```+|:::+)\s*(?P<kind>[\w{}-]*)")
+COMMANDS = ("piga ", "logger ")
+"""First words of an indented block that is a command line."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of code: ``kind`` as behind the fence, ``line`` of its start; ``slow`` when marked so."""
+
+    kind: str
+    text: str
+    line: int
+    slow: bool = False
+
+
+def pages() -> list[Path]:
+    """README and every page that is written by hand."""
+    found = [path for path in DOCS.rglob("*.md") if "generated" not in path.parts]
+    return [ROOT / "README.md", *sorted(found)]
+
+
+def name_of(page: Path) -> str:
+    """The page as the tests name it."""
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path) -> list[Block]:
+    """Fenced blocks, and indented blocks that are command lines, in order."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    found: list[Block] = []
+    at, slow = 0, False
+    while at < len(lines):
+        fence = _FENCE.match(lines[at])
+        if lines[at].strip() == "<!-- slow -->":
+            slow = True
+        if fence:
+            end = at + 1
+            while end < len(lines) and lines[end].strip() != fence["mark"]:
+                end += 1
+            text = "\n".join(line[len(fence["indent"]) :] for line in lines[at + 1 : end])
+            found.append(Block(fence["kind"], text, at + 1, slow))
+            at, slow = end, False
+        elif (
+            lines[at].startswith("    ")
+            and lines[at].strip().startswith(COMMANDS)
+            and not lines[at - 1].strip()
+        ):
+            end = at
+            while end < len(lines) and lines[end].startswith("    "):
+                end += 1
+            found.append(Block("sh", "\n".join(line[4:] for line in lines[at:end]), at + 1))
+            at = end
+        at += 1
+    return found

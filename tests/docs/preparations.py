@@ -1,0 +1,78 @@
+"""What must lie in a page's directory before its first block runs: files that a reader has of his own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import piga
+from piga.units import G0
+
+from .runner import Runner
+
+PHASES = ("20 deg", "140 deg", "250 deg")
+
+
+def write_run(folder: Path, name: str, t: np.ndarray, psi: np.ndarray, f: np.ndarray) -> None:
+    """A CSV log of angles and its run file."""
+    rows = np.column_stack([t, psi, f])
+    np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="t,psi,fx,fy,fz", comments="", fmt="%.15g")
+    (folder / f"{name}.toml").write_text(
+        f'[instrument]\nserial = "{name}"\nscale_factor = "0.8884 rad/s/g"\n'
+        f'[data]\nfile = "{name}.csv"\ntime = {{ column = "t", unit = "s" }}\n'
+        'output = { column = "psi", kind = "angle", unit = "rad" }\n'
+        'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }\n'
+        '[model]\nterms = ["tan_beta", "k0"]\n'
+    )
+
+
+def bench(runner: Runner) -> None:
+    """``run.toml``, an instrument at rest for a minute and then moved, and its ``calibration.json``."""
+    t = np.arange(0.0, 120.0, 0.05)
+    a_x = 1.0 + np.where(t > 60.0, 0.3 * np.sin(0.5 * (t - 60.0)), 0.0)
+    f = G0 * np.column_stack([a_x, 0.6 + 0 * t, 0 * t])
+    inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="74 arcsec", alpha0="50 deg")
+    psi = piga.propagate(inst, t, f) - inst.alpha0 + 2e-6 * np.random.default_rng(1).standard_normal(t.size)
+    write_run(runner.folder, "run", t, psi, f)
+    piga.calibrate(piga.read_run(runner.folder / "run.toml")).to_json(runner.folder / "calibration.json")
+
+
+def triad(runner: Runner) -> None:
+    """``x``, ``y``, ``z``: run and calibration of three instruments on one base, and ``triad.toml``."""
+    t = np.arange(0.0, 60.0, 0.02)
+    f = G0 * np.column_stack([0.6 + 0.2 * np.sin(0.5 * t), 0.5 + 0.1 * np.cos(0.7 * t), 0.7 + 0 * t])
+    tables = []
+    for k, name in enumerate("xyz"):
+        axes = np.roll(np.eye(3, dtype=int), k, axis=1)
+        inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="74 arcsec", alpha0=PHASES[k])
+        own = f @ axes.T
+        write_run(runner.folder, name, t, piga.propagate(inst, t, own) - inst.alpha0, own)
+        piga.calibrate(piga.read_run(runner.folder / f"{name}.toml")).to_json(runner.folder / f"{name}.json")
+        tables.append(
+            f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'
+        )
+    (runner.folder / "triad.toml").write_text("\n".join(tables))
+
+
+def stream(runner: Runner) -> None:
+    """Programs ``logger`` and ``consumer``, and a ``source`` of chunks for the Python block."""
+    record = piga.read_run(runner.folder / "run.toml")
+    rows = np.column_stack([record.t, record.output, record.f])[:1000]
+    np.savetxt(runner.folder / "live.csv", rows, delimiter=",", header="t,output,fx,fy,fz", comments="")
+    programs = runner.folder / "bin"
+    programs.mkdir()
+    for name, text in (("logger", f"cat {runner.folder}/live.csv"), ("consumer", "cat > received.csv")):
+        (programs / name).write_text(f"#!/bin/sh\n{text}\n")
+        (programs / name).chmod(0o755)
+    runner.names["calibration"] = piga.Calibration.from_json(runner.folder / "calibration.json")
+    runner.names["source"] = [
+        {"t": part[:, 0], "output": part[:, 1], "f": part[:, 2:]} for part in np.array_split(rows, 4)
+    ]
+
+
+PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
+    "docs/compensation.md": (bench, triad, stream),
+    "docs/records.md": (bench,),
+}

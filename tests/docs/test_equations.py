@@ -1,0 +1,50 @@
+"""Every equation of the theory pages has a label, and every label an entry that evaluates it literally."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from .equations import EQUATIONS
+from .pages import DOCS
+
+THEORY = sorted((DOCS / "theory").glob("*.md"))
+_DISPLAYED = re.compile(r"^ *\$\$$(.*?)^ *\$\$ *(?:\(([\w-]+)\))?$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("label", EQUATIONS)
+def test_equation(label: str) -> None:
+    pairs = list(EQUATIONS[label]())
+    assert pairs
+    for literal, library, tolerance in pairs:
+        assert np.shape(literal) == np.shape(library)
+        worst = np.abs(np.asarray(literal) - np.asarray(library)).max()
+        assert worst <= tolerance, f"{label}: {worst:.3g} above {tolerance:.3g}"
+
+
+def labels(page: Path) -> list[str]:
+    return [found[1] for found in _DISPLAYED.findall(page.read_text(encoding="utf-8"))]
+
+
+def test_every_equation_has_an_entry() -> None:
+    found = [label for page in THEORY for label in labels(page)]
+    assert "" not in found
+    assert sorted(found) == sorted(EQUATIONS)
+
+
+@pytest.mark.parametrize("page", THEORY, ids=lambda page: page.stem)
+def test_no_equation_hides_in_an_indented_block(page: Path) -> None:
+    """Formulas stand between dollar signs, where they get a label."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    hidden = [line for before, line in pairwise(lines) if not before.strip() and line.startswith("    ")]
+    assert not hidden
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.stem)
+def test_every_reference_to_an_equation_leads_somewhere(page: Path) -> None:
+    for label in re.findall(r"\{eq\}`([\w-]+)`", page.read_text(encoding="utf-8")):
+        assert label in EQUATIONS, label

@@ -1,0 +1,103 @@
+"""Every unit against its definition (SciPy's constants, SI brochure), and the grammar of units."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from scipy import constants as si
+
+from piga.errors import UnitError
+from piga.units import _ALIASES, _ATOMS, G0, conversion_factor, from_si, offset_to_si, parse_unit, to_si
+
+DEFINITIONS = {
+    "1": (1, "1"), "%": (si.centi, "1"), "ppm": (si.micro, "1"), "ppb": (si.nano, "1"),
+    "m": (1, "m"), "km": (si.kilo, "m"), "cm": (si.centi, "m"), "mm": (si.milli, "m"), "um": (si.micron, "m"),
+    "nm": (si.nano, "m"),
+    "s": (1, "s"), "sec": (1, "s"), "ms": (si.milli, "s"), "us": (si.micro, "s"), "ns": (si.nano, "s"),
+    "min": (si.minute, "s"), "h": (si.hour, "s"), "hr": (si.hour, "s"), "d": (si.day, "s"), "day": (si.day, "s"),
+    "year": (si.Julian_year, "s"), "Hz": (1, "1/s"), "kHz": (si.kilo, "1/s"), "MHz": (si.mega, "1/s"),
+    "rad": (1, "rad"), "mrad": (si.milli, "rad"), "urad": (si.micro, "rad"), "nrad": (si.nano, "rad"),
+    "deg": (si.degree, "rad"), "arcmin": (si.arcminute, "rad"), "arcsec": (si.arcsecond, "rad"),
+    "mas": (si.arcsecond / 1000, "rad"), "rev": (2 * math.pi, "rad"), "rpm": (2 * math.pi / si.minute, "rad/s"),
+    "g": (si.g, "m/s^2"), "mg": (si.g / 1e3, "m/s^2"), "ug": (si.g / 1e6, "m/s^2"), "ng": (si.g / 1e9, "m/s^2"),
+    "mGal": (si.milli * si.centi, "m/s^2"), "uGal": (si.micro * si.centi, "m/s^2"),
+    "kg": (1, "kg"), "gram": (si.gram, "kg"), "N": (1, "kg m/s^2"), "mN": (si.milli, "kg m/s^2"),
+    "Nm": (1, "kg m^2/s^2"), "mNm": (si.milli, "kg m^2/s^2"), "uNm": (si.micro, "kg m^2/s^2"),
+    "K": (1, "K"), "degC": (1, "K"), "V": (1, "V"), "mV": (si.milli, "V"), "count": (1, "count"), "counts": (1, "count"),
+}  # fmt: skip
+BASES = ["m", "s", "rad", "kg", "K", "V", "count"]
+
+
+@pytest.mark.parametrize("unit", sorted(_ATOMS))
+def test_every_unit_is_what_its_definition_says(unit: str) -> None:
+    factor, base = DEFINITIONS[unit]
+    assert conversion_factor(unit, base) == pytest.approx(factor, rel=1e-15)
+
+
+def test_base_units_are_seven_different_kinds() -> None:
+    dimensions = {parse_unit(base).dimension for base in BASES}
+    assert len(dimensions) == len(BASES)
+    assert all(sorted(d) == [0.0] * 6 + [1.0] for d in dimensions)
+    assert parse_unit("1").dimension == (0.0,) * 7
+
+
+@pytest.mark.parametrize("alias", sorted(_ALIASES))
+def test_other_spellings(alias: str) -> None:
+    assert parse_unit(alias).dimension == parse_unit(_ALIASES[alias]).dimension
+    assert parse_unit(alias).factor == parse_unit(_ALIASES[alias]).factor
+
+
+@pytest.mark.parametrize(
+    ("unit", "like", "factor"),
+    [
+        ("rad/s/g", "rad/(m/s^2)/s", 1 / G0),
+        ("g/g^2", "1/g", 1.0),
+        ("g^3/g", "g^2", 1.0),
+        ("km^-2", "1/m^2", 1e-6),
+        ("m^0.5", "sqrt(m)", 1.0),
+        ("sqrt(km h)", "sqrt(m)*sqrt(s)", math.sqrt(3.6e6)),
+        ("deg/sqrt(h)", "rad/sqrt(s)", math.pi / 180 / 60),
+        ("(m/s)/(km/h)", "1", 3.6),
+        ("kg·m", "kg m", 1.0),
+        ("rev/min", "rpm", 1.0),
+        ("m/s/s", "m/s^2", 1.0),
+    ],
+)
+def test_grammar(unit: str, like: str, factor: float) -> None:
+    assert conversion_factor(unit, like) == pytest.approx(factor, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [("sqrt m", "needs parentheses"), ("m)", "cannot be read at"), ("(m", "not closed"), ("m^", "number must follow"),
+     ("m/", "incomplete")],
+)  # fmt: skip
+def test_broken_units(unit: str, message: str) -> None:
+    with pytest.raises(UnitError, match=message):
+        parse_unit(unit)
+
+
+def test_temperatures_have_an_offset_as_quantities_only() -> None:
+    assert to_si("0 degC", "K") == 273.15
+    assert to_si("0 °C", "K") == 273.15
+    assert to_si("2 1/degC", "1/K") == 2.0
+    assert (offset_to_si("degC"), offset_to_si("K")) == (273.15, 0.0)
+    assert from_si(300.0, "degC") == pytest.approx(26.85, abs=1e-13)
+    assert from_si(0.5, "mrad") == 500.0
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("+.5 m", 0.5), ("1. m", 1.0), (" -2e-3m ", -0.002), ("1e+2 m", 100.0)]
+)
+def test_numbers(text: str, value: float) -> None:
+    assert to_si(text, "m") == value
+
+
+def test_messages_name_quantity_and_remedy() -> None:
+    with pytest.raises(UnitError) as caught:
+        conversion_factor("furlong", "m", what="[data] time")
+    assert str(caught.value).startswith("[data] time: unknown unit 'furlong'")
+    assert "arcsec" in (caught.value.remedy or "")
+    with pytest.raises(UnitError, match=r"\[x\] y: 'inf' is not a number with a unit|\[x\] y: inf"):
+        to_si(math.inf, "m", what="[x] y")

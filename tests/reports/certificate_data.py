@@ -1,0 +1,51 @@
+"""A complete administrative part for the made-up calibration, and what the tests need to sign."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import msgspec
+
+from piga.records.certificate_file import CertificateFile, read_certificate_file
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "certificate.toml"
+SCHEMAS = Path(__file__).parents[3] / "shared" / "reference" / "dcc"
+
+
+def complete(serial="G-0417") -> CertificateFile:
+    data = read_certificate_file(EXAMPLE)
+    return changed(data, item={"serial": serial})
+
+
+def changed(data: CertificateFile, **tables) -> CertificateFile:
+    """The data with some keys of some tables replaced."""
+    replace = msgspec.structs.replace
+    return replace(data, **{name: replace(getattr(data, name), **keys) for name, keys in tables.items()})
+
+
+def key_pair(folder: Path, name: str, *, elliptic: bool = True) -> tuple[Path, Path]:
+    """Private key and self-signed X.509 certificate, PEM."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec, rsa
+    from cryptography.x509.oid import NameOID
+
+    key = ec.generate_private_key(ec.SECP256R1()) if elliptic else rsa.generate_private_key(65537, 2048)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    start = dt.datetime(2020, 1, 1, tzinfo=dt.UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(start)
+        .not_valid_after(start + dt.timedelta(days=730))
+        .sign(key, hashes.SHA256())
+    )
+    form = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    paths = folder / f"{name}-key.pem", folder / f"{name}-cert.pem"
+    paths[0].write_bytes(key.private_bytes(*form))
+    paths[1].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    return paths

@@ -1,0 +1,251 @@
+"""The Digital Calibration Certificate: schema, Schematron, SI numbers, covariance, and the way back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from piga.errors import PigaError
+from piga.records.calibration_json import to_document
+from piga.records.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
+from piga.records.terms import UNITS, si_factor, unit_of
+from tests.reports.certificate_data import SCHEMAS, changed, complete
+from tests.reports.example import calibration
+
+etree = pytest.importorskip("lxml.etree")
+
+from piga.records.dcc_reader import calibration_of, label_of, read_dcc  # noqa: E402
+from piga.records.xml_signature import written  # noqa: E402
+from piga.reports.dcc import dcc_document, joint_factor  # noqa: E402
+
+N = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+needs_schemas = pytest.mark.skipif(
+    not SCHEMAS.is_dir(), reason="the DCC schema files are not beside the project"
+)
+
+
+@pytest.fixture(scope="module")
+def per_segment():
+    found = calibration(phase="per-segment", with_residuals=False)
+    return replace(
+        found,
+        coefficients=tuple(
+            replace(c, segment="position 7 / up é") if c.segment == "7" else c for c in found.coefficients
+        ),
+    )
+
+
+def all_terms(cal):
+    """The calibration with every coefficient name there is."""
+    names = [*UNITS, "s1", "c1", "s12", "c12"]
+    rng = np.random.default_rng(3)
+    values = rng.normal(0, 1, len(names)) * 10.0 ** rng.integers(-9, 1, len(names))
+    values[names.index("tan_beta")] = 3e-4
+    mixing = rng.normal(0, 1, (len(names), len(names)))
+    spread = np.abs(values) * 1e-3
+    shape = mixing @ mixing.T
+    covariance = shape / np.sqrt(np.outer(np.diag(shape), np.diag(shape))) * np.outer(spread, spread)
+    kind = type(cal.coefficients[0])
+    coefficients = tuple(
+        kind(name, float(v), float(s), unit_of(name)) for name, v, s in zip(names, values, spread, strict=True)
+    )
+    terms = tuple(name for name in names if name != "phi")
+    return replace(cal, coefficients=coefficients, covariance=covariance, terms=terms)
+
+
+def document(cal, **tables):
+    return written(dcc_document(changed(complete(), **tables), cal))
+
+
+def back(raw, tmp_path):
+    path = tmp_path / "certificate.xml"
+    path.write_bytes(raw)
+    return read_dcc(path)
+
+
+def problems(raw):
+    schema = etree.XMLSchema(etree.parse(str(SCHEMAS / "v3.3.0" / "dcc.xsd")))
+    schema.validate(etree.fromstring(raw))
+    return [str(entry) for entry in schema.error_log]
+
+
+@needs_schemas
+@pytest.mark.parametrize("kind", ["plain", "per-segment", "all terms", "before", "conformity", "statements"])
+def test_valid_by_schema_and_schematron(cal, per_segment, kind):
+    pytest.importorskip("saxonche")
+    from tests.reports.schematron import findings
+
+    data, used, before = complete(), cal, None
+    if kind == "per-segment":
+        used = per_segment
+    elif kind == "all terms":
+        used = replace(
+            all_terms(cal), diagnostics={"range": {"a_x": [-9.8, 9.8], "temperature": [293.0, 295.5]}}
+        )
+    elif kind == "before":
+        data, before = changed(data, adjustment={"performed": True, "before": "x"}), cal
+    elif kind == "statements":
+        data = changed(
+            data,
+            certificate={"replaces": "old 1", "amendment": "value of k0"},
+            statements={
+                "opinions": "stable",
+                "opinions_by": "A",
+                "recalibrate": data.certificate.issued,
+                "interval_agreed": True,
+                "remarks": "a <b> & c",
+            },
+        )
+    if kind == "conformity":
+        from piga.records.certificate_file import ConformityTable
+
+        limits = {"k0": ("-5 mg", "5 mg"), "m_Y": ("-1 urad", "1 mrad")}
+        rule = ConformityTable(specification="S 1", rule="guarded", agreed_with_customer=True, limits=limits)
+        data = type(data)(
+            **{f: getattr(data, f) for f in data.__struct_fields__ if f != "conformity"}, conformity=rule
+        )
+    raw = written(dcc_document(data, used, before))
+    assert problems(raw) == []
+    found = findings(SCHEMAS / "schematron" / "dcc.sch", raw)
+    assert "error" not in found
+    # the rule warns of every list with more than one unit, whether the units are alike or not
+    assert all("Redundant unit" in warning for warning in found.get("warning", []))
+
+
+@needs_schemas
+def test_the_checks_can_fail():
+    pytest.importorskip("saxonche")
+    from tests.reports.schematron import findings
+
+    rules = SCHEMAS / "schematron" / "dcc.sch"
+    assert problems((SCHEMAS / "example-valid.xml").read_bytes()) == []
+    assert problems((SCHEMAS / "example-invalid-schema.xml").read_bytes())
+    assert "error" not in findings(rules, (SCHEMAS / "example-valid.xml").read_bytes())
+    assert findings(rules, (SCHEMAS / "example-invalid-schematron.xml").read_bytes())["error"]
+
+
+def test_back_to_the_bit(cal, per_segment, tmp_path):
+    for used in (cal, per_segment, all_terms(cal)):
+        found = back(document(used), tmp_path)
+        assert to_document(found) == to_document(used)
+        assert np.array_equal(found.covariance, used.covariance)
+
+
+def test_numbers_are_si(cal):
+    root = etree.fromstring(document(cal))
+    seen = {}
+    for real in root.iterfind(".//dcc:list/dcc:quantity/si:real", N):
+        seen[real.findtext("si:label", "", N)] = real
+    k2, scale = seen["k2"], seen["scale_factor"]
+    assert k2.findtext("si:unit", "", N) == r"\metre\tothe{-1}\second\tothe{2}"
+    assert float(k2.findtext("si:value", "", N)) == pytest.approx(cal["k2"].value / 9.80665, rel=1e-15)
+    assert scale.findtext("si:unit", "", N) == r"\metre\tothe{-1}\second\radian"
+    assert float(scale.findtext("si:value", "", N)) == pytest.approx(
+        cal["scale_factor"].value / 9.80665, rel=1e-15
+    )
+    assert "nonSI" not in document(cal).decode()
+    expanded = scale.find(".//si:expandedMU", N)
+    k = stats.t.ppf(0.975, cal.degrees_of_freedom)
+    assert float(expanded.findtext("si:coverageFactor", "", N)) == pytest.approx(k, abs=1e-6)
+    u = float(expanded.findtext("si:valueExpandedMU", "", N))
+    assert u == pytest.approx(k * cal["scale_factor"].std / 9.80665, rel=1e-12)
+    assert int(scale.findtext("si:significantDigit", "", N)) == math.floor(math.log10(u)) - 1
+
+
+def test_covariance_is_multivariate_uncertainty_in_products_of_units(cal):
+    root = etree.fromstring(document(cal))
+    columns = root.findall(".//si:ellipsoidalRegionMUXMLList/si:covarianceMatrixXMLList/si:columnXMLList", N)
+    keys = [c.key for c in cal.coefficients]
+    i, j = keys.index("k0"), keys.index("m_Y")
+    column = columns[j].find("si:covarianceXMLList", N)
+    assert column.findtext("si:unitXMLList", "", N).split()[i] == r"\metre\second\tothe{-2}\radian"
+    value = float(column.findtext("si:valueXMLList", "", N).split()[i])
+    assert value == pytest.approx(cal.covariance[i, j] * 9.80665, rel=1e-14)
+
+
+def test_joint_factor():
+    assert joint_factor(1, 10.0) == pytest.approx(stats.t.ppf(0.975, 10))
+    assert joint_factor(3, math.inf) == pytest.approx(math.sqrt(stats.chi2.ppf(0.95, 3)))
+    assert joint_factor(3, 12.0) == pytest.approx(math.sqrt(3 * stats.f.ppf(0.95, 3, 12)))
+
+
+@pytest.mark.parametrize("name", [*UNITS, "s1", "c3"])
+def test_powers_of_g_are_those_of_the_units(name):
+    assert 9.80665 ** power_of_g(unit_of(name)) == pytest.approx(si_factor(name), rel=1e-15)
+
+
+def test_units_of_the_digital_si():
+    assert dsi_unit("1") == r"\one"
+    assert dsi_unit("rad") == r"\radian"
+    assert dsi_unit("g/K") == r"\metre\second\tothe{-2}\kelvin\tothe{-1}"
+    assert dsi_unit("g", "g/g^2") == r"\one"
+    assert dsi_unit("hPa") == r"\metre\tothe{-1}\second\tothe{-2}\kilogram"
+    with pytest.raises(PigaError, match="not made of SI"):
+        dsi_unit("count")
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e200, max_value=1e200).filter(
+    lambda x: x == 0.0 or abs(x) > 1e-200
+)
+
+
+@settings(max_examples=400, deadline=None)
+@given(finite, st.sampled_from([-4, -3, -2, -1, 0, 1, 2]))
+def test_numbers_come_back_to_the_bit(value, power):
+    text = to_dsi(value, power)
+    assert from_dsi(text, power) == value
+    digits = Decimal(text).as_tuple().digits
+    assert len(digits) <= DIGITS or power == 0
+
+
+def test_labels_have_no_spaces():
+    assert label_of("phi[90 deg é]") == "phi[90%20deg%20%C3%A9]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            b"digitalCalibrationCertificate",
+            b"digitalCalibrationCertifikate",
+            "no Digital Calibration Certificate",
+        ),
+        (b'schemaVersion="3.3.0"', b'schemaVersion="4.0.0"', "DCC version '4.0.0'"),
+        (b"piga_jointResult", b"piga_other", "no joint result"),
+        (b"piga_calibrationRecord", b"other", "no calibration record"),
+        (b"<dcc:dataBase64>e", b"<dcc:dataBase64>!", "record is damaged"),
+        (b"scale_factor tan_beta phi", b"scale_factor tan_gamma phi", "unknown coefficient"),
+        (b"scale_factor tan_beta phi", b"scale_factor phi tan_beta", "where .* are needed"),
+        (b"scale_factor tan_beta phi", b"tan_beta tan_beta phi", "perhaps twice"),
+        (b"<si:unitXMLList>\\metre", b"<si:unitXMLList>\\kilometre", "where .* are needed"),
+        (b"<si:valueXMLList>", b"<si:valueXMLList>1 ", "numbers where"),
+        (b"<si:valueXMLList>0", b"<si:valueXMLList>x0", "not a number"),
+        (b"<si:valueXMLList>0.0", b"<si:valueXMLList>1E", "not a finite number"),
+        (b"<si:valueXMLList>0", b"<si:valueXMLList>1", "contradicts itself: scale_factor"),
+        (b"<si:valueStandardMUXMLList>1", b"<si:valueStandardMUXMLList>2", "contradicts itself"),
+        (b"<si:columnXMLList>", b"<si:columnXMLList/><si:columnXMLList>", "columns of covariance"),
+    ],
+)
+def test_damaged_certificates_are_refused_in_words(cal, tmp_path, old, new, words):
+    raw = document(cal)
+    assert old in raw
+    changed_raw = raw.replace(old, new) if b"Certificate" in old else raw.replace(old, new, 1)
+    with pytest.raises(PigaError, match=words):
+        back(changed_raw, tmp_path)
+
+
+def test_a_changed_covariance_is_found(cal, tmp_path):
+    root = dcc_document(complete(), cal)
+    values = root.findall(".//si:columnXMLList/si:covarianceXMLList/si:valueXMLList", N)[2]
+    values.text = (
+        values.text.replace("e-", "e-1", 1) if "e-" in values.text else "1 " + values.text.split(" ", 1)[1]
+    )
+    with pytest.raises(PigaError, match="covariance differs"):
+        calibration_of(root, tmp_path / "x.xml")

@@ -1,0 +1,92 @@
+"""The page, the text and the document of a trend."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+
+import numpy as np
+import pytest
+
+from piga.calibration.trend import find_trend
+from piga.reports.page import page_html
+from piga.reports.trend import trend_document, trend_page, trend_text
+from piga.reports.trend_figures import scale_of, trend_figure
+from tests.calibration.history import START, history, record
+
+AT = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
+
+
+def instrument(days=9, step=150):
+    rng = np.random.default_rng(4)
+    entries = []
+    for day in range(days):
+        for run in range(2 if day % 3 == 0 else 1):
+            values = {
+                "scale_factor": 0.8885092 + 3e-6 * day / 3 + rng.normal(0, 1e-6),
+                "tan_beta": 3.587e-4 + rng.normal(0, 2e-7),
+                "k0": 1.6e-3 + rng.normal(0, 3e-6) + (6e-5 if day == 7 else 0.0),
+                "k2": rng.normal(0, 1e-6),
+                "k1_T": -2e-6 + rng.normal(0, 1e-8),
+            }
+            stds = {"scale_factor": 1e-6, "tan_beta": 2e-7, "k0": 1e-6, "k2": 1e-6, "k1_T": 1e-8}
+            when = START + dt.timedelta(days=step * day, hours=2 * run)
+            entries.append(
+                (f"r{day}-{run}", when, record(values, stds, {"reference_scale": {"scale_factor": 9e-7}}))
+            )
+    return find_trend(entries)
+
+
+def test_page_holds_every_coefficient_and_alarm():
+    found = instrument()
+    html = page_html(trend_page(found, at=AT))
+    for trend in found.coefficients:
+        assert f'id="coefficient-{trend.key.replace("_", "-")}"' in html
+    assert found.alarms
+    assert "record r7-0" in html
+    assert "Forecast for 2026-01-01" in html
+    assert "scale_factor drifts by" in html
+    assert html == page_html(trend_page(found, at=AT))
+
+
+def test_axes_have_quantity_and_unit():
+    found = instrument()
+    units = {"scale_factor": "ppm", "tan_beta": "10⁻⁶", "k0": "µg", "k2": "µg/g²", "k1_T": "10⁻⁶/K"}
+    for trend in found.coefficients:
+        scale = scale_of(trend)
+        assert scale.unit == units[trend.key]
+        shown = scale.shown(np.array([point.value for point in trend.points]))
+        assert np.abs(shown).max() < 1e3
+        for panel in trend_figure(found, trend, 6.0).panels:
+            assert panel.x.quantity
+            assert panel.x.unit == "year"
+            assert panel.y.unit
+
+
+def test_days_for_short_histories():
+    found = instrument(days=4, step=20)
+    figure = trend_figure(found, found["k0"], None)
+    assert figure.panels[0].x.label == "time since 2020-03-02 [d]"
+    assert len(figure.panels) == 2
+
+
+@pytest.mark.parametrize("days", [1, 2, 3])
+def test_few_days(days):
+    found = instrument(days=days) if days > 1 else find_trend(history([0, 0.0003], [1.0, 1.1], 0.1))
+    assert page_html(trend_page(found, at=AT))
+    text = trend_text(found, at=AT)
+    assert "no alarm" in text
+    assert text.isascii()
+    json.dumps(trend_document(found, at=AT), allow_nan=False)
+
+
+def test_text_and_document():
+    found = instrument()
+    text = trend_text(found, at=AT)
+    assert text.isascii()
+    assert "alarm: k0: record r7-0" in text
+    document = trend_document(found, at=AT)
+    k0 = next(c for c in document["coefficients"] if c["name"] == "k0")
+    assert [r["record"] for r in k0["records"] if r["out_of_control"]] == ["r7-0"]
+    assert k0["forecast"]["half_width_95"] > k0["forecast"]["std"]
+    assert k0["next_record"]["date"] == "2026-01-01T00:00:00+00:00"
