@@ -17,7 +17,7 @@ import piga
 from piga.records import container, limits
 from piga.records.container_child import READERS
 from piga.records.xlsx_reader import read_xlsx
-from tests.records.containers import WRITERS, columns, write_h5, write_mat, write_tdms, write_xlsx
+from tests.records.containers import WRITERS, columns, write_h5, write_mat, write_mat73, write_tdms, write_xlsx
 from tests.records.files import events, lines, read, write_run
 
 NAMES = ("t", "n", "fx", "fy", "fz")
@@ -258,3 +258,36 @@ def test_a_gap_in_a_container_is_found(tmp_path: Path) -> None:
     data = {name: np.delete(values, slice(10, 13)) for name, values in columns().items()}
     write_h5(tmp_path / "run.h5", data)
     assert events(piga.read_run(write_run(tmp_path, "run.h5"))) == {"gap": 1}
+
+
+def test_text_of_matlab_v73(tmp_path: Path) -> None:
+    """Char arrays and cell arrays of text, as MATLAB lays them out: UTF-16 units, references into #refs#."""
+    path = tmp_path / "v73.mat"
+    data = columns(6)
+    write_mat73(path, data)
+    words = ["A", "A", "位置 2", "位置 2", "", "A"]
+    with h5py.File(path, "r+") as out:
+        cells = np.empty((1, 6), dtype=h5py.ref_dtype)
+        for i, word in enumerate(words):
+            units = np.frombuffer(word.encode("utf-16-le"), "<u2").reshape(-1, 1)
+            item = out.create_dataset(f"#refs#/{i}", data=units if word else np.zeros(2, np.uint64))
+            item.attrs["MATLAB_class"] = np.bytes_("char")
+            if not word:
+                item.attrs["MATLAB_empty"] = np.uint8(1)
+            cells[0, i] = item.ref
+        out.create_dataset("position", data=cells, dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_(
+            "cell"
+        )
+        letters = np.array([[ord(c) for c in "ab "], [ord(c) for c in "abc"]] * 3, dtype=np.uint16)
+        out.create_dataset("code", data=letters.T).attrs["MATLAB_class"] = np.bytes_("char")
+        cells[0, 3] = out.create_group("#refs#/group").ref
+        out.create_dataset("broken", data=cells, dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_("cell")
+    table = direct(path, NAMES, "position")
+    codes, names = table.labels["position"]
+    assert names == ("A", "位置 2")
+    assert codes.tolist() == [0, 0, 1, 1, -1, 0]
+    assert direct(path, NAMES, "code").labels["code"][1] == ("ab", "abc")
+    with pytest.raises(piga.DataError, match="cell 4 holds no text"):
+        direct(path, NAMES, "broken")
+    run = piga.read_run(write_run(tmp_path, "v73.mat", data='segment = "position"'))
+    assert run.labels == ("A", "位置 2", "A#2")

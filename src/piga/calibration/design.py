@@ -23,7 +23,7 @@ from piga.calibration.request import Request
 from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
-from piga.records.spool import spans, steps
+from piga.records.spool import spans, steps, trim
 
 Array = NDArray[np.float64]
 
@@ -128,6 +128,7 @@ class Design:
 
     def _build(self, index: int) -> tuple[int, Block]:
         start, stop, segment = self._ranges[index]
+        trim()
         first = start if self.point else max(start - 1, 0)
         window: slice | NDArray[np.int64] = slice(first, stop)
         if self.point:

@@ -9,13 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.records.array_columns import Label, as_label, as_numbers, make_table, no_column, split_name, vector
+from piga.records.array_columns import (
+    Label,
+    as_label,
+    as_numbers,
+    label_text,
+    make_table,
+    no_column,
+    split_name,
+    vector,
+)
 from piga.records.limits import check_unpacked, extra_missing
 from piga.records.table import RawTable
 
 PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
 """Filters that the HDF5 library itself brings; no plug-in is ever loaded."""
 MAX_NAMES = 200
+MAX_CELL = 4096
+"""Characters of one cell of text."""
 
 
 def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
@@ -81,6 +92,8 @@ def _read(source: Any, path: Path, name: str, budget: _Budget) -> tuple[NDArray,
     if h5py.check_string_dtype(kind) is not None:
         budget.take(int(item.size) * max(kind.itemsize, 64))
         return vector(path, name, np.asarray(item.asstr(errors="replace")[...], dtype=str), column), ""
+    if h5py.check_ref_dtype(kind) is h5py.Reference and _text(item.attrs.get("MATLAB_class")) == "cell":
+        return vector(path, name, _cell_array(source, path, plain, item, budget), column), ""
     if kind.hasobject:
         raise DataError(
             f"{path}: '{plain}' holds objects or references", remedy="store numbers or text in a plain dataset"
@@ -88,10 +101,39 @@ def _read(source: Any, path: Path, name: str, budget: _Budget) -> tuple[NDArray,
     budget.take(int(item.size) * kind.itemsize)
     values = np.asarray(item[field] if field else item[...])
     if _text(item.attrs.get("MATLAB_class")):
-        values = values.T
-        if _text(item.attrs.get("MATLAB_class")) == "char":
-            values = np.array(["".join(map(chr, row)) for row in np.atleast_2d(values)])
+        values = _characters(values) if _text(item.attrs.get("MATLAB_class")) == "char" else values.T
     return vector(path, name, values, column), _unit(item)
+
+
+def _characters(values: NDArray) -> NDArray:
+    """Rows of a MATLAB char array as text: UTF-16 units, stored column by column, padded with blanks."""
+    rows = np.atleast_2d(values.T).astype("<u2")
+    return np.array([row.tobytes().decode("utf-16-le", errors="replace").rstrip(" \0") for row in rows])
+
+
+def _cell_array(source: Any, path: Path, name: str, item: Any, budget: _Budget) -> NDArray:
+    """A MATLAB cell array of texts or single numbers: references to objects of the same file."""
+    import h5py
+
+    budget.take(64 * int(item.size))
+    cells: list[str] = []
+    for reference in item[...].T.reshape(-1):
+        cell = source[reference] if reference else None
+        if not isinstance(cell, h5py.Dataset) or cell.dtype.kind not in "uif" or cell.size > MAX_CELL:
+            raise DataError(
+                f"{path}: '{name}', cell {len(cells) + 1} holds no text and no number",
+                remedy="store one label for each sample",
+            )
+        _check_storage(cell, path, name)
+        budget.take(int(cell.size) * cell.dtype.itemsize)
+        values, kind = np.asarray(cell[...]), _text(cell.attrs.get("MATLAB_class"))
+        if cell.attrs.get("MATLAB_empty") or values.size == 0:
+            cells.append("")
+        elif kind == "char":
+            cells.append("".join(_characters(values)))
+        else:
+            cells.append(label_text(values.reshape(-1)[0].item()))
+    return np.array(cells, dtype=str)
 
 
 def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:

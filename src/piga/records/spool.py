@@ -25,14 +25,23 @@ from piga.errors import DataError
 
 BLOCK = 1 << 16
 """Rows worked on at a time: a few columns of them stay in the second-level cache."""
-RESIDENT_BYTES = 192 << 20
+TRIM_BLOCKS = 8
+"""Blocks after which the resident pages are looked at."""
+RESIDENT_BYTES = 96 << 20
 """Mapped bytes that may be resident before they are given back."""
 
 
 def spans(count: int) -> Iterator[slice]:
     """Slices of at most :data:`BLOCK` rows, in order."""
     for start in range(0, count, BLOCK):
+        if start % (TRIM_BLOCKS * BLOCK) == 0:
+            _watch.trim()
         yield slice(start, min(start + BLOCK, count))
+
+
+def trim() -> None:
+    """Give mapped pages back when many are resident; for work that does not go by :func:`spans`."""
+    _watch.trim()
 
 
 def steps(values: NDArray, part: slice) -> NDArray:
@@ -173,21 +182,24 @@ class _Watch:
                 self._thread = threading.Thread(target=self._run, daemon=True, name="piga-spool")
                 self._thread.start()
 
+    def trim(self) -> None:
+        """Give pages back if too many are resident."""
+        if self._thread is None:
+            return
+        with self._lock:
+            maps = list(self._maps)
+        if int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE > RESIDENT_BYTES:
+            for mapping in maps:
+                mapping.madvise(mmap.MADV_DONTNEED)
+
     def _run(self) -> None:
-        page = mmap.PAGESIZE
-        with Path("/proc/self/statm").open("rb", buffering=0) as status:
-            while True:
-                with self._lock:
-                    maps = list(self._maps)
-                    if not maps:
-                        self._thread = None
-                        return
-                status.seek(0)
-                if int(status.read(200).split()[2]) * page > RESIDENT_BYTES:
-                    for mapping in maps:
-                        mapping.madvise(mmap.MADV_DONTNEED)
-                del maps
-                time.sleep(0.01)
+        while True:
+            with self._lock:
+                if not self._maps:
+                    self._thread = None
+                    return
+            self.trim()
+            time.sleep(0.01)
 
 
 _watch = _Watch()

@@ -88,7 +88,8 @@ class TextSource:
 
     def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
         """Complete lines in order and how many, without the first ``skip``; read ahead on another thread."""
-        return ahead((piece, _line_feeds(piece)) for piece in self._pieces(skip))
+        found = ((piece, _line_feeds(piece)) for piece in self._pieces(skip))
+        return found if self.path.stat().st_size < self._piece else ahead(found)
 
     def header_bytes(self, skip: int) -> int:
         """Bytes of the first ``skip`` lines."""
