@@ -101,7 +101,9 @@ def invert_near(stop: int, K: float, w: Array) -> None:
         x = 0.5 * (w[at.STEP + j - 1] * w[at.INVERSE + j] - 1.0)
         change, before = u0 - u1, u1 - u2
         second = change - before
-        rise = change * (1.0 - x + x * x) + 0.5 * second + 0.25 * (second - (before - (u2 - w[at.EARLY + j - 3])))
+        rise = (
+            change * (1.0 - x + x * x) + 0.5 * second + 0.25 * (second - (before - (u2 - w[at.EARLY + j - 3])))
+        )
         odd |= abs(x) > EVEN
         mean = u0 + curved(h, h * rise, j, w)
         w[at.INPUT + j] = mean * inverse_K
@@ -152,7 +154,10 @@ def middle_angles(n: int, phi: float, w: Array) -> None:
     for j in range(1, n + 1):
         turn = w[at.PSI + j] - w[at.PSI + j - 1]
         near = is_near(turn, w[at.STEP + j], w[at.RATE_Y + j], w[at.RATE_Z + j])
-        sine, cosine = w[at.NODE_SINE + j - 1] + w[at.NODE_SINE + j], w[at.NODE_COSINE + j - 1] + w[at.NODE_COSINE + j]
+        sine, cosine = (
+            w[at.NODE_SINE + j - 1] + w[at.NODE_SINE + j],
+            w[at.NODE_COSINE + j - 1] + w[at.NODE_COSINE + j],
+        )
         w[at.SINE + j] = 0.5 * sine if near else w[at.SINE + j]
         w[at.COSINE + j] = 0.5 * cosine if near else w[at.COSINE + j]
         w[at.ANGLE + j] = phi + 0.5 * (w[at.PSI + j - 1] + w[at.PSI + j])

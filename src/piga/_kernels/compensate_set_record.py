@@ -12,8 +12,8 @@ from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_record as single
 from piga._kernels import compensate_set as set_of
 from piga._kernels import compensate_terms as terms
-from piga._kernels import compensate_uncertainty as known
 from piga._kernels import compensate_triad as triad
+from piga._kernels import compensate_uncertainty as known
 from piga._kernels.jit import exact
 
 Array = NDArray[np.float64]
@@ -112,7 +112,19 @@ def weigh_all(
     """Weights of all instruments; a redundant set is solved again with them."""
     count = parameters.shape[0]
     for i in range(count):
-        weigh(n, i, at.PER if sampled else at.INVERSE, axes, parameters, codes[i], factors[i], weights, scratch, w, c)
+        weigh(
+            n,
+            i,
+            at.PER if sampled else at.INVERSE,
+            axes,
+            parameters,
+            codes[i],
+            factors[i],
+            weights,
+            scratch,
+            w,
+            c,
+        )
     if count > 3:
         set_of.start_force(angle.padded(n), c)
         solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_terms as terms
-from piga._kernels.jit import exact, kernel
+from piga._kernels.jit import exact
 
 Array = NDArray[np.float64]
 
