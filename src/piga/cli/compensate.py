@@ -73,6 +73,8 @@ def compensate(
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
     several = len(run) > 1 or str(run[0]) == "-" or _is_triad(run[0])
+    if resume and several:
+        raise ArgumentError("--resume is for one recorded run", remedy="leave it out")
     if period is not None and str(run[0]) == "-":
         raise ArgumentError("--rate is for recorded runs", remedy="resample with piga.compensation.Resampler")
     if str(run[0]) == "-":
@@ -81,7 +83,7 @@ def compensate(
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if several:
-        summary = _together(run, calibrations, out, uncertainty, max_age, force, period)
+        summary = _together(run, calibrations, out, uncertainty, max_age, force, period, method)
     else:
         options = (method, given, rest, uncertainty, max_age, force, period, resume)
         summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, *options)
@@ -181,6 +183,7 @@ def _together(
     max_age: float | None,
     force: bool,
     period: float | None,
+    method: str | None,
 ) -> dict[str, Any]:
     from piga.compensation.set_files import compensate_set_files
     from piga.compensation.triad_file import orthogonal_triad, read_triad
@@ -203,7 +206,7 @@ def _together(
             found.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=uncertainty, max_age_days=max_age, force=force,
-                    period=period, large=STREAM_BYTES, advance=advance,
+                    period=period, method=method or "exact", large=STREAM_BYTES, advance=advance,
                 )
             )  # fmt: skip
 

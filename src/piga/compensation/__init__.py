@@ -5,6 +5,7 @@ from piga.compensation.compensator import Compensator
 from piga.compensation.flags import FLAGS
 from piga.compensation.model import Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
+from piga.compensation.published_set import PublishedSet
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
 from piga.compensation.step import Chunk, Step, init_state, step
@@ -21,6 +22,7 @@ __all__ = [
     "Mounted",
     "Phase",
     "PhaseFinder",
+    "PublishedSet",
     "Resampler",
     "SetCompensator",
     "Step",

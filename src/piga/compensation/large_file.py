@@ -68,6 +68,7 @@ class LargeFile:
                 self._keeps_phase = abs(turns - np.rint(turns)) < 1e-12
         self._last_t, self._last_reading, self._value = -np.inf, 0.0, 0.0
         self._segment: int | None = None
+        self._number: float | None = None
 
     @property
     def kind(self) -> str:
@@ -84,47 +85,59 @@ class LargeFile:
             if event.kind != "missing-value":
                 self.found[event.kind] += event.count
 
-    def _convert(self, raw: RawChunk, units: dict[str, str], visits: Visits) -> Iterator[Piece]:
+    def _columns(self, raw: RawChunk, units: dict[str, str]) -> dict[str, Array]:
+        """The samples in SI, the reading of the output in its own unit; what is not there is empty."""
         data = self.run_file.data
         count = raw.rows.size
 
         def column(name: str, unit: str, like: str) -> Array:
             _check_unit(self._data_path, name, unit, units.get(name))
             values = _inside(raw.numbers[name], (data.range or {}).get(name))
-            return np.asarray(
-                values * conversion_factor(unit, like) + (offset_to_si(unit) if like == "K" else 0.0)
-            )
+            factor, offset = conversion_factor(unit, like), offset_to_si(unit) if like == "K" else 0.0
+            scaled = values if factor == 1.0 else values * factor
+            return scaled if offset == 0.0 else scaled + offset
 
+        found = {"y": np.zeros(count), "z": np.zeros(count), "omega": NO_RATES, "warm": NONE, "number": NONE}
         if data.time is None:
-            t = np.arange(self.rows, self.rows + count) / to_si(data.sample_rate or 1.0, "Hz")
+            found["t"] = np.arange(self.rows, self.rows + count) / to_si(data.sample_rate or 1.0, "Hz")
         else:
-            t = column(data.time.column, data.time.unit, "s")
-        reading = _inside(raw.numbers[data.output.column], (data.range or {}).get(data.output.column))
-        names = data.reference.columns[1:] if data.reference else ()
-        force = [column(name, data.reference.unit, "m/s^2") for name in names if data.reference]
-        y, z = force if force else (np.zeros(count), np.zeros(count))
-        omega, warm = NO_RATES, NONE
+            found["t"] = column(data.time.column, data.time.unit, "s")
+        found["reading"] = _inside(raw.numbers[data.output.column], (data.range or {}).get(data.output.column))
+        if data.reference is not None:
+            unit, names = data.reference.unit, data.reference.columns
+            found["y"], found["z"] = column(names[1], unit, "m/s^2"), column(names[2], unit, "m/s^2")
         if data.base_rate is not None:
             unit = data.base_rate.unit
-            omega = np.column_stack([column(name, unit, "rad/s") for name in data.base_rate.columns])
+            found["omega"] = np.column_stack([column(name, unit, "rad/s") for name in data.base_rate.columns])
         if data.temperature is not None:
-            warm = column(data.temperature.column, data.temperature.unit, "K")
+            found["warm"] = column(data.temperature.column, data.temperature.unit, "K")
+        if data.sequence is not None:
+            found["number"] = raw.numbers[data.sequence.column]
         self.rows += count
-        keep = np.isfinite(t + reading + y + z)
-        keep &= np.isfinite(omega).all(axis=1) if omega.size else True
-        keep &= np.isfinite(warm) if warm.size else True
-        steps = np.diff(t, prepend=self._last_t)
-        repeated = keep & (steps == 0.0)
-        segment = None if raw.codes is None else visits.segment(raw.codes, raw.rows)
+        return found
+
+    def _kept(
+        self, found: dict[str, Array], segment: NDArray[np.int32] | None
+    ) -> tuple[dict[str, Array], NDArray[np.int32] | None]:
+        """Without rows that lack a value or a segment, or repeat a time."""
+        keep = np.isfinite(found["t"] + found["reading"] + found["y"] + found["z"])
+        keep &= np.isfinite(found["omega"]).all(axis=1) if found["omega"].size else True
+        keep &= np.isfinite(found["warm"]) if found["warm"].size else True
+        repeated = keep & (np.diff(found["t"], prepend=self._last_t) == 0.0)
+        self.found["missing-value"] += int(np.count_nonzero(~keep))
+        self.found["repeated-time"] += int(np.count_nonzero(repeated))
+        keep &= ~repeated
         keep &= True if segment is None else segment >= 0
-        if repeated.any() or not keep.all():
-            self.found["missing-value"] += int(np.count_nonzero(~keep))
-            self.found["repeated-time"] += int(np.count_nonzero(repeated))
-            keep &= ~repeated
-            t, reading, y, z = t[keep], reading[keep], y[keep], z[keep]
-            omega, warm = omega[keep] if omega.size else omega, warm[keep] if warm.size else warm
-            segment = None if segment is None else segment[keep]
-            steps = np.diff(t, prepend=self._last_t)
+        if keep.all():
+            return found, segment
+        kept = {name: values[keep] if values.size else values for name, values in found.items()}
+        return kept, None if segment is None else segment[keep]
+
+    def _convert(self, raw: RawChunk, units: dict[str, str], visits: Visits) -> Iterator[Piece]:
+        segment = None if raw.codes is None else visits.segment(raw.codes, raw.rows)
+        found, segment = self._kept(self._columns(raw, units), segment)
+        t, y, z, omega, warm = (found[name] for name in ("t", "y", "z", "omega", "warm"))
+        steps = np.diff(t, prepend=self._last_t)
         if t.size == 0:
             return
         if self.nominal == 0.0:
@@ -134,8 +147,9 @@ class LargeFile:
         first = not np.isfinite(self._last_t)
         edges, new = self._segments(segment, t.size)
         begins[edges[:-1][new]] = True
+        begins |= self._breaks(found["number"])
         self.found["stretch"] += int(np.count_nonzero(begins))
-        output = self._unwrapped(reading)
+        output = self._unwrapped(found["reading"])
         self._last_t = float(t[-1])
         lost = (
             np.flatnonzero(begins)
@@ -150,6 +164,15 @@ class LargeFile:
             )  # fmt: skip
             label = "all" if segment is None else visits.names[int(segment[start])]
             yield Piece(label, chunk, bool(np.any((lost >= start) & (lost < stop))))
+
+    def _breaks(self, number: Array) -> NDArray[np.bool_]:
+        """Where the sequence number does not follow the one before."""
+        sequence = self.run_file.data.sequence
+        if sequence is None:
+            return np.zeros(1, dtype=np.bool_)
+        steps = np.diff(number, prepend=number[0] - 1.0 if self._number is None else self._number)
+        self._number = float(number[-1])
+        return np.asarray((steps if sequence.wraps_at is None else np.mod(steps, sequence.wraps_at)) != 1.0)
 
     def _segments(
         self, segment: NDArray[np.int32] | None, count: int

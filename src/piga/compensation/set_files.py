@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from piga.compensation.compensate import check_serial_names
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile
+from piga.compensation.published_set import PublishedSet
 from piga.compensation.resample import Resampler
-from piga.compensation.triad import CompensatedSet, Mounted, RateAngle, SetCompensator, compensate_triad
+from piga.compensation.triad import (
+    CompensatedSet,
+    Mounted,
+    RateAngle,
+    SetCompensator,
+    compensate_triad,
+    set_stream,
+)
 from piga.compensation.writers import TableWriter
 from piga.errors import DataError
 from piga.records.run_file import read_run_file
@@ -46,6 +54,7 @@ def compensate_set_files(
     max_age_days: float | None = None,
     force: bool = False,
     period: float | None = None,
+    method: str = "exact",
     large: int = 0,
     advance: Callable[[int], None] = lambda _rows: None,
 ) -> dict[str, Any]:
@@ -64,9 +73,9 @@ def compensate_set_files(
     resampler = None if period is None else Resampler(period)
     size = sum((run.parent / read_run_file(run).data.file).stat().st_size for run in runs)
     if size > large:
-        parts = _streamed(runs, instruments, uncertainty, max_age_days, force)
+        parts = _streamed(runs, instruments, uncertainty, max_age_days, force, method)
     else:
-        parts = _whole(runs, instruments, uncertainty, max_age_days, force)
+        parts = _whole(runs, instruments, uncertainty, max_age_days, force, method)
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
     with TableWriter(out, kind) as writer:
         for part in parts:
@@ -83,18 +92,28 @@ def compensate_set_files(
 
 
 def _whole(
-    runs: Sequence[Path], instruments: Sequence[Mounted], uncertainty: bool, max_age: float | None, force: bool
+    runs: Sequence[Path],
+    instruments: Sequence[Mounted],
+    uncertainty: bool,
+    max_age: float | None,
+    force: bool,
+    method: str,
 ) -> Iterator[CompensatedSet]:
     from piga.stand import read_run
 
     records = [read_run(run, need_reference=False) for run in runs]
     yield compensate_triad(
-        records, instruments, uncertainty=uncertainty, max_age_days=max_age, force=force
+        records, instruments, uncertainty=uncertainty, max_age_days=max_age, force=force, method=method
     )  # fmt: skip
 
 
 def _streamed(
-    runs: Sequence[Path], instruments: Sequence[Mounted], uncertainty: bool, max_age: float | None, force: bool
+    runs: Sequence[Path],
+    instruments: Sequence[Mounted],
+    uncertainty: bool,
+    max_age: float | None,
+    force: bool,
+    method: str,
 ) -> Iterator[CompensatedSet]:
     files = [LargeFile(run, read_run_file(run)) for run in runs]
     for file, item in zip(files, instruments, strict=True):
@@ -105,7 +124,7 @@ def _streamed(
             )
     sampled = files[0].kind == "rate"
     followers = [RateAngle() for _ in files]
-    stream: SetCompensator | None = None
+    stream: SetCompensator | PublishedSet | None = None
     waiting: Rows | None = None
     for labels, rows in _aligned(files):
         if stream is None:
@@ -113,7 +132,7 @@ def _streamed(
                 replace(item, segment=item.segment or label)
                 for item, label in zip(instruments, labels, strict=True)
             ]
-            stream = SetCompensator(mounted, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age)
+            stream = set_stream(mounted, method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age)
         if not sampled:
             yield stream.push(
                 rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
@@ -127,7 +146,7 @@ def _streamed(
         yield _push_sampled(stream, waiting, [f.finish() for f in followers])
 
 
-def _push_sampled(stream: SetCompensator, rows: Rows, psi: list[Array]) -> CompensatedSet:
+def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[Array]) -> CompensatedSet:
     return stream.push(
         rows.t, np.array(psi), rate=rows.output, base_rate=rows.base_rate, temperature=rows.temperature,
         begins=rows.begins,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +15,14 @@ from piga._kernels.compensate_set import SET_STATE, SET_WORK
 from piga._kernels.compensate_set_record import compensate_set as set_kernel
 from piga.compensation.compensate import check_serial
 from piga.compensation.flags import FLAGS
-from piga.compensation.model import Model, Phase, make_model
+from piga.compensation.model import METHODS, Model, Phase, make_model
 from piga.compensation.validity import Limits, age_flag
 from piga.errors import ArgumentError, DataError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
+
+if TYPE_CHECKING:
+    from piga.compensation.published_set import PublishedSet
 
 Array = NDArray[np.float64]
 
@@ -213,6 +217,7 @@ def compensate_triad(
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
+    method: str = "exact",
 ) -> CompensatedSet:
     """Specific force of whole records of three or more instruments, sampled at the same times.
 
@@ -235,10 +240,10 @@ def compensate_triad(
         replace(item, segment=item.segment or record.labels[0])
         for record, item in zip(records, instruments, strict=True)
     ]
-    stream = SetCompensator(
-        mounted, sampled=first.kind == "rate",
-        uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
-    )  # fmt: skip
+    sampled = first.kind == "rate"
+    stream = set_stream(
+        mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days
+    )
     outputs = np.array([record.output for record in records])
     base, warm = [r.base_rate for r in records], [r.temperature for r in records]
     return stream.push(
@@ -252,6 +257,28 @@ def compensate_triad(
         else [np.zeros((first.size, 3)) if b is None else b for b in base],
         temperature=None if any(w is None for w in warm) else [w for w in warm if w is not None],
         begins=begins,
+    )
+
+
+def set_stream(
+    mounted: Sequence[Mounted], method: str, *, sampled: bool, uncertainty: bool, limits: Limits | None = None,
+    max_age_days: float | None = None,
+) -> SetCompensator | PublishedSet:  # fmt: skip
+    """The compensator of a set by its method.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown method.
+    """
+    from piga.compensation.published_set import PublishedSet
+
+    if method not in METHODS:
+        raise ArgumentError(f"method: '{method}' is not known", remedy=f"one of: {', '.join(METHODS)}")
+    if method == "published":
+        return PublishedSet(mounted, sampled=sampled, max_age_days=max_age_days)
+    return SetCompensator(
+        mounted, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days
     )
 
 

@@ -1,0 +1,125 @@
+"""Angle logs that turn little between samples, the published set, and codes of coefficients."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numba
+import numpy as np
+import pytest
+
+import piga
+from piga._kernels import compensate_layout as at
+from piga.compensation import Compensator, Mounted, PublishedSet, compensate_triad
+from piga.compensation.model import make_model
+from piga.units import G0
+
+from .test_triad import made, orthogonal
+from .twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of
+
+CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4})
+SECONDS = 4.0 if numba.config.DISABLE_JIT else 20.0
+
+
+def smooth(t: np.ndarray) -> np.ndarray:
+    """Forces that change at their own frequencies [m/s^2]."""
+    a = 1.0 + 0.3 * np.sin(np.pi * t)
+    return G0 * np.stack([a, 5.0 + 0.5 * np.cos(1.1 * t), 0.4 * np.sin(0.7 * t)], axis=1)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
+def test_smooth_force_comes_back_to_1e12_g(rate):
+    """From the fourth interval on, plus the rounding of the angle; the exact inverse left 4e-9 g at 100 Hz; 3e-11 g at 50 Hz."""
+    t = np.arange(0.0, SECONDS, 1.0 / rate)
+    run = run_of(t, smooth(t), phi=0.4)
+    rounding = 2 * np.finfo(float).eps * np.abs(run.output).max() * rate / run.scale_factor
+    left = np.abs(piga.compensate(run, CAL).ax[1:] - mean_force(smooth(t)))[3:]
+    assert left.max() < (4e-11 if rate < 100.0 else 2e-12) * G0 + 2.0 * rounding
+
+
+@pytest.mark.compiled
+def test_uneven_intervals_cost_the_higher_differences_only():
+    rng = np.random.default_rng(3)
+    t = np.cumsum(0.01 * (1.0 + 0.2 * rng.random(500)))
+    left = np.abs(piga.compensate(run_of(t, smooth(t), phi=0.4), CAL).ax[1:] - mean_force(smooth(t)))[3:]
+    assert left.max() < 1e-8 * G0
+
+
+@pytest.mark.compiled
+def test_near_and_far_intervals_mixed_are_the_same_to_the_bit_whatever_the_chunks():
+    """Some intervals turn beyond the formula, some are uneven, some begin stretches."""
+    rng = np.random.default_rng(4)
+    size = 3000
+    t = np.cumsum(rng.choice([0.01, 0.01, 0.01, 0.012, 0.05], size))
+    f = smooth(t) + 0.1 * G0 * rng.standard_normal((size, 3))
+    psi = run_of(t, f, phi=0.4).output
+    turned = np.abs(np.diff(psi))
+    assert turned.min() < 0.03 < turned.max()
+    begins = rng.random(size) < 0.02
+    std = {"phi": 1e-4, "tan_beta": 1e-7, "k0": 1e-6, "scale_factor": 1e-7, "k2": 1e-7}
+    cal = calibration_of(
+        {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4, "k0": 1e-3, "k2": 1e-5, "s2": 1e-5, "c2": 0.0},
+        std,
+    )
+    columns = {"t": t, "output": psi, "f": f, "begins": begins}
+    whole = Compensator(cal).push(columns)
+    for _ in range(6):
+        cuts = [0, *np.sort(rng.integers(0, size, 9)).tolist(), size]
+        stream = Compensator(cal)
+        parts = [stream.push({k: c[a:b] for k, c in columns.items()}) for a, b in pairwise(cuts)]
+        for name in ("ax", "dv", "u_ax", "flags"):
+            assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+
+
+def test_coefficients_have_codes_of_their_own():
+    """The code of the scale factor was that of k_ZZ: its uncertainty went in as another one."""
+    special = {at.SCALE_FACTOR, at.TAN_BETA, at.PHI}
+    assert not special & {at.P_TERMS + i for i in range(len(at.TERMS))}
+    assert max(special) < at.HARMONIC
+
+
+def test_uncertainty_is_that_of_the_covariance():
+    """Five coefficients, correlated: against numerical derivatives of the force itself."""
+    t = np.arange(0.0, 1.0, 0.01)
+    values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4, "k0": 1e-3, "k_ZZ": 1e-4, "k0_t": 1e-5}
+    std = {"tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-5, "k_ZZ": 1e-6, "k0_t": 1e-6}
+    run = run_of(t, smooth(t), phi=0.4)
+    found = piga.compensate(run, calibration_of(values, std)).u_ax[1:]
+    base = piga.compensate(run, calibration_of(values)).ax[1:]
+    total = np.zeros(base.size)
+    for name, u in std.items():
+        total += (piga.compensate(run, calibration_of({**values, name: values[name] + u})).ax[1:] - base) ** 2
+    assert np.abs(found / np.sqrt(total) - 1.0).max() < 2e-3
+
+
+def test_factor_is_triangular_and_gives_the_covariance():
+    cal = calibration_of({"tan_beta": 1e-3, "phi": 0.1, "k0": 1e-3}, {"tan_beta": 1e-6, "k0": 2e-6})
+    model = make_model(cal)
+    assert model.codes.size == 2
+    assert np.allclose(np.tril(model.factor, -1), 0.0)
+    assert np.allclose(np.sqrt(np.diag(model.factor.T @ model.factor)), [1e-6, 2e-6 * G0])
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_published_formula_of_a_set_leaves_the_second_order(kind):
+    """The coupling of 5 g goes from 25 mg to its square; to the bit whatever the chunks."""
+    t = np.arange(0.0, 3.0, 0.01)
+    f = np.tile(np.array([1.0, 5.0, -0.8]) * G0, (t.size, 1))
+    records, mounted = made(t, f, orthogonal(), kind)
+    found = compensate_triad(records, mounted, method="published")
+    error = np.abs(found.f[2:] - f[2:]).max()
+    assert 1e-6 * G0 < error < 4.0 * TAN_BETA**2 * 5.0 * G0
+    exact = compensate_triad(records, mounted)
+    assert np.abs(exact.f[2:] - f[2:]).max() < 1e-8 * G0
+    if kind == "angle":
+        stream = PublishedSet(mounted)
+        psi = np.array([r.output for r in records])
+        parts = [stream.push(t[a:b], psi[:, a:b]).f for a, b in pairwise([0, 1, 70, 71, 200, t.size])]
+        assert np.concatenate(parts).tobytes() == found.f.tobytes()
+
+
+def test_published_set_of_two_is_refused():
+    item = Mounted(CAL, np.eye(3))
+    with pytest.raises(piga.ArgumentError, match="set of 2"):
+        PublishedSet([item, item])
