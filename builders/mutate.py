@@ -31,6 +31,7 @@ MOTION = [
     "tests/docs/test_equations.py",
     "tests/kernels/test_motion_kernels.py",
     "tests/instrument/test_closed_form.py",
+    "tests/instrument/test_borders.py",
 ]
 SAMPLES = [*MOTION, "tests/instrument/test_sensitivity.py", "tests/instrument/test_propagate.py"]
 FIT = [

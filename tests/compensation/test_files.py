@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -99,7 +100,9 @@ def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kin
     small_chunks(monkeypatch, 70)
     runs = []
     for i, name in enumerate("xyz"):
-        path = write(tmp_path, f"{name}.parquet", rows=400, axes=np.roll(np.eye(3), -i, axis=0).tolist(), phi=0.2 * i)
+        path = write(
+            tmp_path, f"{name}.parquet", rows=400, axes=np.roll(np.eye(3), -i, axis=0).tolist(), phi=0.2 * i
+        )
         if kind == "rate":
             path.write_text(path.read_text().replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"'))
             table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
@@ -151,7 +154,7 @@ def test_angle_from_rate_does_not_depend_on_the_chunks():
     for cuts in ([1, 2, 90, 91, 92, 150], [89, 151], list(range(1, 200))):
         follower = RateAngle()
         edges = [0, *cuts, 200]
-        found = [follower.push(t[a:b], rate[a:b], begins[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+        found = [follower.push(t[a:b], rate[a:b], begins[a:b]) for a, b in itertools.pairwise(edges)]
         assert np.concatenate([*found, follower.finish()]).tobytes() == whole.tobytes()
 
 
@@ -166,7 +169,9 @@ def test_state_of_a_resampler_moves_to_another_one():
 @pytest.mark.parametrize("name", ["run.h5", "run.mat", "run.xlsx"])
 def test_other_kinds_of_files_are_streamed_too(tmp_path, monkeypatch, capsys, streamed, name):
     run = write(tmp_path, rows=350)
-    table = {n: pa.parquet.read_table(tmp_path / "run.parquet")[n].to_numpy() for n in ("t", "psi", "fx", "fy", "fz")}
+    table = {
+        n: pa.parquet.read_table(tmp_path / "run.parquet")[n].to_numpy() for n in ("t", "psi", "fx", "fy", "fz")
+    }
     if name.endswith("h5"):
         h5py = pytest.importorskip("h5py")
         with h5py.File(tmp_path / name, "w") as file:

@@ -74,6 +74,7 @@ def test_second_zonal_harmonic_follows_from_the_shape() -> None:
 def test_site() -> None:
     site = Site(math.radians(40.0), height=100.0)
     assert site.local_gravity == normal_gravity(math.radians(40.0), 100.0)
+    assert Site(0.3, gravity=9.8) == Site(0.3, 0.0, 0.0, 9.8)
     assert Site(0.3, gravity=9.8).local_gravity == 9.8
     north, east, down = site.earth_rate_ned
     assert math.hypot(north, down) == pytest.approx(7.292115e-5, rel=1e-15)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError, PigaError
-from piga.instrument import Instrument, propagate_function
+from piga.instrument import Instrument, closed_form, propagate_function, propagate_segments
 from piga.instrument.checks import float_array
 from piga.instrument.fleet import available_cores
 from piga.instrument.twin import run_twin
@@ -71,3 +71,17 @@ def test_a_loop_that_never_crosses_has_all_margins() -> None:
     found = analyse_loop(weak)
     assert found.phase_margin == math.inf
     assert found.crossover == 0.0
+
+
+def test_segments_with_base_rate_are_closed_forms_one_after_the_other() -> None:
+    """All three components of the base rate, each as large as the coupling makes it count."""
+    force = G0 * np.array([[0.6, 2.0, -1.0], [0.3, -4.0, 2.0]])
+    turn = np.array([[0.02, -0.3, 0.5], [-0.01, 0.4, 0.2]])
+    alpha, rate = propagate_segments(INST, [3.0, 5.0], force, turn)
+    middle, _ = closed_form(INST, 3.0, *force[0], base_rate=turn[0])
+    last, speed = closed_form(replace(INST, alpha0=float(middle)), 5.0, *force[1], base_rate=turn[1])
+    assert alpha == pytest.approx([float(middle), float(last)], abs=2e-15)
+    assert rate[1] == pytest.approx(float(speed), abs=1e-15)
+    u_x, u_Y, u_Z = INST.scale_factor * force[1] - turn[1]
+    literal = u_x + INST.tan_beta * (u_Y * math.sin(alpha[1]) - u_Z * math.cos(alpha[1]))
+    assert rate[1] == pytest.approx(literal, abs=1e-14)

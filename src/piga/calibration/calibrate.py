@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.budget import budget_row, make_budget
+from piga.calibration.budget import budget_row, combined, make_budget
 from piga.calibration.coefficients import name_coefficients
+from piga.calibration.counted import refine_counted
+from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
@@ -30,10 +32,12 @@ from piga.calibration.revolutions import (
 )
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
+from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -85,16 +89,14 @@ def calibrate(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
-    fit = fit_run(run, request, groups, per_segment)
+    fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, float(np.abs(run.f).max()), float(np.ptp(run.t)), spread)
+    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
-    coefficients = tuple(
-        replace(c, std=float(s)) for c, s in zip(coefficients, np.sqrt(np.diag(covariance)), strict=True)
-    )
+    coefficients = combined(coefficients, covariance, budget, type_a_degrees(fit, groups, per_segment))
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     history = _history(fit, groups) if request.method == "recursive" else None
     scatter = segment_scatter(fit.design, residuals, fit.noise)
@@ -207,10 +209,10 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
     type_a = np.sqrt(np.diag(covariance))
-    budget = [_budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
     for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
         covariance = covariance + np.outer(change, change)
-        budget.append(_budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
     std = np.sqrt(np.diag(covariance))
     coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})

@@ -11,7 +11,6 @@ The two columns of the coupling, and those of the harmonics, turn with the unkno
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -21,8 +20,10 @@ from numpy.typing import NDArray
 from piga._kernels.outliers import merge_rows
 from piga._kernels.regressors import CODES, coupling_columns, product_column
 from piga.calibration.request import Request
+from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
+from piga.records.spool import spans, steps
 
 Array = NDArray[np.float64]
 
@@ -75,9 +76,6 @@ class Design:
         self._force = np.ascontiguousarray(run.f.T)
         self.phase_angle = _phase_angle(run, self.request, self.scale_factor)
         self.time_reference = 0.5 * float(run.t[0] + run.t[-1])
-        self._t = run.t - self.time_reference
-        reference = self.request.temperature_reference
-        self._temperature = np.zeros(0) if run.temperature is None else run.temperature - reference
         self._ranges = _ranges(run)
         self._check_bend()
 
@@ -88,9 +86,10 @@ class Design:
     @property
     def rows(self) -> int:
         """Number of observations: increments formed (samples for a rate log)."""
-        left_out = False if self.run.left_out is None else self.run.left_out
-        none = np.zeros(self.run.size, dtype=bool) if self.point else self.run.begins
-        return int(np.count_nonzero(~(none | left_out)))
+        run = self.run
+        if run.left_out is None:
+            return run.size if self.point else run.size - int(np.count_nonzero(run.begins))
+        return run.size - int(np.count_nonzero(run.left_out if self.point else run.begins | run.left_out))
 
     def with_scale_factor(self, scale_factor: float) -> Design:
         """The same model with another K inside the regressors; itself when they do not depend on K."""
@@ -109,7 +108,7 @@ class Design:
     def blocks(self) -> Iterator[Block]:
         """All blocks in order; built ahead on a second thread."""
         keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
-        with ThreadPoolExecutor(THREADS) as pool:
+        with workers(self.run.size, THREADS) as pool:
             pending = []
             for index in range(len(self._ranges)):
                 found = self._cache.get(index)
@@ -193,8 +192,9 @@ class Design:
             row += 2
 
     def _fill_shared(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
-        t = np.ascontiguousarray(self._t[window])
-        temperature = np.ascontiguousarray(self._temperature[window]) if self._temperature.size else t
+        t = self.run.t[window] - self.time_reference
+        warm = self.run.temperature
+        temperature = t if warm is None else warm[window] - self.request.temperature_reference
         out = np.empty(h.size)
         for row, name in enumerate(self.shared_names, start=len(self.local_names)):
             code = CODES["a_x" if name in ("scale_factor", "k1") else name]
@@ -208,13 +208,16 @@ class Design:
     def _check_bend(self) -> None:
         if not self.local_names or self.point:
             return
-        h = np.where(self.run.begins[1:], 0.0, np.diff(self.run.t))
-        bend = np.abs(self.scale_factor / 8.0 * h * np.diff(self.run.f[:, 0]))
-        if bend.size and bend.max() > MAX_BEND:
-            at = int(np.argmax(bend)) + 1
-            rate = np.sqrt(bend.max() / MAX_BEND) / h[at - 1]
+        run, worst, at = self.run, 0.0, 0
+        for part in spans(run.size):
+            h = np.where(run.begins[part], 0.0, steps(run.t, part))
+            bend = np.abs(self.scale_factor / 8.0 * h * steps(run.f[:, 0], part))
+            if bend.max() > worst:
+                worst, at = float(bend.max()), part.start + int(np.argmax(bend))
+        if worst > MAX_BEND:
+            rate = np.sqrt(worst / MAX_BEND) / (run.t[at] - run.t[at - 1])
             raise DataError(
-                f"row {self.run.row[at]}: between two samples the output angle bends by {bend.max():.2g} rad; its "
+                f"row {run.row[at]}: between two samples the output angle bends by {worst:.2g} rad; its "
                 "cross-coupling cannot be integrated",
                 remedy=f"sample at {rate:.3g} Hz or more",
             )
@@ -248,7 +251,7 @@ def _ranges(run: Run) -> list[tuple[int, int, int]]:
 
     No block ends at a sample that is left out: its interval belongs to the next.
     """
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(run.segment)) + 1, [run.size]))
+    edges = run.segment_edges()
     ranges: list[tuple[int, int, int]] = []
     for left, right in pairwise(edges):
         segment, end = int(run.segment[left]), int(right)

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.counted import Counted
 from piga.calibration.design import Design
 from piga.calibration.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.noise import Information, Noise, find_noise, starting_noise
@@ -30,6 +31,7 @@ from piga.calibration.weighting import reduce_segments, residual_increments, wei
 from piga.errors import CalibrationError
 from piga.records.calibration import Outlier
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
 
 Array = NDArray[np.float64]
 
@@ -61,11 +63,12 @@ class Fit:
     d: Array = field(repr=False)
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
+    counted: Counted | None = None
 
     @property
     def sample_variance(self) -> float:
         """Variance of a sample of a rate log [rad^2/s^2]."""
-        return self.noise.walk / float(np.median(np.diff(self.design.run.t)[~self.design.run.begins[1:]]))
+        return self.noise.walk / self.design.run.median_step
 
 
 def phase_groups(run: Run, request: Request) -> tuple[tuple[int, ...], bool]:
@@ -114,8 +117,8 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
             remedy="record longer",
         )
     given = _given_noise(request)
-    steps = np.diff(run.t)[~run.begins[1:]]
-    noise = given or starting_noise(run.resolution, float(np.median(steps)))
+    step = run.median_step
+    noise = given or starting_noise(run.resolution, step)
     information = None
     for refit in range(MAX_REFITS):
         summaries = reduce_segments(design, mode, noise)
@@ -124,12 +127,12 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
         solution = solve(design, summaries, groups)
         refined = design.with_scale_factor(_scale_factor(design, solution))
         if refit == 0 and given is None:
-            information = _information(design, mode, groups, float(np.median(steps)))
+            information = _information(design, mode, groups, step)
         d, h = residual_increments(design, solution.values)
         found = given or _levels(
             design, d, h, _parameters(solution), mode, noise if refit else None, information
         )
-        settled = refined is design and (mode != "increments" or found.close_to(noise, float(np.median(steps))))
+        settled = refined is design and (mode != "increments" or found.close_to(noise, step))
         if settled:
             noise = noise if mode == "increments" else found
             break
@@ -192,9 +195,8 @@ def _levels(
 ) -> Noise:
     if mode == "samples":
         variance = float(d @ d) / max(design.rows - parameters, 1)
-        step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
-        return Noise(0.0, variance * step)
-    scale = float(np.abs(design.run.output).max())
+        return Noise(0.0, variance * design.run.median_step)
+    scale = largest_size(design.run.output)
     return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
 
 
@@ -203,8 +205,7 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, gro
     if mode == "increments":
         return solution.covariance
     if mode == "samples":
-        step = float(np.median(np.diff(design.run.t)[~design.run.begins[1:]]))
-        return solution.covariance * (noise.walk / step)
+        return solution.covariance * (noise.walk / design.run.median_step)
     size, m = solution.covariance.shape[0], len(design.names)
     meat = np.zeros((size, size))
     for block, columns in weighted_blocks(design, mode, noise):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,8 @@ from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.records.calibration import Residuals, SegmentSummary
+from piga.records.signal_checks import largest_size
+from piga.records.spool import arrays_like, spans, steps
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -28,67 +31,104 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     run = design.run
     d, h = residual_increments(design, values)
     before = _nominal_increments(design)
-    whitened = Whitener(mode, noise, 1).apply_columns(d[None, :], h)[0]
+    whitened = _whitened(d, h, noise, mode)
+    if mode != "samples":
+        _stretch_angle(d, run.begins)
+        _stretch_angle(before, run.begins)
+    return Residuals(run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, run.segment)
+
+
+def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:
+    whitener, whitened = Whitener(mode, noise, 1), arrays_like(d).empty(d.size)
+    for part in spans(d.size):
+        whitened[part] = whitener.apply_columns(d[None, part], h[part])[0]
     if mode == "samples":
-        after_angle, before_angle = d, before
-        whitened = whitened / (np.sqrt(np.mean(d**2)) or 1.0)
-    else:
-        after_angle = _stretch_angle(d, run.begins)
-        before_angle = _stretch_angle(before, run.begins)
-    return Residuals(
-        run.row, run.t, design.phase_angle, run.f[:, 0], before_angle, after_angle, whitened, run.segment
-    )
+        size = math.sqrt(float(d @ d) / d.size) or 1.0
+        for part in spans(d.size):
+            whitened[part] /= size
+    return whitened
 
 
 def _nominal_increments(design: Design) -> Array:
     run = design.run
-    if design.point:
-        omega = 0.0 if run.base_rate is None else run.base_rate[:, 0]
-        return run.output + omega - run.scale_factor * run.f[:, 0]
-    h = np.diff(run.t)
-    step = np.diff(run.output) - run.scale_factor * h * 0.5 * (run.f[1:, 0] + run.f[:-1, 0])
-    if run.base_rate is not None:
-        step += h * 0.5 * (run.base_rate[1:, 0] + run.base_rate[:-1, 0])
-    step[run.begins[1:]] = 0.0
-    return np.concatenate(([0.0], step))
+    result = arrays_like(run.t).empty(run.size)
+    for part in spans(run.size):
+        if design.point:
+            result[part] = run.output[part] - run.scale_factor * run.f[part, 0]
+            if run.base_rate is not None:
+                result[part] += run.base_rate[part, 0]
+            continue
+        h = steps(run.t, part)
+        step = steps(run.output, part) - run.scale_factor * h * _mean_of_two(run.f[:, 0], part)
+        if run.base_rate is not None:
+            step += h * _mean_of_two(run.base_rate[:, 0], part)
+        step[run.begins[part]] = 0.0
+        result[part] = step
+    return result
 
 
-def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> Array:
-    """Running sum of increments, with the mean of every stretch taken off."""
-    total = np.cumsum(increments)
-    starts = np.flatnonzero(begins)
-    counts = np.diff(np.append(starts, begins.size))
-    means = np.add.reduceat(total, starts) / counts
-    return total - np.repeat(means, counts)
+def _mean_of_two(values: Array, part: slice) -> Array:
+    """Mean of each value of a slice and the one before."""
+    around = values[max(part.start - 1, 0) : part.stop]
+    return (
+        0.5 * (around[1:] + around[:-1])
+        if part.start
+        else np.concatenate((around[:1], 0.5 * (around[1:] + around[:-1])))
+    )
+
+
+def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
+    """Running sum of increments, with the mean of every stretch taken off; in place."""
+    stretches = max(int(np.count_nonzero(begins)), 1)
+    sums, counts = np.zeros(stretches), np.zeros(stretches)
+    total, last = 0.0, -1
+    for part in spans(increments.size):
+        increments[part.start] += total
+        increments[part] = np.cumsum(increments[part])
+        total = float(increments[part.stop - 1])
+        index = np.maximum(last + np.cumsum(begins[part]), 0)
+        low, last = int(index[0]), int(index[-1])
+        sums[low : last + 1] += np.bincount(index - low, weights=increments[part])
+        counts[low : last + 1] += np.bincount(index - low)
+    last = -1
+    for part in spans(increments.size):
+        index = np.maximum(last + np.cumsum(begins[part]), 0)
+        last = int(index[-1])
+        increments[part] -= sums[index] / counts[index]
 
 
 def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary, ...]:
     """One row per segment."""
     run = design.run
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(run.segment)) + 1, [run.size]))
-    rows = []
-    for left, right in pairwise(edges):
-        part = slice(int(left), int(right))
-        inside = ~run.begins[part][1:]
-        h = np.diff(run.t[part])
-        turned = (
-            h * 0.5 * (run.output[part][1:] + run.output[part][:-1])
-            if design.point
-            else np.diff(run.output[part])
-        )
-        rows.append(
-            SegmentSummary(
-                label=run.labels[int(run.segment[left])],
-                rows=int(right - left),
-                duration=float(h[inside].sum()),
-                mean_a_x=float(run.f[part, 0].mean()),
-                turns=float(turned[inside].sum() / (2.0 * math.pi)),
-                rms=_rms(residuals.after[part]),
-                rms_before=_rms(residuals.before[part]),
-                max_after=float(np.abs(residuals.after[part]).max()),
-            )
-        )
-    return tuple(rows)
+    return tuple(
+        _summary(design, residuals, int(left), int(right)) for left, right in pairwise(run.segment_edges())
+    )
+
+
+def _summary(design: Design, residuals: Residuals, left: int, right: int) -> SegmentSummary:
+    run, part = design.run, slice(left, right)
+    duration = turned = 0.0
+    for rows in _rows_between(left + 1, right):
+        inside = ~run.begins[rows]
+        h = steps(run.t, rows)
+        step = h * _mean_of_two(run.output, rows) if design.point else steps(run.output, rows)
+        duration += float(h[inside].sum())
+        turned += float(step[inside].sum())
+    return SegmentSummary(
+        label=run.labels[int(run.segment[left])],
+        rows=right - left,
+        duration=duration,
+        mean_a_x=float(run.f[part, 0].mean()),
+        turns=turned / (2.0 * math.pi),
+        rms=_rms(residuals.after[part]),
+        rms_before=_rms(residuals.before[part]),
+        max_after=largest_size(residuals.after[part]),
+    )
+
+
+def _rows_between(first: int, stop: int) -> Iterator[slice]:
+    for part in spans(stop - first):
+        yield slice(first + part.start, first + part.stop)
 
 
 def _rms(values: Array) -> float:
@@ -104,13 +144,11 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
     mean square slope as specific force [g].
     """
     slopes, expected = [], []
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(design.run.segment)) + 1, [design.run.size]))
-    for left, right in pairwise(edges):
-        t = residuals.t[left:right] - residuals.t[left:right].mean()
-        duration = float(np.ptp(t))
+    for left, right in pairwise(design.run.segment_edges()):
+        duration = float(residuals.t[left:right].max() - residuals.t[left:right].min())
         if right - left < 10 or design.run.begins[left + 1 : right].any() or duration == 0.0:
             continue
-        slopes.append(float(t @ residuals.after[left:right] / (t @ t)))
+        slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
         expected.append(
             math.sqrt(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
         )
@@ -123,6 +161,16 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
     }
 
 
+def _slope(t: Array, values: Array) -> float:
+    """Slope of the straight line through values."""
+    middle, square, product = float(t.mean()), 0.0, 0.0
+    for part in spans(t.size):
+        centred = t[part] - middle
+        square += float(centred @ centred)
+        product += float(centred @ values[part])
+    return product / square
+
+
 def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     """Tests of the whitened residual: variance, lag-1 correlation and portmanteau, shape of the distribution.
 
@@ -131,16 +179,20 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     """
     from scipy.special import gammaincc
 
-    x = residuals.innovation[residuals.innovation != 0.0]
+    x = _formed(residuals.innovation)
     n = x.size
     if n < 50:
         return {"samples": n}
-    centred = x - x.mean()
-    square = centred * centred
-    variance = float(square.mean())
+    mean = float(x.mean())
+    sums = np.zeros(3)
+    for part in spans(n):
+        x[part] -= mean
+        square = x[part] * x[part]
+        sums += (float(square.sum()), float(square @ x[part]), float(square @ square))
+    variance = float(sums[0]) / n
     lags = min(20, n // 5)
     products = np.zeros(lags + 1)
-    lagged_products(centred, products)
+    lagged_products(x, products)
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
@@ -151,9 +203,18 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
         "ljung_box": statistic,
         "ljung_box_lags": lags,
         "ljung_box_probability": probability,
-        "skewness": float(square @ centred) / n / variance**1.5,
-        "excess_kurtosis": float(square @ square) / n / variance**2 - 3.0,
+        "skewness": float(sums[1]) / n / variance**1.5,
+        "excess_kurtosis": float(sums[2]) / n / variance**2 - 3.0,
         "verdict": "white"
         if probability > 1e-3
         else "not white: the model or the noise description misses something",
     }
+
+
+def _formed(innovation: Array) -> Array:
+    """Whitened residuals of the increments that were formed."""
+    kept = arrays_like(innovation).growing()
+    for part in spans(innovation.size):
+        kept.append(innovation[part][innovation[part] != 0.0])
+    found: Array = kept.finish()
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from piga.calibration.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
+from piga.records.signal_checks import largest_size
+from piga.records.spool import spans
 from piga.records.terms import harmonic
 
 Array = NDArray[np.float64]
@@ -289,8 +292,8 @@ def residual_figures(residuals: Residuals) -> dict[str, float]:
     return {
         "residual_rms": _rms(residuals.after),
         "residual_rms_before": _rms(residuals.before),
-        "residual_max_before": float(np.abs(residuals.before).max()),
-        "residual_max_after": float(np.abs(residuals.after).max()),
+        "residual_max_before": largest_size(residuals.before),
+        "residual_max_after": largest_size(residuals.after),
     }
 
 
@@ -300,11 +303,14 @@ def _rms(values: Array) -> float:
 
 def validity_ranges(run: Run) -> dict[str, list[float]]:
     """Range in which the calibration holds (SI): axial and transverse force, temperature."""
-    transverse = np.hypot(run.f[:, 1], run.f[:, 2])
-    found = {"a_x": run.f[:, 0], "a_t": transverse}
+    low, high = math.inf, 0.0
+    for part in spans(run.size):
+        transverse = np.hypot(run.f[part, 1], run.f[part, 2])
+        low, high = min(low, float(transverse.min())), max(high, float(transverse.max()))
+    found = {"a_x": [float(run.f[:, 0].min()), float(run.f[:, 0].max())], "a_t": [low, high]}
     if run.temperature is not None:
-        found["temperature"] = run.temperature
-    return {name: [float(values.min()), float(values.max())] for name, values in found.items()}
+        found["temperature"] = [float(run.temperature.min()), float(run.temperature.max())]
+    return found
 
 
 def now() -> str:

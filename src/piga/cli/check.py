@@ -99,18 +99,21 @@ def _quality_document(record: Run) -> dict[str, Any]:
     import msgspec
     import numpy as np
 
+    from piga.records.spool import spans
     from piga.reports.check import calibration_words
     from piga.units import G0
 
-    size = np.linalg.norm(record.f, axis=1) / G0
-    steps = np.diff(record.t)[~record.begins[1:]]
+    low, high = np.inf, 0.0
+    for part in spans(record.size):
+        size = np.linalg.norm(record.f[part], axis=1)
+        low, high = min(low, float(size.min())), max(high, float(size.max()))
     return {
         "serial": record.serial,
         "quality": msgspec.to_builtins(record.quality),
         "segments": list(record.labels),
         "duration_s": record.duration,
-        "rate_hz": float(1.0 / np.median(steps)) if steps.size else 0.0,
-        "force_g": [float(size.min()), float(size.max())],
+        "rate_hz": 1.0 / step if (step := record.median_step) > 0.0 else 0.0,
+        "force_g": [low / G0, high / G0],
         "phase_kept": len(set(record.phase_group)) == 1,
         "calibration": calibration_words(record),
         "input_sha256": record.input_sha256,

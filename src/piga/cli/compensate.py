@@ -57,7 +57,8 @@ def compensate(
     resume: Annotated[
         bool,
         typer.Option(
-            "--resume", help="Keep whole parts beside --out; after a stop, go on from the last one (large files)."
+            "--resume",
+            help="Keep whole parts beside --out; after a stop, go on from the last one (large files).",
         ),
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,

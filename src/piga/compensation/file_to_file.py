@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from piga.compensation import parts as parts_module
 from piga.compensation.compensate import check_serial_names
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile, Piece
-from piga.compensation import parts as parts_module
 from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase
 from piga.compensation.parts import Parts
 from piga.compensation.resample import Resampler

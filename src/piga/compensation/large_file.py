@@ -91,7 +91,9 @@ class LargeFile:
         def column(name: str, unit: str, like: str) -> Array:
             _check_unit(self._data_path, name, unit, units.get(name))
             values = _inside(raw.numbers[name], (data.range or {}).get(name))
-            return np.asarray(values * conversion_factor(unit, like) + (offset_to_si(unit) if like == "K" else 0.0))
+            return np.asarray(
+                values * conversion_factor(unit, like) + (offset_to_si(unit) if like == "K" else 0.0)
+            )
 
         if data.time is None:
             t = np.arange(self.rows, self.rows + count) / to_si(data.sample_rate or 1.0, "Hz")

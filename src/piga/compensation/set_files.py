@@ -100,7 +100,9 @@ def _streamed(
     for file, item in zip(files, instruments, strict=True):
         check_serial_names(file.run_file.instrument.serial, item.calibration.serial, force)
         if file.kind != files[0].kind:
-            raise DataError(f"{file.path}: holds {file.kind}, {files[0].path}: {files[0].kind}", remedy="log one kind")
+            raise DataError(
+                f"{file.path}: holds {file.kind}, {files[0].path}: {files[0].kind}", remedy="log one kind"
+            )
     sampled = files[0].kind == "rate"
     followers = [RateAngle() for _ in files]
     stream: SetCompensator | None = None
@@ -156,7 +158,9 @@ def _aligned(files: Sequence[LargeFile]) -> Iterator[tuple[list[str], Rows]]:
             return
         if len(ready) < len(files):
             at = next(i for i, rows in enumerate(held) if rows is None)
-            raise DataError(f"{files[at].path}: ends before the other files", remedy="sample all instruments together")
+            raise DataError(
+                f"{files[at].path}: ends before the other files", remedy="sample all instruments together"
+            )
         count = min(rows.t.size for rows in ready)
         tolerance = tolerance or APART * _interval(ready[0].t)
         parts = [_split(rows, count) for rows in ready]

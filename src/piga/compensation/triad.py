@@ -295,7 +295,11 @@ class RateAngle:
         turns = 0.5 * step * (rate[1:] + rate[:-1]) + step**2 / 12.0 * (slope[:-1] - slope[1:])
         angle = np.cumsum(np.concatenate(([self._angle], turns)))
         self._angle, self._slope, self._given = float(angle[-1]), float(slope[-1]), True
-        self._t, self._rate, self._begins = self._t[stop - 1 :], self._rate[stop - 1 :], self._begins[stop - 1 :]
+        self._t, self._rate, self._begins = (
+            self._t[stop - 1 :],
+            self._rate[stop - 1 :],
+            self._begins[stop - 1 :],
+        )
         return angle[first:]
 
     def _slopes(self) -> Array:
@@ -304,7 +308,10 @@ class RateAngle:
         joined = ~self._begins[1:] & (step > 0.0)
         each = np.where(joined, np.diff(self._rate) / np.where(joined, step, 1.0), 0.0)
         left, right = np.concatenate(([0.0], each)), np.concatenate((each, [0.0]))
-        before, behind = np.concatenate(([0.0], np.where(joined, step, 0.0))), np.concatenate((np.where(joined, step, 0.0), [0.0]))
+        before, behind = (
+            np.concatenate(([0.0], np.where(joined, step, 0.0))),
+            np.concatenate((np.where(joined, step, 0.0), [0.0])),
+        )
         both = before + behind
         return np.where(both > 0.0, (left * behind + right * before) / np.where(both > 0.0, both, 1.0), 0.0)
 

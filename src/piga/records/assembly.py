@@ -6,7 +6,9 @@ Works through the record in blocks, so that a record on disk needs no more memor
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -110,10 +112,13 @@ class Assembly:
         usable = raw.arrays.empty(raw.count, np.bool_)
         for part in spans(raw.count):
             usable[part] = raw.segment[part] >= 0
-        extremes = {name: Extremes.of(values, usable) for name, values in raw.numbers.items()}
-        self._check_masked(usable)
-        for name, found in extremes.items():
-            self.events += stuck_extremes(name, raw.numbers[name], found, raw.rows)
+        with ThreadPoolExecutor(2) as pool:
+            extremes = list(pool.map(Extremes.of, raw.numbers.values()))
+            for found in extremes:
+                found.mask(usable)
+            self._check_masked(usable)
+            stuck = pool.map(stuck_extremes, raw.numbers, raw.numbers.values(), extremes, repeat(raw.rows))
+            self.events += chain.from_iterable(stuck)
         limits = self.run_file.data.range or {}
         if limits:
             self.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
@@ -272,7 +277,7 @@ class Assembly:
         if self.run_file.data.output.kind == "rate":
             self.events += mistaken_rate(f[some, 0], output[some], self._scale_factor, t.size, first)
             return
-        at = np.arange(t.size)[some]
+        at = np.arange(some.start, some.stop, some.step)
         at = at[~base.begins[at]]
         rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
         inside = t.size - int(np.count_nonzero(base.begins))

@@ -31,7 +31,7 @@ class ContainerStream:
     ) -> None:
         self._table = read_container(path, kind, numeric, label, sheet)
         self._label = label
-        self.units = self._table.units
+        self.units, self.expected_rows = self._table.units, self._table.rows
         self.label_names = list(self._table.labels[label][1]) if label else []
 
     def chunks(self) -> Iterator[Chunk]:

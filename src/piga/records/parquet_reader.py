@@ -31,14 +31,14 @@ class ParquetStream:
         with _open(path) as source:
             schema = source.schema_arrow
             _check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
-            self._rows = source.metadata.num_rows
+            self.expected_rows = source.metadata.num_rows
         self.units = _units(schema, self._numeric)
         self.label_names: list[str] = []
         self._codes, self._missed = LabelCodes(self.label_names), MissingCount()
 
     def chunks(self) -> Iterator[Chunk]:
         """The rows in order."""
-        if self._rows == 0:
+        if self.expected_rows == 0:
             raise DataError(f"{self._path}: no data row", remedy="check that the logger wrote data")
         wanted = list(dict.fromkeys([*self._numeric, *([self._label] if self._label else [])]))
         row = 1

@@ -75,18 +75,19 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, arrays: Arrays) 
     segment, rows = arrays.growing(np.int32), arrays.growing(np.int64)
     visits = Visits(stream.label_names)
     for chunk in stream.chunks():
+        room = stream.expected_rows
         for name in names:
-            numbers[name].append(chunk.numbers[name])
-        rows.append(chunk.rows)
+            numbers[name].append(chunk.numbers[name], room)
+        rows.append(chunk.rows, room)
         if chunk.codes is None:
-            segment.append(np.zeros(chunk.rows.size, np.int32))
+            segment.append(np.zeros(chunk.rows.size, np.int32), room)
             continue
         if len(stream.label_names) > MAX_SEGMENTS:
             raise DataError(
                 f"{path}: column '{data.segment}' has more than {MAX_SEGMENTS} different segments",
                 remedy="name the column that numbers the positions",
             )
-        segment.append(visits.segment(chunk.codes, chunk.rows))
+        segment.append(visits.segment(chunk.codes, chunk.rows), room)
     visits.finish()
     return RawColumns(
         path,

@@ -97,7 +97,7 @@ class Reading:
             at = int(np.argmax(size))
             if size[at] > jump[0]:
                 jump = float(size[at]), part.start + at
-            if self.scale.counts:
+            if self.scale.counts and size[at] > 1.4 * self.largest + 9.0 * factor:
                 resets += self._reset_candidates(part)
         lost[0] = False
         return psi, wraps, jump, resets

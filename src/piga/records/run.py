@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Quality
+from piga.records.median import exact_median
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
+from piga.records.spool import spans, steps
 
 Array = NDArray[np.float64]
 
@@ -80,7 +83,21 @@ class Run:
     @property
     def duration(self) -> float:
         """Sum of the recorded intervals [s], gaps and moves left out."""
-        return float(np.diff(self.t)[~self.begins[1:]].sum())
+        return float(sum(step.sum() for step in self._steps_inside()))
+
+    @property
+    def median_step(self) -> float:
+        """Median interval inside stretches [s]; 0 when there is none."""
+        return exact_median(self._steps_inside)
+
+    def segment_edges(self) -> NDArray[np.int64]:
+        """Where segments begin, and the number of samples at the end."""
+        edges = [part.start + np.flatnonzero(steps(self.segment, part)) for part in spans(self.size)]
+        return np.concatenate([[0], *edges, [self.size]]).astype(np.int64)
+
+    def _steps_inside(self) -> Iterator[Array]:
+        for part in spans(self.size):
+            yield steps(self.t, part)[~self.begins[part]]
 
     @classmethod
     def from_arrays(

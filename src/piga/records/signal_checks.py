@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,15 +39,18 @@ class LongestRun:
         """The mask of the rows from ``offset`` on."""
         held = self._open if offset == self._next else 0
         self._next, self._open = offset + mask.size, 0
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-        if not edges.size:
+        at = np.flatnonzero(mask)
+        if not at.size:
             return
-        starts, lengths = offset + edges[::2], edges[1::2] - edges[::2]
-        self.count += int(lengths.sum())
-        if edges[0] == 0:
-            starts[0], lengths[0] = starts[0] - held, lengths[0] + held
-        if edges[-1] == mask.size:
-            self._open = int(lengths[-1])
+        ends = np.flatnonzero(np.diff(at) != 1)
+        starts = at[np.concatenate(([0], ends + 1))]
+        lengths = at[np.append(ends, at.size - 1)] - starts + 1
+        self.count += at.size
+        if at[-1] == mask.size - 1:
+            self._open = int(lengths[-1]) + (held if starts[-1] == 0 else 0)
+        if starts[0] == 0:
+            starts[0], lengths[0] = -held, lengths[0] + held
+        starts = starts + offset
         longest = int(np.argmax(lengths))
         if lengths[longest] > self.length:
             self.start, self.length = int(starts[longest]), int(lengths[longest])
@@ -77,23 +80,24 @@ def beyond_limits(
 
 @dataclass
 class Extremes:
-    """Smallest and largest value of each block of a column, and how often the value changes."""
+    """Smallest and largest value of each block of a column, how often it changes, and what is not finite."""
 
     lows: list[float]
     highs: list[float]
     size: int = 0
     changes: int = 0
+    bad: list[tuple[slice, NDArray[np.bool_]]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, values: Array, usable: NDArray[np.bool_]) -> Extremes:
-        """Examine a column; rows without a finite value are taken out of ``usable``."""
+    def of(cls, values: Array) -> Extremes:
+        """Examine a column."""
         found = cls([], [])
         last = np.zeros(0)
         for part in spans(values.size):
             block = values[part]
             finite = np.isfinite(block)
             if not finite.all():
-                usable[part] &= finite
+                found.bad.append((part, finite))
                 block = block[finite]
             found.lows.append(float(block.min()) if block.size else np.nan)
             found.highs.append(float(block.max()) if block.size else np.nan)
@@ -103,6 +107,12 @@ class Extremes:
                 found.changes += int(np.count_nonzero(last != block[0]))
                 last = block[-1:]
         return found
+
+    def mask(self, usable: NDArray[np.bool_]) -> None:
+        """Take rows without a finite value out of ``usable``."""
+        for part, finite in self.bad:
+            usable[part] &= finite
+        self.bad.clear()
 
 
 def stuck_extremes(name: str, values: Array, found: Extremes, rows: NDArray[np.int64]) -> list[Event]:

@@ -83,11 +83,11 @@ class Growing:
 
     def __init__(self, folder: Path | None, dtype: np.dtype) -> None:
         self._folder, self._dtype, self._count = folder, dtype, 0
-        self._held = np.empty(BLOCK if folder is None else 0, dtype)
+        self._held = np.empty(0, dtype)
         self._stream = None if folder is None else _nameless(folder)
 
-    def append(self, values: NDArray[Any]) -> None:
-        """Put rows to the end."""
+    def append(self, values: NDArray[Any], expected: int = 0) -> None:
+        """Put rows to the end; ``expected`` is about how many there will be in all."""
         stop = self._count + values.size
         if self._stream is not None:
             try:
@@ -96,7 +96,9 @@ class Growing:
                 raise _no_room(self._folder, error) from None
         else:
             if stop > self._held.size:
-                self._held.resize(max(stop, 2 * self._held.size), refcheck=False)
+                larger = np.empty(max(stop, expected, 2 * self._held.size), self._dtype)
+                larger[: self._count] = self._held[: self._count]
+                self._held = larger
             self._held[self._count : stop] = values
         self._count = stop
 

@@ -56,6 +56,11 @@ class RecordStream(Protocol):
     units: dict[str, str]
     label_names: list[str]
 
+    @property
+    def expected_rows(self) -> int:
+        """About how many rows there will be; 0 when nothing is known."""
+        ...
+
     def chunks(self) -> Iterator[Chunk]:
         """The rows in order."""
         ...
@@ -65,7 +70,9 @@ class RecordStream(Protocol):
         ...
 
 
-def open_stream(folder: Path, data: DataTable, see: Callable[[bytes], object] | None = None) -> RecordStream:
+def open_stream(
+    folder: Path, data: DataTable, see: Callable[[bytes | bytearray], object] | None = None
+) -> RecordStream:
     """Open the data file of a run file.
 
     Parameters

@@ -13,6 +13,7 @@ from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.table import column_letter
 from piga.records.text_format import INFINITE, MISSING, TextFormat
+from piga.records.text_source import Bytes
 
 MAX_LISTED = 100
 """Faults listed in one message; the rest is counted."""
@@ -67,7 +68,7 @@ class Place:
 
 def find_faults(
     found: Faults,
-    raw: bytes,
+    raw: Bytes,
     place: Place,
     form: TextFormat,
     numeric: tuple[str, ...],
@@ -78,7 +79,7 @@ def find_faults(
     places = [(name, form.names.index(name)) for name in dict.fromkeys(numeric)]
     damaged = []
     offset = place.byte
-    for index, line in enumerate(raw.split(b"\n")):
+    for index, line in enumerate(bytes(raw).split(b"\n")):
         before = found.total
         if line.strip():
             _look_at_line(found, place.row + index, offset, line, form, places, tokens)
@@ -92,7 +93,7 @@ def _look_at_line(
     found: Faults,
     row: int,
     offset: int,
-    line: bytes,
+    line: Bytes,
     form: TextFormat,
     places: list[tuple[str, int]],
     tokens: set[str],

@@ -15,7 +15,7 @@ from piga.records.calibration import Event
 from piga.records.stream import Chunk, LabelCodes, MissingCount
 from piga.records.text_faults import Faults, Place, find_faults, split_cells
 from piga.records.text_format import INFINITE, MISSING, TextFormat, find_format
-from piga.records.text_source import TextSource
+from piga.records.text_source import Bytes, TextSource
 
 _SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
 _ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
@@ -61,7 +61,7 @@ class TextStream:
         missing: tuple[str, ...] = (),
         mask_damaged: bool = False,
         piece: int | None = None,
-        see: Callable[[bytes], object] = len,
+        see: Callable[[Bytes], object] = len,
     ) -> None:
         self._path, self._numeric, self._label, self._missing = (
             path,
@@ -79,15 +79,25 @@ class TextStream:
         self._mask, self._faults, self._missed = mask_damaged, Faults(), MissingCount()
         self._row, self._byte = self._form.skip + 1, self._source.header_bytes(self._form.skip)
         self._read, self._last_filled = 0, self._form.skip
+        self._piece_rows = self._piece_bytes = 0
         self._truncated: int | None = None
+
+    @property
+    def expected_rows(self) -> int:
+        """About how many rows there will be, from those of the last piece; 0 for a packed file."""
+        if self._path.suffix.lower() == ".gz" or self._piece_bytes == 0:
+            return 0
+        return int(1.02 * self._piece_rows * self._path.stat().st_size / self._piece_bytes)
 
     def chunks(self) -> Iterator[Chunk]:
         """The rows in order; in a damaged file those before the first damage, then the error that lists all."""
-        for raw in self._source.pieces(self._form.skip):
-            piece, table = self._parse_or_mask(raw)
+        for raw, ends in self._source.pieces(self._form.skip):
+            piece, table = self._parse_or_mask(raw, ends)
             if table is not None and not (self._faults.total and not self._mask):
-                yield from self._convert(table, self._file_rows(piece, table.num_rows))
-            self._row += raw.count(b"\n")
+                self._piece_rows, self._piece_bytes = table.num_rows, len(raw)
+                rows = self._file_rows(piece, table.num_rows, ends)
+                yield from self._convert(table, rows)
+            self._row += ends
             self._byte += len(raw)
         if self._faults.total and not self._mask:
             raise self._faults.error(self._path)
@@ -111,12 +121,12 @@ class TextStream:
             found.append(Event("blank-line", blank, None, "skipped"))
         return [*found, *self._missed.events(self._numeric)]
 
-    def _file_rows(self, raw: bytes, read: int) -> NDArray[np.int64]:
+    def _file_rows(self, raw: Bytes, read: int, ends: int) -> NDArray[np.int64]:
         """File rows of the data rows of a piece (blank lines are counted, as an editor does)."""
-        if raw.count(b"\n") == read:
+        if read == ends:
             rows = np.arange(self._row, self._row + read, dtype=np.int64)
         else:
-            filled = (row for row, line in enumerate(raw.split(b"\n"), start=self._row) if line.strip())
+            filled = (row for row, line in enumerate(bytes(raw).split(b"\n"), start=self._row) if line.strip())
             rows = np.fromiter(filled, dtype=np.int64)
         self._last_filled = int(rows[-1]) if rows.size else self._last_filled
         self._read += read
@@ -136,11 +146,11 @@ class TextStream:
             codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
             yield Chunk(numbers, codes, part)
 
-    def _parse_or_mask(self, raw: bytes) -> tuple[bytes, Any]:
+    def _parse_or_mask(self, raw: Bytes, ends: int) -> tuple[Bytes, Any]:
         """The table; when rows are damaged they are listed, and the table without them is given."""
         if len(self._form.names) == 1:
             raw = _SPACES_ONLY.sub(b"\n", raw)
-        table, complaint = self._parse(raw)
+        table, complaint = self._parse(raw, ends)
         if table is None and (b"\n " in raw or b"\n\t" in raw or raw[:1] in b" \t"):
             raw = _SPACES_ONLY.sub(b"\n", raw)
             table, complaint = self._parse(raw)
@@ -164,7 +174,7 @@ class TextStream:
             )
         return raw, table
 
-    def _without_padding(self, raw: bytes) -> bytes:
+    def _without_padding(self, raw: Bytes) -> bytes:
         """Blanks beside separators taken off: PyArrow knows words for missing values only without them."""
         separator = self._form.separator.encode()
         return b"\n".join(
@@ -172,7 +182,7 @@ class TextStream:
             for line in raw.split(b"\n")
         )
 
-    def _first_refused(self, raw: bytes) -> int:
+    def _first_refused(self, raw: Bytes) -> int:
         """Index of the first line without which the lines before it can be read."""
         lines = raw.split(b"\n")
         low, high = 0, len(lines)
@@ -182,14 +192,14 @@ class TextStream:
             low, high = (middle, high) if table is not None else (low, middle)
         return low
 
-    def _parse(self, raw: bytes) -> tuple[Any, str]:
+    def _parse(self, raw: Bytes, ends: int | None = None) -> tuple[Any, str]:
         """Tokenize with PyArrow: the table, or None and the complaint."""
         import pyarrow as pa
         from pyarrow import csv
 
         if b"\0" in raw:
             return None, "NUL bytes"
-        if not raw.strip():
+        if raw.isspace():
             return _no_rows(self._numeric, self._label), ""
         if b"\r" in raw and raw.count(b"\r") != raw.count(b"\r\n"):
             return None, "a carriage return inside a line"
@@ -223,17 +233,17 @@ class TextStream:
             return None, str(error).splitlines()[0]
         if bad:
             return None, f"the row does not have {len(form.names)} cells"
-        counted = table.num_rows == raw.count(b"\n") or table.num_rows == _filled(raw)
+        counted = table.num_rows == ends or table.num_rows == _filled(raw)
         if not counted or _open_quote(raw, form.separator):
             return None, "a quotation mark is not closed"
         return table, ""
 
 
-def _filled(raw: bytes) -> int:
+def _filled(raw: Bytes) -> int:
     return sum(1 for line in raw.split(b"\n") if line.strip())
 
 
-def _open_quote(raw: bytes, separator: str) -> bool:
+def _open_quote(raw: Bytes, separator: str) -> bool:
     """Whether a cell begins with a quotation mark that its line does not close."""
     if b'"' not in raw:
         return False
@@ -246,9 +256,9 @@ def _words(complaint: str) -> str:
     return re.sub(r"^(In CSV column #\d+: )?(CSV parse error: )?(Row #\d+: )?", "", complaint)
 
 
-def _blanked(raw: bytes, damaged: list[int]) -> bytes:
+def _blanked(raw: Bytes, damaged: list[int]) -> bytes:
     """The text with the damaged lines empty, so that the others keep their numbers."""
-    lines = raw.split(b"\n")
+    lines = bytes(raw).split(b"\n")
     for index in damaged:
         lines[index] = b""
     return b"\n".join(lines)

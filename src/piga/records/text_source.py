@@ -15,6 +15,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO, TypeVar, cast
 
+import numpy as np
+
 from piga.errors import DataError
 from piga.records.text_format import SNIFF_BYTES, find_encoding
 
@@ -26,9 +28,11 @@ PIECE_BYTES = 16 << 20
 """Bytes read at a time."""
 MAX_LINE = 16 << 20
 """Longest line [bytes]."""
+LINE_FEED = ord("\n")
 LINE_END = re.compile(rb"\r\n|\n|\r")
 
 T = TypeVar("T")
+Bytes = bytes | bytearray
 
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
@@ -60,7 +64,7 @@ class TextSource:
     """
 
     def __init__(
-        self, path: Path, encoding: str | None, see: Callable[[bytes], object], piece: int | None = None
+        self, path: Path, encoding: str | None, see: Callable[[Bytes], object], piece: int | None = None
     ) -> None:
         self.path, self.cut, self._see = path, False, see
         self._piece = piece or PIECE_BYTES
@@ -82,46 +86,60 @@ class TextSource:
         end = max(head.rfind(b"\n"), head.rfind(b"\r")) + 1
         self.head = head[:end] if end or len(self._first) > SNIFF_BYTES else head
 
-    def pieces(self, skip: int) -> Iterator[bytes]:
-        """Complete lines in order, without the first ``skip`` lines, read ahead on another thread."""
-        return ahead(self._pieces(skip))
+    def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
+        """Complete lines in order and how many, without the first ``skip``; read ahead on another thread."""
+        return ahead((piece, _line_feeds(piece)) for piece in self._pieces(skip))
 
     def header_bytes(self, skip: int) -> int:
         """Bytes of the first ``skip`` lines."""
         ends = [match.end() for _, match in zip(range(skip), LINE_END.finditer(self.head), strict=False)]
         return ends[-1] if len(ends) == skip else len(self.head)
 
-    def _pieces(self, skip: int) -> Iterator[bytes]:
+    def _pieces(self, skip: int) -> Iterator[Bytes]:
         rest = b""
         for block in _without(self.header_bytes(skip), _sliced(self._first, self._blocks, self._piece)):
-            data = rest + (block.replace(b"\r", b"\n") if self._only_cr else block)
+            data = bytearray(block.replace(b"\r", b"\n")) if self._only_cr else _shortable(block)
+            first = data.find(b"\n") + 1
+            if not first:
+                rest += data
+                self._check_line(rest)
+                continue
+            if rest:
+                yield rest + data[:first]
+                del data[:first]
             end = data.rfind(b"\n") + 1
-            if end:
-                yield data[:end]
-            rest = data[end:]
-            if len(rest) > MAX_LINE:
-                raise DataError(
-                    f"{self.path}: a line is longer than {MAX_LINE >> 20} MiB",
-                    remedy="check that this is the log; export it again",
-                )
+            rest = bytes(data[end:])
+            del data[end:]
+            if data:
+                yield data
         if rest:
             end = rest.rfind(b"\r") + 1
             self.cut = end < len(rest)
             if end:
                 yield rest[:end]
 
-    def _plain(self) -> Iterator[bytes]:
+    def _check_line(self, line: bytes) -> None:
+        if len(line) > MAX_LINE:
+            raise DataError(
+                f"{self.path}: a line is longer than {MAX_LINE >> 20} MiB",
+                remedy="check that this is the log; export it again",
+            )
+
+    def _plain(self) -> Iterator[Bytes]:
         try:
             with self.path.open("rb", buffering=0) as stream:
-                while block := stream.read(max(self._piece, 1 << 16)):
+                size = SNIFF_BYTES
+                while count := stream.readinto(block := bytearray(size)):
+                    del block[count:]
                     self._see(block)
                     yield block
+                    size = self._piece
         except FileNotFoundError:
             raise _no_file(self.path) from None
         except OSError as error:
             raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
 
-    def _packed(self) -> Iterator[bytes]:
+    def _packed(self) -> Iterator[Bytes]:
         total = 0
         try:
             limit = self.path.stat().st_size * MAX_EXPANSION
@@ -139,7 +157,7 @@ class TextSource:
         except (OSError, EOFError, zlib.error) as error:
             raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
 
-    def _decoded(self, blocks: Iterator[bytes]) -> Iterator[bytes]:
+    def _decoded(self, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
         """UTF-8 of text in another encoding; good text before a bad byte is given first."""
         decoder = codecs.getincrementaldecoder(self.encoding)()
         offset = lines = 0
@@ -172,7 +190,7 @@ class TextSource:
 class _Seen:
     """A file whose bytes are shown to ``see`` as they are read."""
 
-    def __init__(self, stream: BinaryIO, see: Callable[[bytes], object]) -> None:
+    def __init__(self, stream: BinaryIO, see: Callable[[Bytes], object]) -> None:
         self._stream, self._see = stream, see
 
     def read(self, size: int = -1) -> bytes:
@@ -189,9 +207,19 @@ def _no_file(path: Path) -> DataError:
     return DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
 
 
-def _gather(blocks: Iterator[bytes], least: int) -> bytes:
+def _shortable(block: Bytes) -> bytearray:
+    """A block that may be shortened in place."""
+    return block if isinstance(block, bytearray) else bytearray(block)
+
+
+def _line_feeds(piece: Bytes) -> int:
+    """Counted by NumPy, which lets the other threads work meanwhile."""
+    return int(np.count_nonzero(np.frombuffer(piece, np.uint8) == LINE_FEED))
+
+
+def _gather(blocks: Iterator[Bytes], least: int) -> bytes:
     """Blocks joined until there are ``least`` bytes, or the end."""
-    parts: list[bytes] = []
+    parts: list[Bytes] = []
     size = 0
     while size < least and (block := next(blocks, None)) is not None:
         parts.append(block)
@@ -199,14 +227,14 @@ def _gather(blocks: Iterator[bytes], least: int) -> bytes:
     return b"".join(parts)
 
 
-def _sliced(first: bytes, blocks: Iterator[bytes], size: int) -> Iterator[bytes]:
+def _sliced(first: bytes, blocks: Iterator[Bytes], size: int) -> Iterator[Bytes]:
     """``first`` in parts of ``size``, then the blocks."""
     for start in range(0, len(first), size):
         yield first[start : start + size]
     yield from blocks
 
 
-def _without(count: int, blocks: Iterator[bytes]) -> Iterator[bytes]:
+def _without(count: int, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
     """The blocks less their first ``count`` bytes."""
     for block in blocks:
         if count < len(block):
@@ -214,7 +242,7 @@ def _without(count: int, blocks: Iterator[bytes]) -> Iterator[bytes]:
         count = max(count - len(block), 0)
 
 
-def _marked(blocks: Iterator[bytes]) -> Iterator[tuple[bytes, bool]]:
+def _marked(blocks: Iterator[Bytes]) -> Iterator[tuple[Bytes, bool]]:
     """Each block, and an empty last one marked so."""
     for block in blocks:
         yield block, False

@@ -2,37 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from piga.records.run import Run
+from piga.records.spool import steps
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.page import Column, FigureBlock, Notice, Page, Section, Table, Text, Tile, write_page
 from piga.units import G0
 
+_BLOCK = 1 << 20
+"""Samples whose outline is drawn at a time."""
 _ROLES: tuple[Role, ...] = ("x", "y", "z")
 
 
 def record_figure(run: Run) -> Figure:
     """Interval between samples, output and reference against time, broken where a stretch begins."""
-    t = run.t - run.t[0]
-    step = np.diff(run.t, prepend=np.nan)
-    inside, across = np.where(run.begins, np.nan, step), np.where(run.begins, np.abs(step), np.nan)
     turns = "rev" if run.kind == "angle" else "deg/s"
-    output = run.output / (2.0 * np.pi) if run.kind == "angle" else np.degrees(run.output)
-    output = np.where(run.begins, np.nan, output)
+    scale = 1.0 / (2.0 * np.pi) if run.kind == "angle" else 180.0 / np.pi
     time = Axis("time since the first sample", "s")
-    broken = [np.where(run.begins, np.nan, run.f[:, i] / G0) for i in range(3)]
-    forces = tuple(_thin(t, values, f"a_{'XYZ'[i]}", _ROLES[i]) for i, values in enumerate(broken))
-    intervals = [_thin(t, inside, "inside a stretch", "data")]
-    if np.isfinite(across).any():
-        some = np.flatnonzero(np.isfinite(across) & (across > 0.0))[:POINTS]
-        intervals.append(Series(t[some], across[some], "across a break", mark="points", role="warning"))
+    forces = tuple(
+        _thin(run, partial(_scaled, run.f[:, i], 1.0 / G0), f"a_{'XYZ'[i]}", _ROLES[i]) for i in range(3)
+    )
+    intervals = [_thin(run, partial(steps, run.t), "inside a stretch", "data")]
+    some = np.flatnonzero(run.begins)[1:]
+    some = some[run.t[some] != run.t[some - 1]][:POINTS]
+    if some.size:
+        gap = np.abs(run.t[some] - run.t[some - 1])
+        intervals.append(Series(run.t[some] - run.t[0], gap, "across a break", mark="points", role="warning"))
+    output = _thin(run, partial(_scaled, run.output, scale), "output", "after")
     panels = (
         Panel(time, Axis("interval", "s", log=True), tuple(intervals), title="Time base"),
-        Panel(time, Axis("output", turns), (_thin(t, output, "output", "after"),), title="Output as unwrapped"),
+        Panel(time, Axis("output", turns), (output,), title="Output as unwrapped"),
         Panel(time, Axis("specific force", "g"), forces, title="Reference"),
     )
     return Figure(
@@ -45,9 +50,21 @@ def record_figure(run: Run) -> Figure:
     )
 
 
-def _thin(x: np.ndarray, y: np.ndarray, name: str, role: Role) -> Series:
-    rows = envelope_rows(y, POINTS)
-    return Series(x[rows], y[rows], name, role=role)
+def _scaled(values: np.ndarray, factor: float, part: slice) -> np.ndarray:
+    return values[part] * factor
+
+
+def _thin(run: Run, values: Callable[[slice], np.ndarray], name: str, role: Role) -> Series:
+    """A quantity against time, broken where a stretch begins; of a long record its outline."""
+    times, shown = [], []
+    limit = max(POINTS // (1 + run.size // _BLOCK), 8)
+    for start in range(0, run.size, _BLOCK):
+        part = slice(start, min(start + _BLOCK, run.size))
+        y = np.where(run.begins[part], np.nan, values(part))
+        rows = envelope_rows(y, limit)
+        times.append(run.t[part][rows] - run.t[0])
+        shown.append(y[rows])
+    return Series(np.concatenate(times), np.concatenate(shown), name, role=role)
 
 
 def check_page(run: Run) -> Page:
