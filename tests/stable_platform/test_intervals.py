@@ -88,7 +88,8 @@ def test_intervals_hold_in_ten_thousand_runs(case):
     scores, nees = _scores(case, range(10_000))
     covered = np.mean(np.abs(scores) < 1.96, axis=0)
     assert np.all((covered > 0.94) & (covered < 0.96))
-    _hold(scores, nees, 4.0, margin=0.005)
+    # the recursive form takes its noise levels from a quarter of the record: one part in a hundred more scatter
+    _hold(scores, nees, 4.0, margin=0.015 if "recursive" in case else 0.005)
 
 
 def test_too_narrow_and_too_wide_intervals_are_noticed():
