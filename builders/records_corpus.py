@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import piga
-from piga.evidence import keep_run
+from piga.evidence import prepare_run
 from piga.records.store import Draft, DraftFile
 from piga.records.store.documents import encode, sha256
 from piga.records.store.transfer import export_records, import_records
@@ -59,16 +59,15 @@ def write_run(folder: Path, seed: int) -> Path:
 def build(folder: Path) -> None:
     """A calibration, its amendment, a large file, and a record taken over from another store."""
     with piga.open_store("other.sqlite", create=True) as other:
-        keep_run(other, write_run(Path(), 3), "C. Wang 王", "another bench", report=False)
+        prepare_run(write_run(Path(), 3), "C. Wang 王", "another bench", report=False).keep(other)
         export_records(other, Path("other.zip"))
     with piga.open_store(folder / "store.sqlite", create=True) as store:
-        first, _ = keep_run(
-            store, write_run(Path(), 1), "A. Meyer", "first", measured="2026-11-20", report=False
-        )
-        keep_run(
-            store, write_run(Path(), 2), "B. Kühn", "the table was not level", measured="2026-11-20T10:00:00+01:00",
+        made = prepare_run(write_run(Path(), 1), "A. Meyer", "first", measured="2026-11-20", report=False)
+        first = made.keep(store)
+        prepare_run(
+            write_run(Path(), 2), "B. Kühn", "the table was not level", measured="2026-11-20T10:00:00+01:00",
             supersedes=first.id, method="rate", report=False,
-        )  # fmt: skip
+        ).keep(store)  # fmt: skip
         large = b"".join(f"{k % 500},0.125\n".encode() for k in range(150_000))
         files = (
             DraftFile("data", "log/large.csv", large),

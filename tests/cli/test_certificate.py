@@ -8,7 +8,7 @@ import pytest
 
 from piga.records.calibration_json import to_document
 from tests.cli.test_commands import piga
-from tests.reports.certificate_data import EXAMPLE, key_pair
+from tests.reports.certificate_data import EXAMPLE, budgeted, key_pair
 from tests.reports.example import calibration
 
 pytest.importorskip("signxml")
@@ -17,7 +17,7 @@ pytest.importorskip("signxml")
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab")
-    calibration(serial="tumble-a", with_residuals=False).to_json(folder / "calibration.json")
+    budgeted(calibration(serial="tumble-a", with_residuals=False)).to_json(folder / "calibration.json")
     key_pair(folder, "lab")
     key_pair(folder, "other")
     return folder
@@ -53,7 +53,7 @@ def test_issue_verify_read(lab, tmp_path):
     assert read.returncode == 0, read.stderr
     assert (tmp_path / "back.json").read_bytes() == (lab / "calibration.json").read_bytes()
     assert json.loads((tmp_path / "back.json").read_text()) == json.loads(
-        json.dumps(to_document(calibration(serial="tumble-a", with_residuals=False)))
+        json.dumps(to_document(budgeted(calibration(serial="tumble-a", with_residuals=False))))
     )
 
 

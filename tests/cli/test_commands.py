@@ -136,3 +136,33 @@ def test_the_example_is_copied_whole(tmp_path: Path) -> None:
     run = copy_example(tmp_path)
     assert run.read_text().startswith("# A dividing-head test")
     assert (tmp_path / "tumble-a.csv").stat().st_size > 2_000_000
+
+
+@pytest.mark.only_compiled
+def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
+    """Two simulated stands, calibrated together and again from a summary of one of them."""
+    examples = Path(__file__).parents[2] / "examples"
+    for name in ("dividing-head", "centrifuge"):
+        done = piga("simulate", str(examples / f"joint-{name}.toml"), "--out", str(tmp_path / name))
+        assert done.returncode == 0, done.stderr
+    head, spun = str(tmp_path / "dividing-head/run.toml"), str(tmp_path / "centrifuge/run.toml")
+    alone = piga("calibrate", head, "--out", str(tmp_path / "alone"))
+    assert alone.returncode == 2
+    assert "cannot separate k0, k2, k_YY" in alone.stderr
+    done = piga("calibrate", head, spun, "--summary", "--out", str(tmp_path / "joint"))
+    assert done.returncode == 0, done.stderr
+    written = {path.name for path in (tmp_path / "joint").iterdir()}
+    assert written >= {
+        "calibration.json",
+        "report.html",
+        "summary-dividing-head.json",
+        "summary-centrifuge.json",
+    }
+    first = json.loads((tmp_path / "joint/calibration.json").read_text())
+    values = {c["name"]: c for c in first["coefficients"] if c["name"] != "phi"}
+    assert abs(values["k_YY"]["value"] + 5e-6) < 4.0 * values["k_YY"]["std"]
+    assert values["m_Y"]["run"] == "dividing-head"
+    summary = str(tmp_path / "joint/summary-dividing-head.json")
+    done = piga("calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again"))
+    again = {c["name"]: c["value"] for c in json.loads(done.stdout)["coefficients"]}
+    assert again["k_YY"] == pytest.approx(values["k_YY"]["value"], rel=1e-6)

@@ -83,7 +83,8 @@ def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
         (["backup", "missing/x", "--store", "a.sqlite"], "cannot be written"),
         (["restore", "text.txt", "--store", "new.sqlite"], "no SQLite database"),
         (["reproduce", "--store", "a.sqlite"], "cannot be recomputed"),
-        (["add", "none.toml", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "cannot be read"),
+        (["add", "none.toml", "--store", "new.sqlite", "--operator", "A", "--reason", "B"], "cannot be read"),
+        (["add", "none.toml", "--store", "text.txt", "--operator", "A", "--reason", "B"], "no SQLite database"),
     ],
 )
 def test_wrong_use_is_exit_2_with_one_message(
@@ -92,7 +93,9 @@ def test_wrong_use_is_exit_2_with_one_message(
     filled(tmp_path / "a.sqlite", 1).close()
     (tmp_path / "text.txt").write_text("hello")
     (tmp_path / "bad.sqlite").write_bytes((tmp_path / "a.sqlite").read_bytes()[:8192])
+    before = {path.name for path in tmp_path.iterdir()}
     code, _, errors = records(*arguments)
+    assert {path.name for path in tmp_path.iterdir()} == before
     assert code == 2, errors
     assert message in errors
     assert "Traceback" not in errors

@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga.errors import PigaError
-from piga.evidence import compare_calibrations, keep_results, keep_run, reproduce
+from piga.evidence import compare_calibrations, prepare_results, prepare_run, reproduce
 from piga.evidence import reproduce as reproduce_function
 from piga.evidence.inputs import input_files
 from piga.records.store.verify import verify
@@ -29,7 +29,8 @@ def small_run(folder: Path, name: str = "run.csv") -> Path:
 def test_keep_and_reproduce(tmp_path: Path) -> None:
     run = small_run(tmp_path)
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
-        record, calibration = keep_run(store, run, "A. Meyer", "yearly", measured="2026-11-20")
+        prepared = prepare_run(run, "A. Meyer", "yearly", measured="2026-11-20")
+        record, calibration = prepared.keep(store), prepared.calibration
         before = store.head()
         report = store.read(record.id, "report").decode()
         for text in (record.id, record.document.after, record.document.store, "A. Meyer", "number 1"):
@@ -43,7 +44,7 @@ def test_keep_and_reproduce(tmp_path: Path) -> None:
         name, when, found = store.history("T-1")[0]
         assert (name, when.isoformat()) == (record.id, "2026-11-20T00:00:00+00:00")
         assert np.array_equal(found.covariance, calibration.covariance)
-        second, _ = keep_run(store, run, "B", "corrected", supersedes=record.id, report=False)
+        second = prepare_run(run, "B", "corrected", supersedes=record.id, report=False).keep(store)
         assert [name for name, _, _ in store.history("T-1")] == [second.id]
         assert store.record(2).document.after == before.sha256
     assert verify(tmp_path / "lab.sqlite").sound
@@ -59,7 +60,7 @@ def test_reproduce_needs_nothing_but_the_store(tmp_path: Path) -> None:
     names = [(file.role, file.name) for file in input_files(run)]
     assert names == [("run", "run/run.toml"), ("data", "logs/run.csv")]
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
-        keep_run(store, run, "A", "test", report=False)
+        prepare_run(run, "A", "test", report=False).keep(store)
         (tmp_path / "deep" / "logs" / "run.csv").unlink()
         run.unlink()
         assert reproduce(store, 1).verdict == "identical"
@@ -71,13 +72,13 @@ def test_results_of_calibrate_are_kept_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     calibration.to_json(tmp_path / "out" / "calibration.json")
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
-        record, _ = keep_results(store, run, tmp_path / "out", "A", "as it was")
+        record = prepare_results(run, tmp_path / "out", "A", "as it was").keep(store)
         assert store.read(record.id, "calibration") == (tmp_path / "out" / "calibration.json").read_bytes()
         assert record.document.request["method"] == "rate"
         assert reproduce(store, record.id).verdict == "identical"
         (tmp_path / "run.csv").write_text((tmp_path / "run.csv").read_text() + "9,1,1,1,1,1\n")
         with pytest.raises(PigaError, match="is not the file that the calibration was computed from"):
-            keep_results(store, run, tmp_path / "out", "A", "changed")
+            prepare_results(run, tmp_path / "out", "A", "changed")
         assert store.head().number == 1
 
 
@@ -132,7 +133,7 @@ def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: p
     from piga.evidence import reproduce as module_function  # noqa: F401 - the module is patched by name
 
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
-        keep_run(store, small_run(tmp_path), "A", "test", report=False)
+        prepare_run(small_run(tmp_path), "A", "test", report=False).keep(store)
         original = piga.calibration.calibrate
 
         def nearly(*arguments, **options):  # type: ignore[no-untyped-def]

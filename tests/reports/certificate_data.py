@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -20,8 +21,24 @@ def complete(serial="G-0417") -> CertificateFile:
 
 def changed(data: CertificateFile, **tables) -> CertificateFile:
     """The data with some keys of some tables replaced."""
-    replace = msgspec.structs.replace
-    return replace(data, **{name: replace(getattr(data, name), **keys) for name, keys in tables.items()})
+    put = msgspec.structs.replace
+    return put(data, **{name: put(getattr(data, name), **keys) for name, keys in tables.items()})
+
+
+def budgeted(cal):
+    """The calibration with a budget that adds up: type A and one source of type B for every coefficient."""
+    names = ("fit residuals (repeatability)", "A", 0.8), ("reference_scale", "B", 0.6)
+    rows = tuple(
+        {
+            "source": name,
+            "type": kind,
+            "distribution": "normal",
+            "standard_uncertainty": None if kind == "A" else {"value": 0.5, "unit": "ppm"},
+            "contributions": {c.key: part * c.std for c in cal.coefficients},
+        }
+        for name, kind, part in names
+    )
+    return replace(cal, budget=rows)
 
 
 def key_pair(folder: Path, name: str, *, elliptic: bool = True) -> tuple[Path, Path]:

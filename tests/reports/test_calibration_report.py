@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from piga.records.calibration import Outlier, RunRecord
 from piga.reports.calibration import (
     calibration_figures,
     calibration_page,
@@ -73,7 +74,8 @@ def test_coefficients_are_rounded_by_their_uncertainty(cal):
 
 
 def test_expanded_uncertainty_uses_student(cal):
-    few = dataclasses.replace(cal, degrees_of_freedom=6.0)
+    coefficients = tuple(dataclasses.replace(c, degrees_of_freedom=6.0) for c in cal.coefficients)
+    few = dataclasses.replace(cal, coefficients=coefficients)
     row = tables(calibration_page(few))["coefficients"][0].cells[0]
     assert row[3].text == "0.0000034"  # 2.447 times 1.4e-6
 
@@ -89,7 +91,7 @@ def test_budget_combines_the_sources(cal):
     assert [row[0].text for row in cells] == [
         "Fit to the record", "Reference scale", "Reference misalignment", "Combined",
     ]  # fmt: skip
-    assert cells[-1][3].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
+    assert cells[-1][5].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
     assert cells[-1][-1].text == "9.8"  # hypot(1.3, 9.7) urad
 
 
@@ -222,3 +224,29 @@ def test_a_log_of_rates_is_reported_as_rates():
     wanted = np.cumsum(step * 0.5 * (rates.residuals.after[first][1:] + rates.residuals.after[first][:-1]))
     np.testing.assert_allclose(angles.after[1:50] - angles.after[0], wanted, rtol=1e-9, atol=1e-12)
     assert residual_angles(cal) is cal.residuals
+
+
+def test_joint_and_contaminated_runs_have_their_sections(cal):
+    """Runs with noise and residual figure each; findings with time, miss and a figure."""
+    found = cal.residuals
+    record = RunRecord(
+        "head", "head.toml", "dividing-head", "shared", True, 10, 1e-5, 1e-6, 1e-5, 1e-3, 2e-3, 5e-5, cal.quality,
+        ("k0", "k2"),
+    )  # fmt: skip
+    half = (np.arange(found.t.size) >= found.t.size // 2).astype(np.int32)
+    outliers = (Outlier("spike", 1.5, 31, 1, 1e-3, "head"), Outlier("jump", 2.5, 51, 0, 0.3, "spun"))
+    joint = dataclasses.replace(
+        cal,
+        runs=(record, dataclasses.replace(record, name="spun", raw=False)),
+        residuals=dataclasses.replace(found, run=half),
+        outliers=outliers,
+    )
+    page = calibration_page(joint)
+    keys = [figure.key for figure in page.figures()]
+    assert keys[:2] == ["residual-time-0", "residual-time-1"]
+    assert "outliers" in keys
+    runs = next(section for section in page.sections if section.anchor == "runs")
+    assert [row[0] for row in runs.blocks[1].rows] == ["head", "spun (summary)"]
+    quality = next(section for section in page.sections if section.anchor == "quality")
+    assert [row[1] for row in quality.blocks[-1].rows] == ["jump", "spike"]
+    assert "noise of run spun" in calibration_text(joint)

@@ -179,6 +179,9 @@ def test_wrong_use_is_refused():
     readouts = simulate(s).readouts
     with pytest.raises(ArgumentError, match="two turns"):
         identify(readouts, s.place)
+    resting = simulate(calibration(equatorial_rotation=Rotation(0.0))).readouts
+    with pytest.raises(ArgumentError, match="one is at rest"):
+        identify(resting, s.place)
     with pytest.raises(ArgumentError, match="among gimbals"):
         identify(readouts, s.place, sources=("stars",))
 

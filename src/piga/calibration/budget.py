@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.coefficients import name_coefficients
+from piga.calibration.degrees_of_freedom import welch_satterthwaite
 from piga.calibration.design import Design
 from piga.calibration.solution import solve
 from piga.calibration.uncertainty import contributions
@@ -31,7 +34,8 @@ def make_budget(
 
     def estimate(run: Run) -> Array:
         design = Design(run, fit.design.request, fit.design.scale_factor)
-        solution = solve(design, reduce_segments(design, fit.mode, fit.noise), groups)
+        summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.noise)
+        solution = solve(design, summaries, groups)
         named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
         values = np.array([coefficient.value for coefficient in named])
         return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
@@ -40,18 +44,48 @@ def make_budget(
     covariance = np.zeros((len(keys), len(keys)))
     for source, change in contributions(fit.design.run, base, estimate):
         covariance += np.outer(change, change)
-        rows.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        degrees = source.degrees_of_freedom if math.isfinite(source.degrees_of_freedom) else None
+        rows.append(
+            budget_row(source.name, "B", source.distribution, source.value, source.unit, keys, change, degrees)
+        )
     return tuple(rows), covariance
 
 
+def combined(
+    coefficients: tuple[Coefficient, ...], covariance: Array, budget: tuple[dict[str, Any], ...], type_a: Array
+) -> tuple[Coefficient, ...]:
+    """Coefficients with combined standard uncertainty and effective degrees of freedom (JCGM 100, G.4).
+
+    ``type_a`` (n,) are the degrees of freedom of the budget's first row.
+    """
+    result = []
+    for coefficient, std, nu in zip(coefficients, np.sqrt(np.diag(covariance)), type_a, strict=True):
+        parts = [row["contributions"][coefficient.key] for row in budget]
+        known = [row["degrees_of_freedom"] or math.inf for row in budget[1:]]
+        degrees = welch_satterthwaite(parts, [nu, *known])
+        result.append(replace(coefficient, std=float(std), degrees_of_freedom=degrees))
+    return tuple(result)
+
+
 def budget_row(
-    source: str, kind: str, distribution: str, value: float | None, unit: str, keys: list[str], change: Array
+    source: str,
+    kind: str,
+    distribution: str,
+    value: float | None,
+    unit: str,
+    keys: list[str],
+    change: Array,
+    degrees: float | None = None,
 ) -> dict[str, Any]:
-    """A row: source, type ("A" or "B"), distribution, standard uncertainty, contributions (file units)."""
+    """A row of the budget; contributions in file units.
+
+    Degrees of freedom None: known exactly, or one per coefficient (Type A).
+    """
     return {
         "source": source,
         "type": kind,
         "distribution": distribution,
         "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
+        "degrees_of_freedom": degrees,
         "contributions": {key: float(c) for key, c in zip(keys, change, strict=True)},
     }

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.budget import budget_row, make_budget
+from piga.calibration.budget import budget_row, combined, make_budget
 from piga.calibration.coefficients import name_coefficients
+from piga.calibration.counted import refine_counted
+from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
@@ -87,16 +89,14 @@ def calibrate(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
-    fit = fit_run(run, request, groups, per_segment)
+    fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
     refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
-    coefficients = tuple(
-        replace(c, std=float(s)) for c, s in zip(coefficients, np.sqrt(np.diag(covariance)), strict=True)
-    )
+    coefficients = combined(coefficients, covariance, budget, type_a_degrees(fit, groups, per_segment))
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     history = _history(fit, groups) if request.method == "recursive" else None
     scatter = segment_scatter(fit.design, residuals, fit.noise)

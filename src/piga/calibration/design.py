@@ -11,7 +11,6 @@ The two columns of the coupling, and those of the harmonics, turn with the unkno
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from piga._kernels.outliers import merge_rows
 from piga._kernels.regressors import CODES, coupling_columns, product_column
 from piga.calibration.request import Request
+from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
 from piga.records.spool import spans, steps
@@ -108,7 +108,7 @@ class Design:
     def blocks(self) -> Iterator[Block]:
         """All blocks in order; built ahead on a second thread."""
         keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
-        with ThreadPoolExecutor(THREADS) as pool:
+        with workers(self.run.size, THREADS) as pool:
             pending = []
             for index in range(len(self._ranges)):
                 found = self._cache.get(index)

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.counted import Counted
 from piga.calibration.design import Design
 from piga.calibration.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.noise import Information, Noise, find_noise, starting_noise
@@ -62,6 +63,7 @@ class Fit:
     d: Array = field(repr=False)
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
+    counted: Counted | None = None
 
     @property
     def sample_variance(self) -> float:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.whitening import LANES, likelihoods
+from piga.calibration.workers import workers
 from piga.records.median import exact_median
 from piga.records.spool import spans
 
@@ -22,6 +22,11 @@ LOWEST, HIGHEST = -10.0, 4.0
 """Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
 SAMPLE = 1 << 17
 """Increments that the first, coarse passes over a long record look at."""
+SIGNIFICANT = 1.5
+"""Gain in twice the log-likelihood from which a random walk is taken as real: with it the variance is right on
+average both without a walk and with one of the size that can just be seen."""
+NEGLIGIBLE = 1e-3
+"""Gain up to which a level makes no difference to the weights: it is left as found."""
 REFINEMENTS = 4
 """Passes over the residuals; one less when the ratio is known to a decade."""
 
@@ -97,6 +102,12 @@ def find_noise(
         size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
         spacing = (high - low) / (LANES - 1)
         low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
+    if information is not None:
+        grid = np.append(LOWEST, np.full(LANES - 1, best))
+        log, square = _sums(d, h, 10.0**grid / step)
+        objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log + information(grid)
+        if NEGLIGIBLE < objective[0] - objective[1] < SIGNIFICANT:
+            best, size = LOWEST, float(square[0])
     ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
     white = size / freedom
     white = max(white, floor**2 / (1.0 + ratio * step))
@@ -119,7 +130,7 @@ def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     middle = d.size // 2
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
     results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
-    with ThreadPoolExecutor(2) as pool:
+    with workers(d.size, 2) as pool:
         jobs = [
             pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])
             for part, result in zip(parts, results, strict=True)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 BLOCK = 1024
 """Rows reduced at a time: a block of ten columns stays in the second-level cache."""
-SHORT = 256
+SHORT = 128
 """Blocks of at most this many rows are gathered in double-double at once."""
 
 

@@ -6,32 +6,36 @@ linear estimate is repeated with the same weights; the change is the contributio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS
 from piga.stand import stand_changes
-from piga.units import G0, from_si, to_si
+from piga.units import G0, from_si
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Source:
-    """One source of Type B: its name, standard uncertainty in ``unit``, and the record moved by it."""
+    """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution."""
 
     name: str
     value: float
     unit: str
     moved: Run
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
 
 
-def sources(run: Run) -> Iterator[Source]:
-    """The sources named in the run file's ``[uncertainty]``.
+def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
+    """The sources named in the run file's ``[uncertainty]``, moved by ``size`` standard uncertainties.
 
     ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
     independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
@@ -40,25 +44,28 @@ def sources(run: Run) -> Iterator[Source]:
     """
     for name, like in UNCERTAINTY_UNITS.items():
         given = getattr(run.uncertainty, name)
-        value = 0.0 if given is None else to_si(given, like)
-        if value == 0.0:
+        standard = 0.0 if given is None else standard_uncertainty(given, like, f"[uncertainty] {name}")
+        if standard == 0.0:
             continue
-        shown, unit = from_si(value, like), like
+        value, shape = size * standard, shape_of(given)
+        shown, unit = from_si(standard, like), like
         if name in ("reference_scale", "gravity"):
             relative = value if name == "reference_scale" else value / G0
-            yield Source(name, shown, unit, replace(run, f=run.f * (1.0 + relative)))
+            yield Source(name, shown, unit, replace(run, f=run.f * (1.0 + relative)), *shape)
         elif name == "timing":
-            yield Source(name, shown, unit, replace(run, t=run.t * (1.0 + value)))
+            yield Source(name, shown, unit, replace(run, t=run.t * (1.0 + value)), *shape)
         elif name == "temperature":
             if run.temperature is not None:
-                yield Source(name, shown, unit, replace(run, temperature=run.temperature + value))
+                yield Source(name, shown, unit, replace(run, temperature=run.temperature + value), *shape)
         else:
             move = _bias if name == "reference_bias" else _turn
             for axis, label in enumerate(("X0", "Y0", "Z0")):
-                yield Source(f"{name} {label}", shown, unit, replace(run, f=move(run.f, axis, value)))
+                yield Source(f"{name} {label}", shown, unit, replace(run, f=move(run.f, axis, value)), *shape)
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
-        yield Source(change.name, float(number), written_unit or "1", replace(run, f=run.f + change.change))
+        yield Source(
+            change.name, float(number), written_unit or "1", replace(run, f=run.f + size * change.change)
+        )
 
 
 def _bias(f: Array, axis: int, value: float) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.workers import workers
 from piga.records.spool import arrays_like
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     The reduction of a block runs beside the whitening of the next.
     """
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
-    with ThreadPoolExecutor(1) as pool:
+    with workers(design.run.size, 1) as pool:
         jobs = []
         for block, columns in weighted_blocks(design, mode, noise):
             count = int(np.count_nonzero(block.h > 0.0))

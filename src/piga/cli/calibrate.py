@@ -57,7 +57,7 @@ def calibrate(
     with progress("calibrating"):
         calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
     written = write_results(calibration, output_directory(directory), report=report)
-    written += write_summaries(items, _names(terms), directory) if summary else []
+    written += write_summaries(items, directory) if summary else []
     if as_json:
         from piga.records.calibration_json import to_document
 
@@ -105,14 +105,14 @@ def run_calibration(
         return _estimate(items, terms, method, phase, phase_source, None)
 
 
-def write_summaries(items: list[Run | RunSummary], terms: list[str] | None, directory: Path) -> list[Path]:
-    """Write the summary of every run whose data were read."""
+def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:
+    """Write the summary of every run whose data were read, with the wishes of its run file."""
     from piga.calibration import RunSummary
 
     written = []
     for item in items:
         if not isinstance(item, RunSummary):
-            summary = RunSummary.of(item, terms)
+            summary = RunSummary.of(item)
             written.append(write_by_rename(directory / f"summary-{summary.name}.json", summary.to_json))
     return written
 

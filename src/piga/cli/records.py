@@ -70,24 +70,33 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate a run and keep it: inputs, result and report. Makes the store when there is none."""
-    from piga.evidence import keep_results, keep_run
+    from piga.evidence import prepare_results, prepare_run
 
     wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
     if results is not None and any(option is not None for option in (wanted, method, phase, phase_source)):
         raise PigaError(
             "--results keeps a result as it is", remedy="leave out --terms, --method and --phase..."
         )
-    with opened(store, create=True) as kept, progress("calibrating"):
+    _check_usable(store)
+    with progress("calibrating"):
         if results is not None:
-            record, _ = keep_results(
-                kept, run, results, operator, reason, measured=measured, supersedes=supersedes
-            )
+            prepared = prepare_results(run, results, operator, reason, measured=measured, supersedes=supersedes)
         else:
-            record, _ = keep_run(
-                kept, run, operator, reason, terms=wanted, method=method, phase=phase, phase_source=phase_source,
+            prepared = prepare_run(
+                run, operator, reason, terms=wanted, method=method, phase=phase, phase_source=phase_source,
                 measured=measured, supersedes=supersedes, report=report and report_available(),
             )  # fmt: skip
-        _print_added(kept, record, as_json=as_json)
+    with opened(store, create=True) as kept:
+        _print_added(kept, prepared.keep(kept), as_json=as_json)
+
+
+def _check_usable(where: str) -> None:
+    """Refuse a store that cannot be used before the work begins; a new one is made only when there is a record."""
+    from piga.records.store.database import is_url
+
+    if is_url(where) or Path(where).exists():
+        with opened(where, create=True):
+            return
 
 
 def _print_added(store: Store, record: Record, *, as_json: bool) -> None:

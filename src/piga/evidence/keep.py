@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,37 @@ if TYPE_CHECKING:
 _ID, _NUMBER, _STORE, _AFTER = (f"\u27e6record {name}\u27e7" for name in ("id", "number", "store", "after"))
 
 
-def keep_run(
-    store: Store,
+@dataclass(frozen=True)
+class Prepared:
+    """A calibration ready to be kept: the record but for its place, and the report with blanks for it."""
+
+    draft: Draft
+    calibration: Calibration
+    page: str | None = None
+
+    def keep(self, store: Store) -> Record:
+        """Write it; when this returns, the record is on disk.
+
+        Raises
+        ------
+        PigaError
+            With nothing stored.
+        """
+        return store.append(self._filled)
+
+    def _filled(self, place: Position) -> Draft:
+        """The draft with its report, the blanks filled in."""
+        if self.page is None:
+            return self.draft
+        page = self.page
+        blanks = ((_ID, place.id), (_NUMBER, str(place.number)), (_STORE, place.store), (_AFTER, place.after))
+        for blank, value in blanks:
+            page = page.replace(blank, value)
+        report = DraftFile("report", "results/report.html", page.encode())
+        return replace(self.draft, files=(*self.draft.files, report))
+
+
+def prepare_run(
     run: Path,
     operator: str,
     reason: str,
@@ -32,13 +61,11 @@ def keep_run(
     measured: str | None = None,
     supersedes: str | None = None,
     report: bool = True,
-) -> tuple[Record, Calibration]:
-    """Calibrate a run and store it with its inputs and a report that carries the record's name and the head.
+) -> Prepared:
+    """Calibrate a run, to be kept with its inputs and a report that carries the record's name and the head.
 
     Parameters
     ----------
-    store:
-        Where it is kept.
     run:
         Run file.
     operator, reason:
@@ -55,9 +82,10 @@ def keep_run(
     Raises
     ------
     PigaError
-        If it cannot be calibrated or stored; nothing is stored then.
+        If it cannot be calibrated.
     """
     from piga.calibration import calibrate
+    from piga.records.calibration_json import calibration_to_bytes
     from piga.stand import read_run
 
     inputs = input_files(run)
@@ -67,18 +95,16 @@ def keep_run(
         calibration.serial,
         operator,
         reason,
-        inputs,
+        (*inputs, DraftFile("calibration", "results/calibration.json", calibration_to_bytes(calibration))),
         _request(calibration),
         software_identity(),
         measured,
         supersedes,
     )
-    page = _report(calibration, draft) if report else None
-    return store.append(lambda place: _filled(draft, calibration, page, place)), calibration
+    return Prepared(draft, calibration, _report(calibration, draft) if report else None)
 
 
-def keep_results(
-    store: Store,
+def prepare_results(
     run: Path,
     results: Path,
     operator: str,
@@ -86,13 +112,22 @@ def keep_results(
     *,
     measured: str | None = None,
     supersedes: str | None = None,
-) -> tuple[Record, Calibration]:
-    """Store what ``piga calibrate`` left in a directory, with the run it came from, every file as it is.
+) -> Prepared:
+    """What ``piga calibrate`` left in a directory, to be kept with the run it came from, every file as it is.
+
+    Parameters
+    ----------
+    run:
+        Run file.
+    results:
+        Directory with ``calibration.json`` and, if there is one, ``report.html``.
+    operator, reason, measured, supersedes:
+        As for :func:`prepare_run`.
 
     Raises
     ------
     PigaError
-        If the results are not those of this run, or cannot be stored; nothing is stored then.
+        If the results are not those of this run.
     """
     inputs = input_files(run)
     calibration = Calibration.from_json(results / "calibration.json")
@@ -111,7 +146,7 @@ def keep_results(
         measured,
         supersedes,
     )
-    return store.append(lambda _place: draft), calibration
+    return Prepared(draft, calibration)
 
 
 def _request(calibration: Calibration) -> dict[str, Any]:
@@ -163,23 +198,3 @@ def _report(calibration: Calibration, draft: Draft) -> str | None:
     section = Section("Record", "record", (Text(lead, lead=True), facts_table(rows, code=True)))
     footer = f"Record {_ID}, number {_NUMBER}, after head {_AFTER}. {page.footer}"
     return page_html(replace(page, sections=(*page.sections, section), footer=footer))
-
-
-def _filled(draft: Draft, calibration: Calibration, page: str | None, place: Position) -> Draft:
-    """The draft with its results, the report's blanks filled in."""
-    from piga.records.calibration_json import calibration_to_bytes
-
-    files = [
-        *draft.files,
-        DraftFile("calibration", "results/calibration.json", calibration_to_bytes(calibration)),
-    ]
-    if page is not None:
-        for blank, value in (
-            (_ID, place.id),
-            (_NUMBER, str(place.number)),
-            (_STORE, place.store),
-            (_AFTER, place.after),
-        ):
-            page = page.replace(blank, value)
-        files.append(DraftFile("report", "results/report.html", page.encode()))
-    return replace(draft, files=tuple(files))

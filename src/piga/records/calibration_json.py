@@ -14,7 +14,7 @@ from piga.errors import CalibrationError, UnitError
 from piga.units import conversion_factor, from_si
 
 if TYPE_CHECKING:
-    from piga.records.calibration import Calibration, Quality
+    from piga.records.calibration import Calibration, Coefficient, Quality
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
@@ -48,6 +48,8 @@ class _Coefficient(msgspec.Struct, frozen=True):
     unit: str
     segment: str | None = None
     run: str | None = None
+    degrees_of_freedom: float | None = None
+    interval: tuple[float, float] | None = None
 
 
 class _Covariance(msgspec.Struct, frozen=True):
@@ -176,6 +178,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
             | ({"segment": k.segment} if k.name == "phi" else {})
             | ({} if k.run is None else {"run": k.run})
+            | _expanded(k)
             for k in c.coefficients
         ],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
@@ -205,6 +208,16 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     if c.outliers:
         document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[:MOST_OUTLIERS]]
     return document
+
+
+def _expanded(coefficient: Coefficient) -> dict[str, Any]:
+    """Degrees of freedom (null: infinite), coverage factor, expanded uncertainty and interval for 95 %."""
+    nu = coefficient.degrees_of_freedom
+    return {
+        "degrees_of_freedom": nu if math.isfinite(nu) else None,
+        "coverage_factor": coefficient.coverage_factor,
+        "expanded": coefficient.expanded,
+    } | ({} if coefficient.interval is None else {"interval": list(coefficient.interval)})
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -247,7 +260,6 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     """
     from piga.records.calibration import (
         Calibration,
-        Coefficient,
         Outlier,
         Provenance,
         RunRecord,
@@ -270,9 +282,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         phase=document.model.phase,
         phase_source=document.model.phase_source,
         method=document.model.method,
-        coefficients=tuple(
-            Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run) for c in document.coefficients
-        ),
+        coefficients=tuple(_coefficient(c) for c in document.coefficients),
         covariance=matrix,
         degrees_of_freedom=document.degrees_of_freedom,
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
@@ -302,6 +312,15 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
             for run in document.runs
         ),
         outliers=tuple(Outlier(**msgspec.structs.asdict(outlier)) for outlier in document.outliers),
+    )
+
+
+def _coefficient(found: _Coefficient) -> Coefficient:
+    from piga.records.calibration import Coefficient
+
+    nu = math.inf if found.degrees_of_freedom is None else found.degrees_of_freedom
+    return Coefficient(
+        found.name, found.value, found.std, found.unit, found.segment, found.run, nu, found.interval
     )
 
 

@@ -322,6 +322,7 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
         yield "calibration (7.8.4.1 a): a coefficient has no uncertainty"
     if not any(row.get("type") == "B" for row in calibration.budget):
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
+        return
     yield from _budget_sums(calibration)
     masked = calibration.quality.masked / max(calibration.quality.rows, 1)
     if masked > data.certificate.largest_masked_share:
@@ -333,8 +334,6 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
 
 def _budget_sums(calibration: Calibration) -> Iterator[str]:
     """The budget of each coefficient must add up to its standard uncertainty."""
-    if not any(row.get("type") == "A" for row in calibration.budget):
-        return
     for c in calibration.coefficients:
         total = math.hypot(*(float(row.get("contributions", {}).get(c.key, 0.0)) for row in calibration.budget))
         if abs(total - c.std) > 1e-6 * c.std:

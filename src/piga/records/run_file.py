@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from piga.errors import RunFileError, UnitError
+from piga.records.distribution import Spread, standard_uncertainty
 from piga.records.terms import check_terms
 from piga.records.toml_file import read_toml
 from piga.units import conversion_factor, to_si
@@ -116,6 +117,7 @@ class EstimationTable(Table, frozen=True):
     per_run: tuple[str, ...] = ()
     angle_rms: Quantity | None = None
     angle_random_walk: Quantity | None = None
+    uncertainty: Literal["gum", "monte-carlo", "auto"] = "auto"
     x0: tuple[float, ...] | None = None
     P0: float | None = None
 
@@ -123,18 +125,19 @@ class EstimationTable(Table, frozen=True):
 class UncertaintyTable(Table, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
-    Those below ``temperature`` belong to particular stands and need the ``[stand]`` table. ``reference_id``
-    names the device that the reference comes from: runs of one device share its errors.
+    A string is the standard uncertainty of a normal distribution; :class:`~piga.records.distribution.Spread`
+    says another. Those below ``temperature`` belong to particular stands and need the ``[stand]`` table.
+    ``reference_id`` names the device that the reference comes from: runs of one device share its errors.
     """
 
     reference_id: str | None = None
 
-    reference_scale: Quantity | None = None
-    reference_bias: Quantity | None = None
-    reference_misalignment: Quantity | None = None
-    gravity: Quantity | None = None
-    timing: Quantity | None = None
-    temperature: Quantity | None = None
+    reference_scale: Quantity | Spread | None = None
+    reference_bias: Quantity | Spread | None = None
+    reference_misalignment: Quantity | Spread | None = None
+    gravity: Quantity | Spread | None = None
+    timing: Quantity | Spread | None = None
+    temperature: Quantity | Spread | None = None
     levelling: Any = None
     angle_error: Any = None
     angle_harmonics: Any = None
@@ -213,10 +216,8 @@ def _check_units(run_file: RunFile) -> None:
         conversion_factor(data.temperature.unit, "K", what="[data] temperature")
     for name, like in UNCERTAINTY_UNITS.items():
         value = getattr(run_file.uncertainty, name)
-        if value is not None and to_si(value, like, what=f"[uncertainty] {name}") < 0.0:
-            raise RunFileError(
-                f"[uncertainty] {name}: '{value}' is negative", remedy="give a standard uncertainty"
-            )
+        if value is not None:
+            standard_uncertainty(value, like, f"[uncertainty] {name}")
     to_si(run_file.model.temperature_reference, "K", what="[model] temperature_reference")
     for name, like in (("angle_rms", "rad"), ("angle_random_walk", "rad/sqrt(s)")):
         value = getattr(estimation, name)

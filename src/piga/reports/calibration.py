@@ -14,11 +14,13 @@ from piga.reports.calibration_tables import (
     coefficient_table,
     common_coefficients,
     correlation_table,
-    coverage,
     facts_table,
+    freedom,
     meaning,
+    outlier_table,
     quality_table,
     residual_quantity,
+    runs_table,
     scalars,
     segment_table,
 )
@@ -52,6 +54,7 @@ def calibration_page(cal: Calibration) -> Page:
     figures = {figure.key: figure for figure in calibration_figures(cal)}
     sections = (
         _tested(cal),
+        *_runs(cal),
         _coefficients(cal),
         _residuals(figures),
         *_convergence(figures),
@@ -59,7 +62,7 @@ def calibration_page(cal: Calibration) -> Page:
         _segments(cal, figures),
         _budget(cal),
         _identifiability(cal, figures),
-        _quality(cal),
+        _quality(cal, figures),
         _provenance(cal),
     )
     return Page(
@@ -74,6 +77,8 @@ def calibration_page(cal: Calibration) -> Page:
 
 
 def _files(cal: Calibration) -> str:
+    if cal.runs:
+        return ", ".join(run.name for run in cal.runs)
     names = [Path(name).name for name in cal.provenance.input_sha256]
     data = [name for name in names if not name.endswith(".toml")] or names
     return ", ".join(data) or "a record in memory"
@@ -98,7 +103,8 @@ def _period(seconds: float) -> str:
 
 
 def _segments_in_words(cal: Calibration) -> str:
-    return "one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments"
+    runs = f"{len(cal.runs)} runs, " if cal.runs else ""
+    return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
 
 
 def _subtitle(cal: Calibration) -> str:
@@ -151,9 +157,15 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
 
 
 def _freedom_tile(cal: Calibration) -> Tile:
-    freedom = "∞" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
-    detail = f"coverage factor k = {coverage(cal):.3f} for 95 %, {len(cal.coefficients)} coefficients"
-    return Tile("Degrees of freedom", freedom, "", detail, "doubtful" if cal.degrees_of_freedom < 10.0 else "")
+    fewest = min(cal.coefficients, key=lambda coefficient: coefficient.degrees_of_freedom)
+    detail = f"effective, fewest of all coefficients ({fewest.key}): k = {fewest.coverage_factor:.3f} for 95 %"
+    return Tile(
+        "Degrees of freedom",
+        freedom(fewest),
+        "",
+        detail,
+        "doubtful" if fewest.degrees_of_freedom < 10.0 else "",
+    )
 
 
 def _condition_tile(cal: Calibration) -> Tile:
@@ -193,6 +205,8 @@ def _tested(cal: Calibration) -> Section:
     terms = ", ".join(f"{term} ({meaning(term)})" for term in cal.terms)
     shared, seen = cal.phase == "shared", cal.quality
     phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
+    if cal.runs:
+        phase = "; ".join(f"run {run.name}: {run.phase}" for run in cal.runs)
     rows = [
         ("Instrument", cal.serial),
         ("Data", _files(cal)),
@@ -204,6 +218,17 @@ def _tested(cal: Calibration) -> Section:
     ]
     lead = "Which instrument, which record and which model this report is about."
     return Section("What was tested", "tested", (Text(lead, lead=True), facts_table(rows)))
+
+
+def _runs(cal: Calibration) -> tuple[Section, ...]:
+    """The runs of a joint calibration, when there are several."""
+    if not cal.runs:
+        return ()
+    lead = (
+        "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
+        "the others must."
+    )
+    return (Section("Runs", "runs", (Text(lead, lead=True), runs_table(cal))),)
 
 
 def _coefficients(cal: Calibration) -> Section:
@@ -231,11 +256,9 @@ def _residuals(figures: dict[str, Figure]) -> Section:
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
-    return Section(
-        "Residuals against time",
-        "residuals",
-        (Text(lead, lead=True), _shown(figures, "residual-time", missing)),
-    )
+    found: list[Block] = [FigureBlock(f) for key, f in figures.items() if key.startswith("residual-time")]
+    blocks = found or [Notice("info", missing)]
+    return Section("Residuals against time", "residuals", (Text(lead, lead=True), *blocks))
 
 
 def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
@@ -310,7 +333,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
 
 
-def _quality(cal: Calibration) -> Section:
+def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
     lead = (
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
@@ -319,6 +342,20 @@ def _quality(cal: Calibration) -> Section:
         blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
     if cal.quality.events:
         blocks = (quality_table(cal),)
+    if cal.runs:
+        rows = [
+            (f"Run {run.name}", f"{count(q.rows)} rows read, {count(q.used)} used, {count(q.masked)} masked")
+            for run in cal.runs
+            for q in (run.quality,)
+        ]
+        blocks = (facts_table(rows), *blocks)
+    if cal.outliers:
+        text = (
+            "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
+            "none is formed across a jump."
+        )
+        shown = [FigureBlock(figures["outliers"])] if "outliers" in figures else []
+        blocks = (*blocks, Text(text, lead=True), *shown, outlier_table(cal))
     return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
 
 
@@ -345,11 +382,11 @@ def calibration_text(cal: Calibration) -> str:
 
 
 def _text_table(cal: Calibration) -> list[str]:
-    factor = coverage(cal)
     lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
     for coefficient in cal.coefficients:
         value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
-        number, wide = rounded(value, std), rounded(value, factor * std)
+        scale = std / coefficient.std if coefficient.std else 1.0
+        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
         lines.append((coefficient.key, number.value, number.uncertainty, wide.uncertainty, unit))
     width = [max(len(line[column]) for line in lines) for column in range(5)]
     return [
@@ -370,9 +407,16 @@ def _text_figures(cal: Calibration) -> list[str]:
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
-        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g}"),
+        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
+    rows += [
+        (
+            f"noise of run {run.name}",
+            f"{short(run.angle_rms / ARCSEC)} arcsec white, {short(run.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk",
+        )
+        for run in cal.runs
+    ]
     wide = max(len(name) for name, _ in rows)
     return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from piga.records.calibration import Calibration, Residuals
 from piga.reports.calibration_tables import residual_quantity
 from piga.reports.decimate import POINTS, envelope_rows
-from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.long_record import leading_part, outline
 from piga.reports.numbers import friendly, pretty_unit
 from piga.reports.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
@@ -31,7 +31,8 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
     """
     figures: list[Figure] = []
     if cal.residuals is not None and cal.residuals.t.size:
-        figures.append(residual_figure(outline(cal.residuals), residual_quantity(cal)))
+        whole = outline(cal.residuals)
+        figures += run_figures(cal) if cal.runs else [residual_figure(whole, residual_quantity(cal))]
         part = replace(cal, residuals=leading_part(cal.residuals))
         assert part.residuals is not None  # noqa: S101 - made from residuals
         figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
@@ -42,6 +43,8 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
         figures += [ripple_figure(turned)] if turned.segments else []
     if len(cal.segments) > 1:
         figures.append(segment_figure(cal))
+    outliers = outlier_figure(cal)
+    figures += [outliers] if outliers else []
     if cal.history is not None and cal.history["sample"].size > 1:
         figures.append(convergence_figure(cal))
     return tuple(figures)
@@ -149,8 +152,16 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
     panels = []
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
-        x, y = _with_gaps(t / scale, np.asarray(values) / ARCSEC, residuals)
-        series = Series(x, y, name=title.lower(), role="before" if role == "before" else "after")
+        single = np.unique(residuals.segment).size == t.size
+        y = np.asarray(values) / ARCSEC
+        x, y = (t / scale, y) if single else _with_gaps(t / scale, y, residuals)
+        series = Series(
+            x,
+            y,
+            name=title.lower(),
+            mark="points" if single else "line",
+            role="before" if role == "before" else "after",
+        )
         panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
     return Figure(
         key="residual-time",
@@ -159,6 +170,53 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
         caption="Before: measured angle less the nominal model without cross-coupling. After: less the fitted "
         "model. The scales differ. Good: a band of noise around zero, without waves, steps or trends.",
         height=2.1,
+    )
+
+
+def run_figures(cal: Calibration) -> tuple[Figure, ...]:
+    """Residuals against time of every run at hand, each with its own clock and scales."""
+    found = cal.residuals
+    if found is None or found.run is None:
+        return ()
+    figures = []
+    for index, run in enumerate(cal.runs):
+        rows = found.run == index
+        if rows.any():
+            own = Residuals(
+                found.row[rows], found.t[rows], found.psi[rows], found.a_x[rows], found.before[rows],
+                found.after[rows], found.innovation[rows], found.segment[rows],
+            )  # fmt: skip
+            figure = residual_figure(own, residual_quantity(cal))
+            figures.append(
+                replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")
+            )
+    return tuple(figures)
+
+
+def outlier_figure(cal: Calibration) -> Figure | None:
+    """Size of every miss that was left out, against time."""
+    runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
+    if not runs:
+        return None
+    panels = []
+    quantity, unit = residual_quantity(cal)
+    kinds: tuple[tuple[str, Role], ...] = (("spike", "after"), ("stuck", "model"), ("jump", "before"))
+    for run in runs:
+        series = []
+        for kind, role in kinds:
+            those = [o for o in cal.outliers if o.run == run and o.kind == kind and o.size > 0.0]
+            if those:
+                t, size = np.array([o.time for o in those]), np.array([o.size for o in those]) / ARCSEC
+                series.append(Series(t, size, name=kind, mark="points", role=role))
+        axis = Axis(f"miss of the {quantity.removeprefix('residual ')}", unit, log=True)
+        panels.append(Panel(Axis("time", "s"), axis, tuple(series), title=f"Run {run}" if run else ""))
+    return Figure(
+        key="outliers",
+        title="Samples left out.",
+        panels=tuple(panels),
+        caption="How far each finding lies off the path of the output. Good: few, and without a pattern; a pattern "
+        "points to the counter, the cable or another machine.",
+        height=2.3,
     )
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from piga.records.calibration import Calibration, Coefficient
 from piga.reports.numbers import (
     count,
-    coverage_factor,
     fixed,
     friendly,
     pretty_unit,
@@ -45,6 +44,7 @@ _MEANING = {
 }
 _SHOWN_SEGMENTS = 60
 _SHOWN_NAMES = 14
+_SHOWN_OUTLIERS = 30
 
 
 def meaning(name: str) -> str:
@@ -56,19 +56,13 @@ def meaning(name: str) -> str:
 
 
 def common_coefficients(cal: Calibration) -> list[Coefficient]:
-    """Coefficients of the instrument (the phases of single segments are left to the segment table)."""
+    """Coefficients of the instrument and of whole runs (phases of single segments stand in the segment table)."""
     return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
-
-
-def coverage(cal: Calibration) -> float:
-    """Coverage factor of 95 % intervals; nan where the degrees of freedom do not allow one."""
-    return coverage_factor(cal.degrees_of_freedom)
 
 
 def coefficient_table(cal: Calibration) -> Table:
     """Coefficients with standard and expanded uncertainty."""
-    factor = coverage(cal)
-    rows = [_coefficient_row(coefficient, factor) for coefficient in common_coefficients(cal)]
+    rows = [_coefficient_row(coefficient) for coefficient in common_coefficients(cal)]
     columns = (
         Column("Coefficient", align="text"),
         Column("Value"),
@@ -76,38 +70,58 @@ def coefficient_table(cal: Calibration) -> Table:
         Column("Expanded uncertainty U"),
         Column("Unit", align="text"),
         Column("u / value"),
+        Column("Degrees of freedom"),
+        Column("k"),
         Column("Meaning", align="text"),
     )
-    return Table(columns, tuple(rows), notes=_coefficient_notes(cal, factor))
+    return Table(columns, tuple(rows), notes=_coefficient_notes(cal))
 
 
-def _coefficient_row(coefficient: Coefficient, factor: float) -> tuple[str | Cell, ...]:
+def freedom(coefficient: Coefficient) -> str:
+    """Effective degrees of freedom in words."""
+    nu = coefficient.degrees_of_freedom
+    if math.isnan(nu):
+        return "–"
+    return "∞" if math.isinf(nu) else count(round(nu)) if nu >= 100.0 else f"{nu:.3g}"
+
+
+def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
-    number, wide = rounded(value, std), rounded(value, factor * std)
+    scale = std / coefficient.std if coefficient.std else 1.0
+    number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
     small = std > abs(value)
     return (
-        coefficient.name,
+        coefficient.key,
         printed(number.value),
         printed(number.uncertainty),
         printed(wide.uncertainty),
         pretty_unit(unit),
         Cell(relative(value, std), "doubtful" if small else ""),
+        freedom(coefficient),
+        "–"
+        if coefficient.interval or math.isnan(coefficient.coverage_factor)
+        else f"{coefficient.coverage_factor:.2f}",
         Cell(meaning(coefficient.name), "quiet"),
     )
 
 
-def _coefficient_notes(cal: Calibration, factor: float) -> tuple[str, ...]:
-    freedom = "infinitely many" if math.isinf(cal.degrees_of_freedom) else count(round(cal.degrees_of_freedom))
-    basis = f"k = {factor:.3f} from Student's t with {freedom} degrees of freedom"
-    notes = [f"U is for 95 % coverage: {basis}. The unit g is 9.80665 m/s² exactly."]
+def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
+    basis = "k from Student's t with the effective degrees of freedom of each coefficient (JCGM 100, G.4)"
+    notes = [f"U = k u is for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."]
     for coefficient in common_coefficients(cal):
         if coefficient.name == "tan_beta":
             beta = math.atan(coefficient.value) / ARCSEC
             text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
             notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
+        if coefficient.interval is not None:
+            low, high = (printed(short(end, 4)) for end in coefficient.interval)
+            notes.append(
+                f"{coefficient.name}: shortest 95 % interval {low} to {high} {pretty_unit(coefficient.unit)} by Monte "
+                "Carlo (JCGM 101); U is its half-width."
+            )
         if coefficient.std > abs(coefficient.value):
             notes.append(
-                f"{coefficient.name} is smaller than its own uncertainty: this record does not show it."
+                f"{coefficient.key} is smaller than its own uncertainty: this record does not show it."
             )
     return tuple(notes)
 
@@ -152,14 +166,18 @@ def budget_table(cal: Calibration) -> Table:
     columns = (
         Column("Source", align="text"),
         Column("Type", align="text"),
+        Column("Distribution", align="text"),
         Column("Standard uncertainty", align="text"),
-        *(Column(c.name, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
+        Column("Degrees of freedom"),
+        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
     )
-    rows = [_budget_row(source, coefficients) for source in sources]
     total = {c.key: math.hypot(*(_contribution(source, c) for source in sources)) for c in coefficients}
+    rows = [_budget_row(source, coefficients, total) for source in sources]
     if len(sources) > 1:
-        rows.append(_budget_row({"source": "Combined", "type": "", "contributions": total}, coefficients))
-    return Table(columns, tuple(rows))
+        combined = {"source": "Combined", "type": "", "contributions": total}
+        rows.append(_budget_row(combined, coefficients, {}))
+    note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
+    return Table(columns, tuple(rows), notes=(note,))
 
 
 def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
@@ -171,14 +189,32 @@ def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
     return float(source.get("contributions", {}).get(coefficient.key, 0.0))
 
 
-def _budget_row(source: dict[str, Any], coefficients: list[Coefficient]) -> tuple[str | Cell, ...]:
+def _budget_row(
+    source: dict[str, Any], coefficients: list[Coefficient], total: dict[str, float]
+) -> tuple[str | Cell, ...]:
     cells = []
     for coefficient in coefficients:
-        amount = abs(_contribution(source, coefficient)) * _friendly_unit(coefficient)[1]
-        cells.append(Cell(printed(short(amount, 2))) if amount else Cell("–", "quiet"))
+        part = abs(_contribution(source, coefficient))
+        amount, whole = part * _friendly_unit(coefficient)[1], total.get(coefficient.key, 0.0)
+        share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
+        cells.append(Cell(printed(short(amount, 2)) + share) if amount else Cell("–", "quiet"))
     given = source.get("standard_uncertainty")
     entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
-    return (str(source.get("source", "")), str(source.get("type", "")), entered, *cells)
+    degrees = source.get("degrees_of_freedom")
+    return (
+        str(source.get("source", "")),
+        str(source.get("type", "")),
+        str(source.get("distribution", "")),
+        entered,
+        "see above"
+        if source.get("type") == "A"
+        else "∞"
+        if degrees is None and source.get("type")
+        else printed(short(degrees, 3))
+        if degrees
+        else "",
+        *cells,
+    )
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
@@ -196,7 +232,7 @@ def segment_table(cal: Calibration) -> Table:
         shown = [shown[row] for row in sorted(worst)]
         notes = (f"The {_SHOWN_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
     unit = residual_quantity(cal)[1]
-    phases = {c.segment: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
+    phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
     columns = [
         Column("Segment", align="text"),
@@ -226,6 +262,64 @@ def segment_table(cal: Calibration) -> Table:
         rows.append(tuple(row))
     if phases:
         columns.append(Column("Phase φ", "rad"))
+    return Table(tuple(columns), tuple(rows), notes=notes)
+
+
+def runs_table(cal: Calibration) -> Table:
+    """One row per run of a joint calibration."""
+    unit = residual_quantity(cal)[1]
+    columns = (
+        Column("Run", align="text"),
+        Column("Stand", align="text"),
+        Column("Increments"),
+        Column("White noise", "arcsec"),
+        Column("Random walk", "arcsec/√s"),
+        Column("rms before", unit),
+        Column("rms after", unit),
+        Column("Alone it cannot separate", align="text"),
+    )
+    rows = tuple(
+        (
+            run.name if run.raw else f"{run.name} (summary)",
+            run.stand or "–",
+            count(run.rows),
+            short(run.angle_rms / ARCSEC),
+            short(run.angle_random_walk / ARCSEC),
+            short(run.residual_rms_before / ARCSEC),
+            short(run.residual_rms / ARCSEC),
+            ", ".join(run.undetermined) or "–",
+        )
+        for run in cal.runs
+    )
+    return Table(columns, rows)
+
+
+def outlier_table(cal: Calibration) -> Table:
+    """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
+    listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
+    unit = "arcsec/s" if cal.diagnostics.get("residual_kind") == "rate" else "arcsec"
+    named = any(outlier.run for outlier in cal.outliers)
+    columns = [
+        Column("Kind", align="text"),
+        Column("Time", "s"),
+        Column("Row"),
+        Column("Samples left out"),
+        Column("Miss", unit),
+    ]
+    rows = []
+    for outlier in listed[:_SHOWN_OUTLIERS]:
+        row: list[str | Cell] = [
+            outlier.kind,
+            f"{outlier.time:.3f}",
+            count(outlier.row),
+            count(outlier.samples),
+            printed(short(outlier.size / ARCSEC)),
+        ]
+        rows.append(tuple([outlier.run or "–", *row] if named else row))
+    if named:
+        columns.insert(0, Column("Run", align="text"))
+    more = len(cal.outliers) - _SHOWN_OUTLIERS
+    notes = (f"The first {_SHOWN_OUTLIERS} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     return Table(tuple(columns), tuple(rows), notes=notes)
 
 

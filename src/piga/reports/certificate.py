@@ -31,6 +31,10 @@ _COARSE = 100.0
 """Expanded uncertainty from which a coefficient is not shown in micro-units: the last digits would be zeros."""
 
 
+_ACROSS = 7
+"""Coefficients side by side in a table of the certificate."""
+
+
 @dataclass(frozen=True)
 class _Part:
     """One part of the certificate: heading, paragraphs, tables."""
@@ -144,11 +148,14 @@ def _method(data: CertificateFile) -> _Part:
 
 def _conditions_table(data: CertificateFile) -> Table:
     columns = (Column("Condition", align="text"), Column("Value"), Column("Expanded uncertainty (k = 2)"))
-    rows = tuple(
-        (c.name, pretty_unit(c.value).replace("-", "−"), pretty_unit(c.uncertainty) or "–")
-        for c in data.environment
-    )
+    rows = tuple((c.name, _quantity(c.value), _quantity(c.uncertainty) or "–") for c in data.environment)
     return Table(columns, rows)
+
+
+def _quantity(text: str) -> str:
+    """A quantity that a person wrote, as it is printed."""
+    number, _, unit = text.partition(" ")
+    return f"{printed(number.lower())} {pretty_unit(unit)}".strip()
 
 
 def _standards_table(data: CertificateFile) -> Table:
@@ -178,12 +185,22 @@ def _results(calibration: Calibration, before: Calibration | None) -> _Part:
         paragraphs.append(
             "Phases of single segments hold for one power-up of the readout each and are not listed."
         )
-    budget = budget_table(calibration)
-    tables.append(Table(budget.columns, budget.rows, "Standard uncertainty of each coefficient by source"))
+    tables += _split(budget_table(calibration), 3, "Standard uncertainty of each coefficient by source")
     correlation = correlation_table(calibration)
     if correlation is not None:
-        tables.append(Table(correlation.columns, correlation.rows, "Correlation coefficients of the results"))
+        tables += _split(correlation, 1, "Correlation coefficients of the results")
     return _Part("Results", tuple(paragraphs), tuple(tables))
+
+
+def _split(table: Table, fixed: int, caption: str) -> list[Table]:
+    """A table in parts that fit the paper: the first ``fixed`` columns stand in each."""
+    parts = []
+    for start in range(fixed, len(table.columns), _ACROSS):
+        chosen = [*range(fixed), *range(start, min(start + _ACROSS, len(table.columns)))]
+        rows = tuple(tuple(row[i] for i in chosen) for row in table.rows)
+        parts.append(Table(tuple(table.columns[i] for i in chosen), rows, caption))
+        caption = ""
+    return parts
 
 
 def _result_table(calibration: Calibration, caption: str) -> Table:

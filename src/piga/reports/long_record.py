@@ -33,9 +33,7 @@ def leading_part(residuals: Residuals) -> Residuals:
         return residuals
     edges = np.append(_starts(residuals.segment), residuals.t.size)
     share = max(SHOWN // (edges.size - 1), 8)
-    rows = [
-        np.arange(left, min(left + share, right)) for left, right in itertools.pairwise(edges)
-    ]
+    rows = [np.arange(left, min(left + share, right)) for left, right in itertools.pairwise(edges)]
     return _rows(residuals, np.concatenate(rows))
 
 

@@ -49,6 +49,11 @@ class Record:
         record = cls(readouts, tuple(sources), orders)
         fast, slow = record.periods
         span = float(readouts.times[-1] - readouts.times[0])
+        if np.isinf(slow):
+            raise ArgumentError(
+                "identification needs both cases turning, one is at rest",
+                remedy="give [case_rotation] period and equatorial_period, or [compensation] misalignment = 'true'",
+            )
         if not span >= 2.0 * slow:
             raise ArgumentError(
                 f"identification needs two turns of the cases ({2.0 * slow:g} s), the record has {span:g} s",

@@ -218,9 +218,9 @@ def test_ten_thousand_mutations(memory_path: Path) -> None:
     """The full campaign: 10 000 changes, none missed."""
     totals = Counter[str]()
     for name, mutate, count in (
-        ("bytes", mutate_store_bytes, 5000),
+        ("bytes", mutate_store_bytes, 2000),
         ("rows", mutate_store_rows, 2000),
-        ("export", mutate_export, 3200),
+        ("export", mutate_export, 6500),
     ):
         (memory_path / name).mkdir()
         found = mutate(memory_path / name, count, 11)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 import os
 import sqlite3
 import warnings
@@ -21,6 +22,7 @@ from piga.records.store.documents import encode, sha256
 from piga.records.store.store import safe_name
 from piga.records.store.transfer import backup, export_records, import_records, restore
 from piga.records.store.verify import verify
+from tests.records.store import station
 from tests.records.store.drafts import add, content, draft, filled
 
 
@@ -310,6 +312,46 @@ def test_damage_is_neither_exported_nor_backed_up(tmp_path: Path) -> None:
             with pytest.raises(StoreError, match="was altered"):
                 act(store, tmp_path / name)
     assert [found.name for found in tmp_path.iterdir()] == ["a.sqlite"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "DROP TRIGGER piga_entry_no_delete",
+        "DROP INDEX ix_piga_entry_serial",
+        "CREATE TABLE other (a)",
+        "CREATE TRIGGER t AFTER INSERT ON piga_entry BEGIN SELECT 1; END",
+        "PRAGMA journal_mode=WAL",
+        "PRAGMA user_version=2",
+        "PRAGMA application_id=1",
+    ],
+)
+def test_altered_schema_is_found(tmp_path: Path, change: str) -> None:
+    filled(tmp_path / "a.sqlite", 1).close()
+    raw = sqlite3.connect(tmp_path / "a.sqlite")
+    raw.execute(change)
+    raw.close()
+    assert not verify(tmp_path / "a.sqlite").sound
+
+
+def test_two_programs_at_once_on_one_file(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([station.__name__])
+    started = []
+    for name in ("east", "west"):
+        mine, other = context.Pipe(duplex=False)
+        process = context.Process(target=station.station, args=(str(tmp_path / "a.sqlite"), name, 12, other))
+        process.start()
+        other.close()
+        started.append((process, mine))
+    names = []
+    for process, pipe in started:
+        process.join(120)
+        assert process.exitcode == 0
+        names += [pipe.recv() for _ in range(12)]
+    with open_store(tmp_path / "a.sqlite") as store:
+        assert sorted(record.id for record in store.records()) == sorted(names)
+    assert verify(tmp_path / "a.sqlite").sound
 
 
 def test_known_heads(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ from pathlib import Path
 from piga.errors import StoreError
 
 _MARK, _JOURNAL = ".piga-part", "-journal"
+_WINDOWS = os.name == "nt"
+"""There a renamed file must not be open, an open file is its own lock, and renames last by themselves."""
 
 
 def write_durably(target: Path, write: Callable[[Path], object], *, replace: bool) -> None:
@@ -41,7 +43,10 @@ def write_durably(target: Path, write: Callable[[Path], object], *, replace: boo
         raise _unwritable(target, error) from None
     temporary = Path(name)
     try:
-        _lock(handle)
+        if _WINDOWS:
+            os.close(handle)
+        else:
+            _lock(handle)
         write(temporary)
         _sync(temporary)
         temporary.chmod(0o644)
@@ -53,7 +58,7 @@ def write_durably(target: Path, write: Callable[[Path], object], *, replace: boo
         raise _unwritable(target, error) from None
     finally:
         _remove(temporary)
-        with suppress(OSError):
+        if not _WINDOWS:
             os.close(handle)
 
 
@@ -78,8 +83,8 @@ def _remove(temporary: Path) -> None:
 
 
 def sync_directory(folder: Path) -> None:
-    """Make renames in a directory last (POSIX; elsewhere the file system does so by itself)."""
-    if os.name == "nt":
+    """Make renames in a directory last."""
+    if _WINDOWS:
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -94,15 +99,15 @@ def _sync(path: Path) -> None:
 
 
 def _rename(temporary: Path, target: Path, *, replace: bool) -> None:
-    if replace or os.name == "nt":
+    if replace or _WINDOWS:
         (temporary.replace if replace else temporary.rename)(target)
         return
     os.link(temporary, target)
 
 
 def _lock(handle: int) -> None:
-    """Lock a file, or raise OSError when another process holds it; an open file is its own lock on Windows."""
-    if os.name != "nt":
+    """Lock a file, or raise OSError when another process holds it."""
+    if not _WINDOWS:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,0 +1,136 @@
+"""Effective degrees of freedom: how well the noise levels, and so the standard uncertainties, are known.
+
+The variance of a coefficient is a function of the noise levels found in the record. Their covariance is the
+inverse Fisher information of the restricted likelihood; first-order propagation gives the variance of the
+variance, and Satterthwaite's rule (JCGM 100, G.4.1) the degrees of freedom ``2 v^2 / var(v)``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga.calibration.coefficients import name_coefficients
+from piga.calibration.noise import Noise
+from piga.calibration.solution import solve
+from piga.calibration.weighting import reduce_segments
+
+if TYPE_CHECKING:
+    from piga.calibration.fit import Fit
+
+Array = NDArray[np.float64]
+
+LARGE = 200_000
+"""Increments above which the noise levels are known so well that only the least degrees of freedom are given."""
+STEP = 0.05
+"""Relative step of a noise level for the derivative of the variances."""
+
+
+def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> float:
+    """Degrees of freedom of a sum of independent components (JCGM 100, eq. G.2b).
+
+    Parameters
+    ----------
+    components:
+        Standard uncertainties of the components, in one unit.
+    degrees:
+        Their degrees of freedom; ``inf`` where a component is known.
+    """
+    u, nu = np.abs(np.asarray(components, dtype=float)), np.asarray(degrees, dtype=float)
+    largest = float(u.max()) if u.size else 0.0
+    if largest == 0.0:
+        return math.inf
+    share = u / largest
+    known = float(np.sum(share**4 / nu))
+    return math.inf if known == 0.0 else float(np.sum(share**2) ** 2) / known
+
+
+def coverage_factor(degrees: float, probability: float = 0.95) -> float:
+    """Student's t for a two-sided interval of this probability (JCGM 100, G.3)."""
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 * (1.0 + probability)
+    return float(ndtri(tail) if math.isinf(degrees) else stdtrit(degrees, tail))
+
+
+def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:
+    """Fisher information (2, 2) of white noise [rad^2] and random walk [rad^2/s] in stretches of so many samples.
+
+    The cosine transform of the angle in a stretch has independent values of variance ``r + q h/(4 sin^2(pi
+    k/2n))``, k from 1 to n - 1. Each fitted coefficient takes one value out: the most telling ones are
+    left out, one for each.
+    """
+    slow = []
+    sizes, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
+    for size, count in zip(sizes, counts, strict=True):
+        gain = step / (4.0 * np.sin(0.5 * np.pi * np.arange(1, size) / size) ** 2)
+        slow.append(np.tile(gain, count))
+    gain = np.sort(np.concatenate(slow))[: -fitted or None]
+    variance = noise.white + noise.walk * gain
+    rows = np.stack([np.ones(gain.size), gain]) / np.where(variance > 0.0, variance, np.inf)
+    return 0.5 * rows @ rows.T
+
+
+def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Array:
+    """Degrees of freedom of the Type A variance of every coefficient, in the order of the result."""
+    names = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)[0]
+    rest = float(fit.design.rows - len(names))
+    if fit.mode != "increments":
+        return np.full(len(names), rest)
+    if fit.design.request.angle_rms is not None:
+        return np.full(len(names), math.inf)
+    if fit.counted is not None:
+        return _satterthwaite(fit, groups, per_segment, (fit.counted.walk_deviation,), rest)
+    starts = np.flatnonzero(fit.design.run.begins)
+    lengths = np.diff(np.append(starts, fit.design.run.size))
+    step = float(np.median(np.diff(fit.design.run.t)[~fit.design.run.begins[1:]]))
+    information = level_information(lengths[lengths > 1], step, fit.noise, len(names))
+    if fit.noise.walk == 0.0:
+        return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
+    scale = np.array([fit.noise.white, fit.noise.walk])
+    covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    if fit.design.rows > LARGE:
+        least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
+        return np.full(len(names), min(rest, least))
+    values, vectors = np.linalg.eigh(covariance)
+    directions = tuple((float(v[0]), float(v[1])) for v in (vectors * np.sqrt(np.maximum(values, 0.0))).T)
+    return _satterthwaite(fit, groups, per_segment, directions, rest)
+
+
+def _satterthwaite(
+    fit: Fit,
+    groups: tuple[int, ...],
+    per_segment: bool,
+    directions: tuple[tuple[float, float], ...],
+    rest: float,
+) -> Array:
+    """``2 v^2/sum((dv/ds)^2)``: s are independent unit changes of (white, walk) along ``directions``."""
+    variances = _variances(fit, groups, per_segment)
+    now = variances(fit.noise)
+    spread = np.zeros(now.size)
+    for white, walk in directions:
+        limits = [
+            abs(level / part) for level, part in ((fit.noise.white, white), (fit.noise.walk, walk)) if part
+        ]
+        size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
+        moved = variances(Noise(fit.noise.white + size * white, fit.noise.walk + size * walk))
+        spread += ((moved - now) / size) ** 2
+    return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
+
+
+def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:
+    """Type A variances of the coefficients as a function of the noise levels."""
+
+    def variances(noise: Noise) -> Array:
+        if fit.counted is None:
+            summaries = reduce_segments(fit.design, fit.mode, noise)
+        else:
+            summaries = fit.counted.with_walk(noise.walk).reduce(fit.design)
+        solution = solve(fit.design, summaries, groups)
+        return np.diag(name_coefficients(fit.design, solution, solution.covariance, per_segment)[1]).copy()
+
+    return variances

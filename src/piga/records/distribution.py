@@ -1,0 +1,75 @@
+"""A source of Type B as written in a run file: its size and the distribution that is known of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import msgspec
+
+from piga.errors import RunFileError
+from piga.units import to_si
+
+Shape = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
+
+DIVISORS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
+"""Half-width over standard uncertainty (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
+
+
+class Spread(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``{ half_width = "10 ppm", distribution = "rectangular", degrees_of_freedom = 8 }``.
+
+    ``standard`` is the standard uncertainty of any distribution, ``half_width`` that of a bounded one;
+    ``value`` is the standard uncertainty of a normal or t distribution. A plain string is a normal
+    standard uncertainty.
+    """
+
+    value: str | float | int | None = None
+    standard: str | float | int | None = None
+    half_width: str | float | int | None = None
+    distribution: Shape = "normal"
+    degrees_of_freedom: float | None = None
+
+
+def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> float:
+    """Standard uncertainty in SI.
+
+    Raises
+    ------
+    RunFileError
+        If the entry is negative, ambiguous or incomplete.
+    """
+    spread = given if isinstance(given, Spread) else Spread(standard=given)
+    named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
+    bounded = spread.distribution in DIVISORS
+    if len(named) != 1:
+        raise RunFileError(f"{what}: one of standard and half_width is needed", remedy="give exactly one")
+    if named == ["value"] and bounded:
+        raise RunFileError(
+            f"{what}: 'value' of a {spread.distribution} distribution could be half-width or standard uncertainty",
+            remedy="write half_width = ... or standard = ...",
+        )
+    if named == ["half_width"] and not bounded:
+        raise RunFileError(
+            f"{what}: a {spread.distribution} distribution has no half-width", remedy="give standard"
+        )
+    if spread.distribution == "t" and not (spread.degrees_of_freedom or 0.0) > 2.0:
+        raise RunFileError(
+            f"{what}: distribution 't' needs more than two degrees_of_freedom", remedy="add degrees_of_freedom"
+        )
+    if spread.degrees_of_freedom is not None and not spread.degrees_of_freedom > 0.0:
+        raise RunFileError(f"{what}: degrees_of_freedom must be positive", remedy="leave it out if infinite")
+    size = to_si(getattr(spread, named[0]), like, what=what)
+    if size < 0.0:
+        raise RunFileError(
+            f"{what}: '{getattr(spread, named[0])}' is negative", remedy="give a standard uncertainty"
+        )
+    return size / DIVISORS[spread.distribution] if named == ["half_width"] else size
+
+
+def shape_of(given: Spread | str | float) -> tuple[str, float]:
+    """Distribution and degrees of freedom (infinite when not given)."""
+    if not isinstance(given, Spread):
+        return "normal", math.inf
+    nu = given.degrees_of_freedom
+    return given.distribution, math.inf if nu is None else float(nu)

@@ -1,0 +1,108 @@
+"""Do the intervals hold? Many simulated tests of one scenario, and the figures that say so.
+
+Run as ``python -m tests.calibration.coverage --scenario static --tests 10000 --processes 2 --out FILE``:
+one JSON object per scenario, and a line of Markdown on the screen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom, chi2
+
+from tests.calibration.scenarios import SCENARIOS, Array
+
+HEAD = "| scenario | tests | coverage | bias/sigma | variance/bound | NEES |\n|---|---|---|---|---|---|"
+
+
+def one_test(name: str, seed: int) -> tuple[Array, Array, float]:
+    """Errors (file units), half-widths of the 95 % intervals, and NEES of one simulated test."""
+    scenario = SCENARIOS[name]
+    found = scenario.calibrate(scenario.record(np.random.default_rng([seed, 2026])))
+    errors = scenario.errors(found)
+    half = np.array([c.expanded for c in found.coefficients])
+    return errors, half, float(errors @ np.linalg.solve(found.covariance, errors))
+
+
+def _part(name: str, seeds: range) -> tuple[Array, Array, Array]:
+    rows = [one_test(name, seed) for seed in seeds]
+    return (
+        np.array([row[0] for row in rows]),
+        np.array([row[1] for row in rows]),
+        np.array([row[2] for row in rows]),
+    )
+
+
+def run_tests(name: str, tests: int, processes: int = 1, first: int = 0) -> tuple[Array, Array, Array]:
+    """Errors (tests, terms), half-widths (tests, terms), NEES (tests,) of many tests."""
+    if processes == 1:
+        return _part(name, range(first, first + tests))
+    size = max(1, min(100, tests // (2 * processes)))
+    parts = [range(first + at, first + min(at + size, tests)) for at in range(0, tests, size)]
+    with ProcessPoolExecutor(processes) as pool:
+        found = list(pool.map(_part, [name] * len(parts), parts))
+    return tuple(np.concatenate([part[i] for part in found]) for i in range(3))  # type: ignore[return-value]
+
+
+def figures(name: str, errors: Array, half: Array, nees: Array) -> dict[str, Any]:
+    """Coverage, bias, variance over the Cramer-Rao bound and NEES per coefficient, with their bands."""
+    scenario = SCENARIOS[name]
+    tests, size = errors.shape
+    bound = np.sqrt(np.diag(scenario.bound(scenario.record(np.random.default_rng(1)))))
+    inside = (np.abs(errors) <= half).mean(axis=0)
+    spread = errors.std(axis=0, ddof=1)
+    band = chi2.ppf([0.0005, 0.9995], tests * size) / (tests * size)
+    return {
+        "scenario": name,
+        "tests": tests,
+        "coefficients": list(scenario.names),
+        "coverage": inside.tolist(),
+        "coverage_band": (binom.ppf([0.0005, 0.9995], tests, 0.95) / tests).tolist(),
+        "bias_over_sigma": (errors.mean(axis=0) / spread).tolist(),
+        "variance_over_bound": (spread**2 / bound**2).tolist(),
+        "mean_half_width_over_sigma": (half.mean(axis=0) / spread).tolist(),
+        "nees": float(nees.mean() / size),
+        "nees_band": band.tolist(),
+    }
+
+
+def line(found: dict[str, Any]) -> str:
+    """A row of a Markdown table: scenario, tests, coverage, bias, variance over bound, NEES."""
+    cover, bias, ratio = (np.array(found[k]) for k in ("coverage", "bias_over_sigma", "variance_over_bound"))
+    return (
+        f"| {found['scenario']} | {found['tests']} | {100 * cover.min():.1f} to {100 * cover.max():.1f} % | "
+        f"{np.abs(bias).max():.3f} | {ratio.min():.2f} to {ratio.max():.2f} | {found['nees']:.3f} |"
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenario", default="all", help=f"all or one of: {', '.join(SCENARIOS)}")
+    parser.add_argument("--tests", type=int, default=1000)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=None, help="JSON file, one object per scenario")
+    chosen = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    results = []
+    sys.stdout.write(f"{HEAD}\n")
+    for name in SCENARIOS if chosen.scenario == "all" else chosen.scenario.split(","):
+        began = time.perf_counter()
+        found = figures(name, *run_tests(name, chosen.tests, chosen.processes))
+        results.append(found | {"seconds": round(time.perf_counter() - began, 1)})
+        sys.stdout.write(f"{line(found)}\n")
+        sys.stdout.flush()
+    if chosen.out is not None:
+        chosen.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
