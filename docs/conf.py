@@ -21,7 +21,6 @@ extensions = [
     "generated_pages",
 ]
 exclude_patterns = ["_*", "Thumbs.db"]
-suppress_warnings = ["toc.not_readable"]  # tests/docs/test_pages.py says which pages may be missing
 highlight_language = "none"
 
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]

@@ -74,5 +74,6 @@ def stream(runner: Runner) -> None:
 
 PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "docs/compensation.md": (bench, triad, stream),
+    "docs/calibration-howto.md": (bench,),
     "docs/records.md": (bench,),
 }

@@ -11,9 +11,6 @@ from builders import build_architecture
 
 from .pages import DOCS, ROOT, name_of, pages
 
-TO_COME = {"certificate", "records"}
-"""Pages that have their place in the site and are written elsewhere."""
-
 _TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?[^`]*`|`(test_\w+)`")
 
 
@@ -64,15 +61,15 @@ def test_links_and_pictures_lead_somewhere(page: Path) -> None:
         if not path or "://" in target or "reference/generated" in target or path.startswith("generated/"):
             continue
         found = (page.parent / path).resolve()
-        assert found.exists() or found.stem in TO_COME, f"{name_of(page)}: {target}"
+        assert found.exists(), f"{name_of(page)}: {target}"
 
 
-def test_only_known_pages_are_to_come() -> None:
+def test_every_page_of_the_contents_exists() -> None:
     entries = re.findall(
         r"^((?!reference/generated)[\w/-]+)$", (DOCS / "index.md").read_text(encoding="utf-8"), re.M
     )
     missing = {entry for entry in entries if not (DOCS / f"{entry}.md").exists()}
-    assert missing <= TO_COME
+    assert not missing
 
 
 def test_no_remote_assets() -> None:

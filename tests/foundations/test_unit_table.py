@@ -24,6 +24,9 @@ DEFINITIONS = {
     "mGal": (si.milli * si.centi, "m/s^2"), "uGal": (si.micro * si.centi, "m/s^2"),
     "kg": (1, "kg"), "gram": (si.gram, "kg"), "N": (1, "kg m/s^2"), "mN": (si.milli, "kg m/s^2"),
     "Nm": (1, "kg m^2/s^2"), "mNm": (si.milli, "kg m^2/s^2"), "uNm": (si.micro, "kg m^2/s^2"),
+    "Pa": (1, "N/m^2"),
+    "hPa": (si.hecto, "N/m^2"),
+    "kPa": (si.kilo, "N/m^2"),
     "K": (1, "K"), "degC": (1, "K"), "V": (1, "V"), "mV": (si.milli, "V"), "count": (1, "count"), "counts": (1, "count"),
 }  # fmt: skip
 BASES = ["m", "s", "rad", "kg", "K", "V", "count"]
