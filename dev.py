@@ -56,7 +56,7 @@ def demo(arguments: list[str]) -> None:
 
 
 def test(arguments: list[str]) -> None:
-    """Lint, types, import contract; all tests with the JIT off, then those of the kernels compiled."""
+    """Lint, types, import contract; all tests with the JIT off, those of the kernels compiled; the docs."""
     programs = environment(".venv-test", "requirements-dev.txt")
     python = str(programs / "python")
     if not arguments:
@@ -66,6 +66,8 @@ def test(arguments: list[str]) -> None:
         call([str(programs / "lint-imports")])
     call([python, "-m", "pytest", "-n", "2", "-m", "not slow", *arguments], NUMBA_DISABLE_JIT="1")
     call([python, "-m", "pytest", "-m", "(compiled or only_compiled) and not slow", *arguments])
+    if not arguments:
+        docs([])
 
 
 def slow(arguments: list[str]) -> None:
