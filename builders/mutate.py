@@ -28,16 +28,16 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "piga"
 MOTION = [
-    "tests/docs/test_equations.py",
     "tests/kernels/test_motion_kernels.py",
     "tests/instrument/test_closed_form.py",
     "tests/instrument/test_borders.py",
+    "tests/docs/test_equations.py",
 ]
 SAMPLES = [*MOTION, "tests/instrument/test_sensitivity.py", "tests/instrument/test_propagate.py"]
 FIT = [
     "tests/calibration/test_kernels.py",
-    "tests/docs/test_equations.py",
     "tests/calibration/test_reduction.py",
+    "tests/docs/test_equations.py",
     "tests/calibration/test_interpreted.py",
 ]
 GROUND = ["tests/foundations"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -24,6 +25,40 @@ def test_half_angle_moments(x: float) -> None:
     assert sag == pytest.approx(
         0.5 * quad(lambda v: (1 - v * v) * np.cos(x * v), -1, 1, **options)[0], abs=3e-14
     )
+
+
+@pytest.mark.parametrize("x", [0.1, 0.35, 0.4999])
+def test_the_series_of_the_moments_reach_rounding(x: float) -> None:
+    """Against spherical Bessel functions with 50 digits."""
+    with mp.workdps(50):
+        size = mp.mpf(x)
+        j0 = mp.sin(size) / size
+        j1 = (mp.sin(size) - size * mp.cos(size)) / size**2
+        for found, exact in zip(half_angle_moments(x), (j0, j1, 2 * j1 / size), strict=True):
+            assert abs(found / exact - 1) < 4e-16
+
+
+def test_every_column_has_a_code_of_its_own() -> None:
+    assert len(set(CODES.values())) == len(CODES)
+    assert max(CODES.values()) < 100  # where the harmonics begin
+
+
+@pytest.mark.parametrize("name", ["a_x", *(name for name in CODES if name[0] == "k" or name[0] == "m")])
+def test_columns_of_several_intervals_are_those_of_each(name: str) -> None:
+    rng = np.random.default_rng(8)
+    h, t, temperature, force = (
+        rng.uniform(0.1, 0.3, 4),
+        rng.normal(size=5),
+        rng.normal(size=5),
+        rng.normal(size=(3, 5)),
+    )
+    out, one = np.empty(4), np.empty(1)
+    product_column(CODES[name], t, force, temperature, h, out)
+    for i in range(4):
+        part = slice(i, i + 2)
+        force_of_one = np.ascontiguousarray(force[:, part])
+        product_column(CODES[name], t[part], force_of_one, temperature[part], h[i : i + 1], one)
+        assert out[i] == one[0]
 
 
 @pytest.mark.parametrize("turn", [1e-4, 0.1, 0.9, 2.5])

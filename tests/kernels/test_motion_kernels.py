@@ -12,7 +12,7 @@ import pytest
 from piga._kernels import double_double as dd
 from piga._kernels import motion_records as records
 from piga._kernels import transfer as block
-from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, split_turns, step_functions, unwrapped
+from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
 from piga._kernels.motion_sensitivity import unimodular_functions
 from piga._kernels.trig import double_arctangent
 
@@ -137,6 +137,38 @@ def test_large_steps_are_counted_out():
     w[block.STEP_A + 17] = 1.5
     w[block.STEP_Y + 200] = math.nan
     assert block.matrices(w, 256) == 254
+
+
+def test_the_product_of_large_steps_is_that_of_the_exponentials():
+    w = _filled(4, 3.0)
+    usable, u, v, x, y = records.multiply_steps(w, 4)
+    assert usable
+    product = mp.eye(2)
+    for j in range(4):
+        A, Y, Z = (mp.mpf(w[row + j]) / 2 for row in (block.STEP_A, block.STEP_Y, block.STEP_Z))
+        product = mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]])) * product
+    size = mp.norm(product) / mp.norm(mp.matrix([[u, x], [v, y]]))
+    for value, entry in zip((u, x, v, y), product, strict=True):
+        assert abs(value - entry / size) < 1e-14
+    w[block.STEP_Z + 2] = math.nan
+    assert not records.multiply_steps(w, 4)[0]
+
+
+@pytest.mark.parametrize("A", [1.9, -1.9, 0.4, 3.0, -7.5, 40.0])
+def test_a_step_of_pure_turning_turns_by_it(A):
+    """Without transverse input the angle grows by the increment, whatever its size and where it begins."""
+    for start in (-3.0, -0.2, 0.0, 2.9):
+        turns, rest, p, q = 0.0, start, math.sin(0.5 * start), math.cos(0.5 * start)
+        for count in range(1, 6):
+            turns, rest, p, q = advance(turns, rest, p, q, A, 0.0, 0.0)
+            assert 2.0 * math.pi * turns + rest == pytest.approx(start + count * A, abs=1e-12)
+
+
+def test_a_record_of_one_interval_has_no_slope():
+    w = np.zeros(block.SIZE)
+    records.load_means(np.array([1.0, 3.0]), np.array([[0.5, -0.7, 0.9]]), np.empty((0, 3)), 1.0, 1.0, w[1:])
+    records.edge_step(w, 1, 1, 1)
+    assert (w[block.STEP_A], w[block.STEP_Y], w[block.STEP_Z]) == pytest.approx((0.5, -0.7, 0.9), rel=1e-15)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
