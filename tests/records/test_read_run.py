@@ -334,3 +334,16 @@ def test_unwrapping_gives_back_any_counter(tmp_path: Path, seed: int, bits: int)
     rows = [f"{i / 20},{int(c) % 2**bits},1.0,0.1,0.0" for i, c in enumerate(counts)]
     run = read(tmp_path, rows, instrument=f"counter_bits = {bits}")
     np.testing.assert_allclose(np.diff(run.output) / run.resolution, np.diff(counts), atol=1e-6)
+
+
+@pytest.mark.parametrize("limit", [None, 60])
+def test_a_slow_counter_rests_where_it_turns(tmp_path: Path, limit: int | None) -> None:
+    """The plateau of a rounded turning point is expected; the same motion cut off by a limit is reported."""
+    force = np.cos(2.0 * np.pi * np.arange(4000) / 2000.0)
+    counts = np.round(np.cumsum(10179.0 * 0.002 * force / 20.0)).astype(int)
+    top = counts.max() if limit is None else counts.max() - limit
+    rows = [
+        f"{i / 20.0:.2f},{min(n, top)},{0.002 * f:.6f},0.1,0.0"
+        for i, (n, f) in enumerate(zip(counts, force, strict=True))
+    ]
+    assert ("stuck-value" in events(read(tmp_path, rows))) == (limit is not None)

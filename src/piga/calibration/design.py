@@ -23,7 +23,7 @@ from piga.calibration.request import Request
 from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
-from piga.records.spool import spans, steps, trim
+from piga.records.spool import arrays_like, means, spans, steps, trim
 
 Array = NDArray[np.float64]
 
@@ -226,15 +226,31 @@ class Design:
 
 def _phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
     """The angle that the coupling turns with: as read, integrated from a rate, or predicted from input."""
-    step = np.diff(run.t)
-    step[run.begins[1:]] = 0.0
-    if request.phase_source == "input":
-        increments = scale_factor * step * 0.5 * (run.f[1:, 0] + run.f[:-1, 0])
-    elif run.kind == "rate":
-        increments = step * 0.5 * (run.output[1:] + run.output[:-1]) + _end_correction(run.output, step)
-    else:
+    predicted = request.phase_source == "input"
+    if not predicted and run.kind != "rate":
         return run.output
-    return np.concatenate(([0.0], np.cumsum(increments)))
+    angle: Array = arrays_like(run.t).empty(run.size)
+    turned = 0.0
+    for part in spans(run.size):
+        h = steps(run.t, part)
+        h[run.begins[part]] = 0.0
+        if predicted:
+            increments = scale_factor * h * means(run.f[:, 0], part)
+        else:
+            increments = h * means(run.output, part) + _corrected(run, part)
+        increments[0] += turned
+        angle[part] = np.cumsum(increments)
+        turned = float(angle[part.stop - 1])
+    return angle
+
+
+def _corrected(run: Run, part: slice) -> Array:
+    """End correction of the interval into each row of a slice; it takes two rows before and one after."""
+    window = slice(max(part.start - 2, 0), min(part.stop + 1, run.size))
+    step = np.diff(run.t[window])
+    step[run.begins[window][1:]] = 0.0
+    into = np.concatenate(([0.0], _end_correction(run.output[window], step)))
+    return into[part.start - window.start : part.stop - window.start]
 
 
 def _end_correction(rate: Array, step: Array) -> Array:

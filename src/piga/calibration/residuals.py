@@ -15,7 +15,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.records.calibration import Residuals, SegmentSummary
 from piga.records.signal_checks import largest_size
-from piga.records.spool import arrays_like, spans, steps
+from piga.records.spool import arrays_like, means, spans, steps
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -59,22 +59,12 @@ def _nominal_increments(design: Design) -> Array:
                 result[part] += run.base_rate[part, 0]
             continue
         h = steps(run.t, part)
-        step = steps(run.output, part) - run.scale_factor * h * _mean_of_two(run.f[:, 0], part)
+        step = steps(run.output, part) - run.scale_factor * h * means(run.f[:, 0], part)
         if run.base_rate is not None:
-            step += h * _mean_of_two(run.base_rate[:, 0], part)
+            step += h * means(run.base_rate[:, 0], part)
         step[run.begins[part]] = 0.0
         result[part] = step
     return result
-
-
-def _mean_of_two(values: Array, part: slice) -> Array:
-    """Mean of each value of a slice and the one before."""
-    around = values[max(part.start - 1, 0) : part.stop]
-    return (
-        0.5 * (around[1:] + around[:-1])
-        if part.start
-        else np.concatenate((around[:1], 0.5 * (around[1:] + around[:-1])))
-    )
 
 
 def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
@@ -111,7 +101,7 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
     for rows in _rows_between(left + 1, right):
         inside = ~run.begins[rows]
         h = steps(run.t, rows)
-        step = h * _mean_of_two(run.output, rows) if design.point else steps(run.output, rows)
+        step = h * means(run.output, rows) if design.point else steps(run.output, rows)
         duration += float(h[inside].sum())
         turned += float(step[inside].sum())
     return SegmentSummary(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS
+from piga.records.spool import arrays_like, spans
 from piga.stand import stand_changes
 from piga.units import G0, from_si
 
@@ -51,42 +53,71 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         shown, unit = from_si(standard, like), like
         if name in ("reference_scale", "gravity"):
             relative = value if name == "reference_scale" else value / G0
-            yield Source(name, shown, unit, replace(run, f=run.f * (1.0 + relative)), *shape)
+            yield Source(name, shown, unit, _felt(run, partial(_scaled, run.f, 1.0 + relative)), *shape)
         elif name == "timing":
-            yield Source(name, shown, unit, replace(run, t=run.t * (1.0 + value)), *shape)
+            moved = replace(run, t=_column(run.t, 1.0 + value, 0.0))
+            yield Source(name, shown, unit, moved, *shape)
         elif name == "temperature":
             if run.temperature is not None:
-                yield Source(name, shown, unit, replace(run, temperature=run.temperature + value), *shape)
+                moved = replace(run, temperature=_column(run.temperature, 1.0, value))
+                yield Source(name, shown, unit, moved, *shape)
         else:
             move = _bias if name == "reference_bias" else _turn
             for axis, label in enumerate(("X0", "Y0", "Z0")):
-                yield Source(f"{name} {label}", shown, unit, replace(run, f=move(run.f, axis, value)), *shape)
+                moved = _felt(run, partial(move, run.f, axis, value))
+                yield Source(f"{name} {label}", shown, unit, moved, *shape)
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
-        yield Source(
-            change.name, float(number), written_unit or "1", replace(run, f=run.f + size * change.change)
-        )
+        moved = _felt(run, partial(_added, run.f, size, change.change))
+        yield Source(change.name, float(number), written_unit or "1", moved)
 
 
-def _bias(f: Array, axis: int, value: float) -> Array:
-    moved = f.copy()
+def _felt(run: Run, moved: Callable[[slice], Array]) -> Run:
+    """The run with another specific force, ``moved`` of every slice of rows; on disk when the record is."""
+    f = arrays_like(run.t).empty((3, run.size)).T
+    for part in spans(run.size):
+        f[part] = moved(part)
+    return replace(run, f=f)
+
+
+def _column(values: Array, factor: float, offset: float) -> Array:
+    """``factor`` times the values plus ``offset``; on disk when they are."""
+    moved: Array = arrays_like(values).empty(values.size)
+    for part in spans(values.size):
+        moved[part] = values[part] * factor + offset
+    return moved
+
+
+def _scaled(f: Array, factor: float, part: slice) -> Array:
+    return f[part] * factor
+
+
+def _added(f: Array, size: float, change: Callable[[slice], Array], part: slice) -> Array:
+    return f[part] + size * change(part)
+
+
+def _bias(f: Array, axis: int, value: float, part: slice) -> Array:
+    moved = f[part].copy()
     moved[:, axis] += value
     return moved
 
 
-def _turn(f: Array, axis: int, angle: float) -> Array:
+def _turn(f: Array, axis: int, angle: float, part: slice) -> Array:
     """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
-    moved = f.copy()
+    moved = f[part].copy()
     second, third = (axis + 1) % 3, (axis + 2) % 3
-    moved[:, second] -= angle * f[:, third]
-    moved[:, third] += angle * f[:, second]
+    moved[:, second] -= angle * f[part, third]
+    moved[:, third] += angle * f[part, second]
     return moved
 
 
 def contributions(run: Run, base: Array, estimate: Callable[[Run], Array]) -> list[tuple[Source, Array]]:
-    """Change of the coefficients (file units) that each source makes; ``base`` is the estimate unmoved."""
+    """Change of the coefficients (file units) that each source makes; ``base`` is the estimate unmoved.
+
+    The moved records are not kept: each is as large as the record.
+    """
     found = []
     for source in sources(run):
         change = estimate(source.moved) - base
-        found.append((source, change))
+        found.append((replace(source, moved=run), change))
     return found

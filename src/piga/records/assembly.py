@@ -32,7 +32,7 @@ from piga.records.signal_checks import (
     stopped_output,
     stuck_extremes,
 )
-from piga.records.spool import spans
+from piga.records.spool import gathered, spans
 from piga.records.time_base import TimeBase, drop_repeats, examine_time
 from piga.records.visits import split_lost
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
@@ -273,14 +273,15 @@ class Assembly:
         """Units that are probably mistaken, and an output that does not turn: reported, nothing is changed."""
         first, some = int(self.raw.rows[0]), sampled(t.size)
         if self.run_file.data.reference is not None:
-            self.events += mistaken_unit(f[some], t.size, first)
+            self.events += mistaken_unit(gathered(f, some), t.size, first)
         if self.run_file.data.output.kind == "rate":
-            self.events += mistaken_rate(f[some, 0], output[some], self._scale_factor, t.size, first)
+            wanted, found = gathered(f[:, 0], some), gathered(output, some)
+            self.events += mistaken_rate(wanted, found, self._scale_factor, t.size, first)
             return
-        at = np.arange(some.start, some.stop, some.step)
-        at = at[~base.begins[at]]
-        rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
+        at = some[~base.begins[some]]
+        turned, passed = (gathered(values, at) - gathered(values, at - 1) for values in (output, t))
+        rate = turned / passed
         inside = t.size - int(np.count_nonzero(base.begins))
-        self.events += mistaken_rate(f[at, 0], rate, self._scale_factor, inside, first)
+        self.events += mistaken_rate(gathered(f[:, 0], at), rate, self._scale_factor, inside, first)
         per_step = self._scale_factor / (resolution or 1e-3)
         self.events += stopped_output(output, t, base.begins, f[:, 0], per_step, self.raw.rows)

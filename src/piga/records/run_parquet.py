@@ -10,6 +10,10 @@ import msgspec
 import numpy as np
 
 from piga.records.run import Run
+from piga.records.spool import trim
+
+GROUP_ROWS = 1 << 20
+"""Rows written at a time, as a row group."""
 
 
 def write_run_parquet(run: Run, path: Path) -> None:
@@ -21,28 +25,40 @@ def write_run_parquet(run: Run, path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    columns: dict[str, tuple[Any, str]] = {
-        "t": (pa.array(run.t), "s"),
-        "output": (pa.array(run.output), output_unit(run)),
-    }
-    columns |= {f"f{axis}": (pa.array(run.f[:, i]), "m/s^2") for i, axis in enumerate("xyz")}
-    if run.base_rate is not None:
-        columns |= {f"w{axis}": (pa.array(run.base_rate[:, i]), "rad/s") for i, axis in enumerate("xyz")}
-    if run.temperature is not None:
-        columns["temperature"] = (pa.array(run.temperature), "K")
-    labels = pa.DictionaryArray.from_arrays(pa.array(run.segment.astype(np.int32)), pa.array(run.labels))
-    columns |= {"segment": (labels, "1"), "row": (pa.array(run.row), "1")}
-    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
+    fields = [
+        pa.field(name, array.type, metadata={"unit": unit})
+        for name, (array, unit) in _columns(run, slice(0, 0)).items()
+    ]
     metadata = {
         "serial": run.serial,
         "source": Path(run.source).name,
         "input_sha256": json.dumps(run.input_sha256),
         "quality": json.dumps(msgspec.to_builtins(run.quality)),
     }
-    table = pa.Table.from_arrays(
-        [array for array, _ in columns.values()], schema=pa.schema(fields, metadata=metadata)
-    )
-    parquet.write_table(table, path, compression="zstd")
+    schema = pa.schema(fields, metadata=metadata)
+    with parquet.ParquetWriter(path, schema, compression="zstd") as out:
+        for start in range(0, run.size, GROUP_ROWS):
+            trim()
+            found = _columns(run, slice(start, start + GROUP_ROWS))
+            out.write_table(pa.Table.from_arrays([array for array, _ in found.values()], schema=schema))
+
+
+def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
+    """Arrow arrays of a slice of rows with their units, by name."""
+    import pyarrow as pa
+
+    columns: dict[str, tuple[Any, str]] = {
+        "t": (pa.array(run.t[part]), "s"),
+        "output": (pa.array(run.output[part]), output_unit(run)),
+    }
+    columns |= {f"f{axis}": (pa.array(run.f[part, i]), "m/s^2") for i, axis in enumerate("xyz")}
+    if run.base_rate is not None:
+        columns |= {f"w{axis}": (pa.array(run.base_rate[part, i]), "rad/s") for i, axis in enumerate("xyz")}
+    if run.temperature is not None:
+        columns["temperature"] = (pa.array(run.temperature[part]), "K")
+    codes = pa.array(run.segment[part].astype(np.int32))
+    columns["segment"] = (pa.DictionaryArray.from_arrays(codes, pa.array(run.labels)), "1")
+    return columns | {"row": (pa.array(run.row[part]), "1")}
 
 
 def output_unit(run: Run) -> str:

@@ -16,6 +16,10 @@ Array = NDArray[np.float64]
 
 STUCK = 8
 """Equal extreme values in a row that are reported."""
+RESTING = 2.0
+"""Steps that a run of equal extreme values may hide by rounding alone."""
+SHOULDER = 1 << 16
+"""Rows beside such a run that are looked at, at most."""
 SAMPLED = 1 << 17
 """Rows of a long record that are looked at for mistaken units."""
 FACTORS = {9.80665: "9.80665 (g and m/s^2)", 57.29577951: "57.2958 (deg and rad)", 1e3: "1000 (mg and g)",
@@ -116,7 +120,11 @@ class Extremes:
 
 
 def stuck_extremes(name: str, values: Array, found: Extremes, rows: NDArray[np.int64]) -> list[Event]:
-    """Runs of the largest or smallest value of a column that otherwise moves all the time."""
+    """Runs of the largest or smallest value of a column that otherwise moves all the time.
+
+    A slow reading rests at its turning points and at its end as long as it takes to move by one step: such a
+    plateau is expected and not reported.
+    """
     if found.size < 4 * STUCK or found.changes < 0.5 * found.size:
         return []
     events = []
@@ -125,10 +133,32 @@ def stuck_extremes(name: str, values: Array, found: Extremes, rows: NDArray[np.i
         for part, bound in zip(spans(values.size), bounds, strict=True):
             if bound == extreme:
                 run.see(values[part] == extreme, part.start)
-        if run.length >= STUCK:
+        if run.length >= STUCK and cut_off(values, run.start, run.length, extreme) > RESTING:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             events.append(Event("stuck-value", run.length, int(rows[run.start]), detail))
     return events
+
+
+def cut_off(values: Array, start: int, length: int, extreme: float) -> float:
+    """How far a reading would have gone on beyond a run of its extreme value, in its own smallest steps.
+
+    A parabola through the two ends of the run and the neighbourhood: where it has fallen by ``s`` at the
+    distance ``d`` from a run of half width ``w``, its top is ``s / ((1 + d/w)^2 - 1)`` above the run. A run of
+    a reading that is only rounded hides no more than one step.
+    """
+    reach = min(length, SHOULDER)
+    sides = values[max(start - reach, 0) : start][::-1], values[start + length : start + length + reach]
+    seen = np.concatenate(sides)
+    moves = np.abs(np.diff(np.concatenate((sides[0][::-1], [extreme], sides[1]))))
+    step = float(np.min(moves, where=moves > 0.0, initial=np.inf))
+    if not seen.size or not np.isfinite(step):
+        return 0.0
+    tops = [0.0]
+    for side in sides:
+        far = np.arange(side.size // 2, side.size)
+        fallen = np.abs(side[far] - extreme)
+        tops.append(float(np.nanmax(fallen / ((1.0 + 2.0 * (far + 1) / length) ** 2 - 1.0), initial=0.0)))
+    return max(tops) / step
 
 
 def stopped_output(
@@ -202,9 +232,9 @@ def sequence_breaks(
     return events
 
 
-def sampled(count: int) -> slice:
+def sampled(count: int) -> NDArray[np.int64]:
     """Every row of a short record, rows at equal distances of a long one."""
-    return slice(0, count, max(1, -(-count // SAMPLED)))
+    return np.arange(0, count, max(1, -(-count // SAMPLED)))
 
 
 def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:

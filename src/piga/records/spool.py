@@ -27,6 +27,8 @@ BLOCK = 1 << 16
 """Rows worked on at a time: a few columns of them stay in the second-level cache."""
 TRIM_BLOCKS = 8
 """Blocks after which the resident pages are looked at."""
+SPARSE = 1 << 10
+"""Rows far apart that are taken at a time: each brings a piece of the file of its own."""
 RESIDENT_BYTES = 96 << 20
 """Mapped bytes that may be resident before they are given back."""
 
@@ -49,6 +51,22 @@ def steps(values: NDArray, part: slice) -> NDArray:
     if part.start > 0:
         return np.diff(values[part.start - 1 : part.stop])
     return np.diff(values[part], prepend=values[:1])
+
+
+def means(values: NDArray, part: slice) -> NDArray:
+    """Mean of each value of a slice and the one before; the first row of all keeps its own."""
+    around = values[max(part.start - 1, 0) : part.stop]
+    middle = 0.5 * (around[1:] + around[:-1])
+    return middle if part.start > 0 else np.concatenate((around[:1], middle))
+
+
+def gathered(values: NDArray, rows: NDArray[np.int64]) -> NDArray:
+    """``values[rows]`` for rows far apart, in order; the pages they lie on are given back on the way."""
+    found = []
+    for start in range(0, max(rows.size, 1), SPARSE):
+        _watch.trim()
+        found.append(values[rows[start : start + SPARSE]])
+    return np.concatenate(found)
 
 
 class Arrays:

@@ -8,8 +8,9 @@ matched by time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.records.read_run import read_record
 from piga.records.run import Run
+from piga.records.spool import arrays_like, spans
 from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario_tables import CompositeTable, SimpleStand
@@ -32,11 +34,14 @@ TIMED = ("vibration-table", "profile", "composite")
 
 @dataclass(frozen=True)
 class StandChange:
-    """One component of a stand's uncertainty: name, standard uncertainty as written, change of f [m/s^2]."""
+    """One component of a stand's uncertainty: name and standard uncertainty as written.
+
+    ``change`` gives, for a slice of rows, the change of f [m/s^2] there, (n, 3).
+    """
 
     name: str
     written: str
-    change: Array
+    change: Callable[[slice], Array]
 
 
 def read_run(path: str | Path, *, need_reference: bool = True) -> Run:
@@ -79,7 +84,11 @@ def stand_reference(
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    return stand.motion(_stand_times(stand, names, t, segment, labels), Imperfections())
+    at, arrays = _stand_times(stand, names, t, segment, labels), arrays_like(t)
+    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
+    for part in spans(t.size):
+        force[part], rate[part] = stand.motion(at[part], Imperfections())
+    return force, rate
 
 
 def stand_changes(run: Run) -> Iterator[StandChange]:
@@ -99,9 +108,14 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
         for name, written in named.items():
             for text, errors in _components(name, written):
                 errors.require(stand.accepted, stand.kind)
-                yield StandChange(f"{name}{text[0]}", text[1], force_change(stand, t, errors))
+                yield StandChange(f"{name}{text[0]}", text[1], partial(_change, stand, t, errors))
     except PigaError as error:
         raise RunFileError(f"{run.source}: {error.message}", remedy=error.remedy) from None
+
+
+def _change(stand: Stand, t: Array, errors: Imperfections, part: slice) -> Array:
+    """Change of f [m/s^2] in a slice of rows, (n, 3)."""
+    return force_change(stand, t[part], errors)
 
 
 def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] | None]:
@@ -129,11 +143,13 @@ def _stand_times(
     parts = [by_name.get(label.split("/")[0]) for label in labels]
     if None in parts:
         parts = list(_in_order(planned, labels))
-    result = np.empty(t.size)
-    for index, part in enumerate(parts):
-        inside = segment == index
-        if part is not None and inside.any():
-            result[inside] = part.start + np.clip(t[inside] - t[inside][0], 0.0, part.duration)
+    start, duration = np.array([(part.start, part.duration) for part in parts if part is not None]).T
+    first, result = np.full(len(labels), np.nan), arrays_like(t).empty(t.size)
+    for rows in spans(t.size):
+        index, time = segment[rows], t[rows]
+        met, at = np.unique(index, return_index=True)
+        first[met] = np.where(np.isnan(first[met]), time[at], first[met])
+        result[rows] = start[index] + np.clip(time - first[index], 0.0, duration[index])
     return result
 
 
