@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -119,6 +118,8 @@ def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:
     """Write the three results, each by rename; says so when the report extra is not installed."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from piga.records.residuals_parquet import write_residuals
 
     with ThreadPoolExecutor(1) as beside:
