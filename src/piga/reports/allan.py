@@ -39,11 +39,9 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float]) -> Figure | N
         Series(tau, found.deviation / ARCSEC, "residual", "line+points", "after"),
         Series(tau, both, "noise found", role="model"),
     ]
-    series += [Series(tau, angle, "white angle noise (slope -1)", role="x", dashed=True)] if white > 0.0 else []
-    series += (
-        [Series(tau, wander, "angle random walk (slope -1/2)", role="y", dashed=True)] if walk > 0.0 else []
-    )
-    series.append(Series(tau[near], drift[near], "slope of a bias drift (+1/2)", role="warning", dashed=True))
+    series += [Series(tau, angle, "white noise", role="x", dashed=True)] if white > 0.0 else []
+    series += [Series(tau, wander, "random walk", role="y", dashed=True)] if walk > 0.0 else []
+    series.append(Series(tau[near], drift[near], "slope of a drift", role="warning", dashed=True))
     low = 0.3 * min(float((found.deviation / ARCSEC).min()), float(both.min()))
     high = 3.0 * max(float((found.upper / ARCSEC).max()), float(both.max()))
     y = Axis("Allan deviation of the rate", "arcsec/s", log=True, limits=(low, high))
