@@ -76,7 +76,7 @@ from piga.errors import (
 )
 
 if TYPE_CHECKING:
-    from piga.calibration import calibrate
+    from piga.calibration import calibrate, compare_models
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run
@@ -92,13 +92,14 @@ _LAZY = {
     "read_run": "piga.stand",
     "Calibration": "piga.records",
     "calibrate": "piga.calibration",
+    "compare_models": "piga.calibration",
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
     "Compensator": "piga.compensation",
     "open_store": "piga.records.store",
 }
 
-_NEEDS = {"read_run": "pyarrow", "calibrate": "scipy"}
+_NEEDS = {"read_run": "pyarrow", "calibrate": "scipy", "compare_models": "scipy"}
 """Packages beyond the small core that a public name cannot do without."""
 
 __all__ = [
@@ -120,6 +121,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "closed_form",
+    "compare_models",
     "compensate",
     "open_store",
     "propagate",

@@ -43,7 +43,7 @@ def test_report_is_one_light_well_formed_file(written):
     parsed = Checker(text)
     assert not parsed.faults
     assert not parsed.stack
-    assert len(parsed.all("figure")) == 5
+    assert len(parsed.all("figure")) == 6
     ids = [attrs["id"] for _, attrs in parsed.elements if "id" in attrs]
     assert len(ids) == len(set(ids))
     assert not re.search(r"\bnan\b|\binf\b", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))

@@ -19,6 +19,7 @@ from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions
 from piga.calibration.joint_result import joint_result
+from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
@@ -104,7 +105,7 @@ def calibrate(
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
     result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
-    return replace(result, diagnostics=result.diagnostics | tested)
+    return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:

@@ -40,6 +40,13 @@ def calibrate(
     per_run: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Terms that may differ between the runs.")
     ] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'A,B; A,B,C; ...'",
+            help="Sets of terms to compare, instead of [model] compare of the run file.",
+        ),
+    ] = None,
     summary: Annotated[
         bool, typer.Option("--summary", help="Write a summary of each run, to be merged without its data.")
     ] = False,
@@ -52,7 +59,7 @@ def calibrate(
     """
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
-    items = read_items(runs)
+    items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
     with progress("calibrating"):
         calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
     written = write_results(calibration, output_directory(directory), report=report)
@@ -65,12 +72,53 @@ def calibrate(
     from piga.reports.calibration import calibration_text
 
     say(calibration_text(calibration))
+    if "model_comparison" in calibration.diagnostics:
+        _print_comparison(calibration)
     for path in written:
         say(f"wrote {path}")
 
 
 def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummary]:
+    """The one run with the wish to compare these sets of terms."""
+    from dataclasses import replace
+
+    from msgspec.structs import replace as replaced
+
+    from piga.calibration import RunSummary
+    from piga.errors import ArgumentError
+    from piga.records.terms import check_terms
+
+    item = items[0]
+    if len(items) > 1 or isinstance(item, RunSummary):
+        raise ArgumentError("--compare: term sets are compared on one run", remedy="name one run file")
+    sets = tuple(tuple(_names(part) or ()) for part in text.split(";") if part.strip())
+    if not sets:
+        raise ArgumentError("--compare: there is no set of terms", remedy="e.g. 'scale_factor,tan_beta; k0'")
+    for index, terms in enumerate(sets, start=1):
+        check_terms(terms, where=f"--compare: set {index}")
+    return [replace(item, model=replaced(item.model, compare=sets))]
+
+
+def _print_comparison(calibration: Calibration) -> None:
+    """The comparison of term sets as a table for the terminal."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from piga.reports.model_choice import comparison_rows, comparison_words
+
+    document = calibration.diagnostics["model_comparison"]
+    heads, rows = comparison_rows(document)
+    table = Table(title="Term sets compared", title_justify="left")
+    for index, head in enumerate(heads):
+        table.add_column(head, justify="left" if index in (1, len(heads) - 1) else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console(markup=False, highlight=False, soft_wrap=False).print(table)
+    say(comparison_words(document))
 
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:

@@ -99,9 +99,13 @@ class DataTable(Table, frozen=True):
 
 
 class ModelTable(Table, frozen=True):
-    """``[model]``: the terms to estimate and how the phase of the output zero behaves."""
+    """``[model]``: the terms to estimate and how the phase of the output zero behaves.
+
+    ``compare`` lists sets of terms to be compared beside.
+    """
 
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
+    compare: tuple[tuple[str, ...], ...] = ()
     phase: Literal["shared", "per-segment"] = "shared"
     phase_source: Literal["output", "input"] = "output"
     temperature_reference: Quantity = "20 degC"
@@ -197,6 +201,8 @@ def read_run_file(path: str | Path) -> RunFile:
         _check_stand(run_file)
         _check_faults(run_file)
         check_terms(run_file.model.terms, where="[model] terms")
+        for terms in run_file.model.compare:
+            check_terms(terms, where="[model] compare")
     except (UnitError, RunFileError) as error:
         remedy = error.remedy or "write a number with a unit, e.g. '0.8884 rad/s/g'"
         raise RunFileError(f"{path}: {error.message}", remedy=remedy) from None

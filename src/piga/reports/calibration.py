@@ -26,6 +26,7 @@ from piga.reports.calibration_tables import (
 )
 from piga.reports.figure import Figure
 from piga.reports.long_record import leading_part, outline
+from piga.reports.model_choice import comparison_sections
 from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
@@ -62,6 +63,7 @@ def calibration_page(cal: Calibration) -> Page:
         _segments(cal, figures),
         _budget(cal),
         _identifiability(cal, figures),
+        *comparison_sections(cal),
         _quality(cal, figures),
         _provenance(cal),
     )
@@ -322,13 +324,13 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     blocks += [Notice("warning", note) for note in cal.notes]
     if not cal.notes:
         blocks.append(Notice("good", "The record separates all requested coefficients."))
-    blocks += [FigureBlock(figures["whiteness"])] if "whiteness" in figures else []
+    blocks += [FigureBlock(figures[key]) for key in ("whiteness", "allan") if key in figures]
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     rows = [
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
-        *scalars(cal.diagnostics),
+        *scalars({key: value for key, value in cal.diagnostics.items() if key != "model_comparison"}),
     ]
     return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Calibration, Residuals
+from piga.reports.allan import allan_figure
 from piga.reports.calibration_tables import residual_quantity
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
@@ -37,6 +38,8 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
         assert part.residuals is not None  # noqa: S101 - made from residuals
         figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
         angles = residual_angles(part)
+        allan = None if cal.runs else allan_figure(angles, (cal.angle_rms, cal.angle_random_walk))
+        figures += [allan] if allan else []
         spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
         turned = ripple(angles, scale_factor(cal))
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []

@@ -1,0 +1,190 @@
+"""Overlapping Allan deviation of a rate from its angle, over stretches that are not joined.
+
+Definitions and equivalent degrees of freedom: [Riley2008], 5.2.4 and 5.4.1 (table 5), after [Howe1981].
+Pooling of the stretches is an own derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+PER_DECADE = 8
+"""Averaging times per decade."""
+DIFFERENCES = 1 << 17
+"""Differences used per averaging time: of longer records every second, third, ... (the deviation is then known to
+0.2 %)."""
+FEWEST_DEGREES = 1.0
+"""Degrees of freedom below which an averaging time is not shown."""
+UNEVEN = 0.01
+"""Relative scatter of the sampling steps from which a stretch is read on an even grid."""
+ONE_SIGMA = 0.682689492137
+"""Probability of the bands."""
+
+
+@dataclass(frozen=True)
+class AllanDeviation:
+    """Overlapping Allan deviation of a rate: one entry per averaging time.
+
+    Attributes
+    ----------
+    tau:
+        Averaging times [s].
+    deviation, lower, upper:
+        Deviation and ends of the 68 % band [rad/s].
+    degrees_of_freedom:
+        Equivalent degrees of freedom of the variance.
+    stretches:
+        Stretches that are long enough for each averaging time.
+    """
+
+    tau: Array
+    deviation: Array
+    lower: Array
+    upper: Array
+    degrees_of_freedom: Array
+    stretches: NDArray[np.int64]
+
+
+def allan_deviation(
+    angle: Array, t: Array, begins: NDArray[np.bool_], *, white: float, walk: float
+) -> AllanDeviation:
+    r"""Overlapping Allan deviation of the rate from samples of its angle.
+
+    In a stretch of N angles x with step h, for the averaging time :math:`\tau = m h`,
+
+    .. math:: \sigma^2(\tau) = \frac{1}{2 \tau^2 (N - 2m)} \sum_i (x_{i+2m} - 2 x_{i+m} + x_i)^2
+
+    ([Riley2008] eq. 11). Stretches are pooled by the number of their differences.
+
+    Parameters
+    ----------
+    angle:
+        Residual angle (n,) [rad].
+    t:
+        Time (n,) [s].
+    begins:
+        True where a stretch begins (n,).
+    white, walk:
+        Variance of the white angle noise [rad^2] and of the random walk [rad^2/s]: their shares at an averaging
+        time say which kind of noise the degrees of freedom are for.
+
+    Raises
+    ------
+    ArgumentError
+        If the arrays differ in length.
+    """
+    if not angle.size == t.size == begins.size:
+        raise ArgumentError(f"angle, t, begins: {angle.size}, {t.size} and {begins.size} samples")
+    from scipy.special import chdtri
+
+    stretches, step = _even_stretches(angle, t, begins)
+    longest = max((x.size for x in stretches), default=0)
+    every = max(angle.size // DIFFERENCES, 1)
+    rows = [
+        (m * step, *found)
+        for m in _multiples(longest)
+        if (found := _pooled(stretches, m, every, _walking(m * step, white, walk)))[1] >= FEWEST_DEGREES
+    ]
+    table = np.array(rows).reshape(-1, 4)
+    tau, degrees = table[:, 0], table[:, 2]
+    variance = table[:, 1] / (2.0 * tau**2)
+    tail = 0.5 * (1.0 - ONE_SIGMA)
+    return AllanDeviation(
+        tau=tau,
+        deviation=np.sqrt(variance),
+        lower=np.sqrt(variance * degrees / chdtri(degrees, tail)),
+        upper=np.sqrt(variance * degrees / chdtri(degrees, 1.0 - tail)),
+        degrees_of_freedom=degrees,
+        stretches=table[:, 3].astype(np.int64),
+    )
+
+
+def model_deviation(tau: Array, white: float, walk: float) -> tuple[Array, Array]:
+    r"""Allan deviation of white angle noise and of an angle random walk [rad/s].
+
+    :math:`\sqrt{3 r}/\tau` and :math:`\sqrt{q/\tau}` ([Riley2008], table 3, in angle and rate).
+    """
+    return np.sqrt(3.0 * white) / tau, np.sqrt(walk / tau)
+
+
+def drift_line(tau: Array, level: float) -> Array:
+    r"""Allan deviation :math:`\kappa \sqrt{\tau/3}` of a random walk of the rate, level in rad/s/sqrt(s)."""
+    return level * np.sqrt(tau / 3.0)
+
+
+def _walking(tau: float, white: float, walk: float) -> float:
+    """Share of the random walk in the Allan variance."""
+    total = 3.0 * white + walk * tau
+    return walk * tau / total if total > 0.0 else 0.0
+
+
+def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[list[Array], float]:
+    """Angles of every stretch at one step for all, the median one; uneven ones by linear interpolation."""
+    starts = np.flatnonzero(begins)
+    starts = starts if starts.size and starts[0] == 0 else np.append(0, starts)
+    steps = np.diff(t)[~begins[1:]]
+    if steps.size == 0:
+        return [], 1.0
+    step = float(np.median(steps))
+    found = []
+    for left, right in zip(starts, np.append(starts[1:], t.size), strict=True):
+        time = t[left:right] - t[left]
+        even: Array = step * np.arange(time.size, dtype=float)
+        if np.abs(time - even).max() > UNEVEN * step:
+            even = step * np.arange(int(time[-1] / step + UNEVEN) + 1, dtype=float)
+            found.append(np.interp(even, time, angle[left:right]))
+        else:
+            found.append(angle[left:right])
+    return found, step
+
+
+def _multiples(longest: int) -> list[int]:
+    """Averaging times in steps, evenly on a logarithmic scale, up to a third of the longest stretch."""
+    most = (longest - 1) // 3
+    if most < 1:
+        return []
+    count = max(int(PER_DECADE * math.log10(most)) + 1, 1)
+    return np.unique(np.round(np.geomspace(1, most, count)).astype(int)).tolist()
+
+
+def _pooled(stretches: list[Array], m: int, every: int, share: float) -> tuple[float, float, float]:
+    """Mean square of second differences, its degrees of freedom, and the stretches that reach this distance.
+
+    ``share`` of the variance is random walk. With shares a and b of two noises the variance of the mean square is
+    that of each, and twice their product, which varies as quickly as the quicker one.
+    """
+    total, weights, spread, reached = 0.0, 0.0, 0.0, 0
+    for x in stretches:
+        if x.size < 2 * m + 1:
+            continue
+        difference = x[2 * m :: every] - 2.0 * x[m:-m:every] + x[: -2 * m : every]
+        weight = difference.size
+        white, slow = (equivalent_degrees(x.size, m, walking=kind) for kind in (False, True))
+        inverse = (1.0 - share) ** 2 / white + share**2 / slow + 2.0 * share * (1.0 - share) / max(white, slow)
+        degrees = min(1.0 / inverse, weight)
+        total += float(difference @ difference)
+        weights += weight
+        spread += weight**2 / degrees
+        reached += 1
+    return (total / weights, weights**2 / spread, float(reached)) if reached else (0.0, 0.0, 0.0)
+
+
+def equivalent_degrees(samples: int, m: int, *, walking: bool) -> float:
+    """Equivalent degrees of freedom of an overlapping Allan variance of ``samples`` angles.
+
+    For white noise of the angle (white phase noise of [Riley2008], table 5) or, if ``walking``, an angle random
+    walk (white frequency noise there).
+    """
+    n = float(samples)
+    if walking:
+        shape = 4.0 * m**2 / (4.0 * m**2 + 5.0)
+        return max((1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * shape, 1e-9)
+    return (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
