@@ -84,7 +84,7 @@ def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Ex
 def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
     """Rank and condition of what is asked of all phase groups together.
 
-    Names the terms of the weakest direction when it holds no information. With several groups the coupling
+    Names the terms of all directions that hold no information. With several groups the coupling
     columns of all of them count as one direction each.
     """
     names = layout.columns
@@ -101,7 +101,7 @@ def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
     if singular[-1] > RANK * singular[0]:
         return Examination(condition, ())
-    weights = np.abs(right[-1])
+    weights = np.linalg.norm(right[singular <= RANK * singular[0]], axis=0)
     named = [
         term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()
     ]

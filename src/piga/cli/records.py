@@ -408,7 +408,7 @@ def _print_written(path: Path, records: int, head: str, *, as_json: bool) -> Non
 
 
 def _say_head(records: int, head: str) -> None:
-    say(f"{records} records, head {head}")
+    say(f"{records} record{'' if records == 1 else 's'}, head {head}")
 
 
 def _document(record: Record) -> dict[str, Any]:
