@@ -304,15 +304,12 @@ class Trial:
             signal.SIGFPE,
             signal.SIGILL,
             signal.SIGABRT,
-            signal.SIGXCPU,
+            signal.SIGPROF,
         ):
             signal.signal(caught, signal.SIG_DFL)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         while choice := os.read(asked, 1):
-            used = resource.getrusage(resource.RUSAGE_SELF)
-            resource.setrlimit(
-                resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + 2, resource.RLIM_INFINITY)
-            )
+            signal.setitimer(signal.ITIMER_PROF, PATIENCE)
             with contextlib.suppress(Exception):
                 self.read(choice[0])
             os.write(answer, b".")
