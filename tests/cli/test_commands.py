@@ -31,20 +31,6 @@ def small_run(folder: Path) -> Path:
     return write_run(folder, data='segment = "seg"')
 
 
-def test_help_imports_nothing_heavy() -> None:
-    code = (
-        "import sys; sys.argv = ['piga', '--help']\n"
-        "from piga.cli.main import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'numba', 'scipy', 'pyarrow', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for command in ("demo", "check", "calibrate", "compensate"):
-        assert command in done.stdout
-
-
 @pytest.mark.only_compiled
 def test_the_main_job(tmp_path: Path) -> None:
     done = piga("demo", "--out", tmp_path / "out")

@@ -14,6 +14,7 @@ from piga.cli.check import check, convert
 from piga.cli.common import note
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
+from piga.cli.groups import Group
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
@@ -21,6 +22,7 @@ from piga.errors import EXTRAS, PigaError, missing_package
 
 app = typer.Typer(
     name="piga",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -11,6 +11,7 @@ import typer
 
 from piga.cli.calibrate import JsonOption, RunFileArgument, report_available
 from piga.cli.common import output_directory, print_json, progress, say
+from piga.cli.groups import Group
 from piga.cli.records_output import (
     difference_document,
     print_added,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="records",
+    cls=Group,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Keep calibrations as evidence: append-only, chained, verifiable, recomputable.",
