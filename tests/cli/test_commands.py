@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from typer.main import get_command
 
 from piga.cli import common
 from piga.cli.demo import copy_example
+from piga.cli.main import app
 from piga.errors import PigaError
 from tests.records.files import lines, write_log, write_run
 
@@ -152,3 +154,23 @@ def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     done = piga("calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again"))
     again = {c["name"]: c["value"] for c in json.loads(done.stdout)["coefficients"]}
     assert again["k_YY"] == pytest.approx(values["k_YY"]["value"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("run", "option", "words"),
+    [
+        ("-", ("--rate", "10 Hz"), "--rate is not for a live stream"),
+        ("-", ("--identify-phase", "60 s"), "--identify-phase is not for a live stream"),
+        ("-", ("--resume",), "--resume is not for a live stream"),
+        ("triad.toml", ("--resume",), "--resume is not for several instruments"),
+        ("triad.toml", ("--phase", "0.4 rad"), "--phase is not for several instruments"),
+        ("triad.toml", ("--identify-phase", "60 s"), "--identify-phase is not for several instruments"),
+    ],
+)
+def test_an_option_that_would_have_no_effect_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: str, option: tuple[str, ...], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "triad.toml").write_text("[[triad.instrument]]\n", encoding="utf-8")
+    with pytest.raises(PigaError, match=words):
+        get_command(app).main(["compensate", run, "--out", "o.csv", *option], standalone_mode=False)
