@@ -15,6 +15,7 @@ from piga.cli.check import check, convert
 from piga.cli.common import note
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
+from piga.cli.groups import Group
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
@@ -25,6 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 app = typer.Typer(
     name="piga",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
