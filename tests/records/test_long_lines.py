@@ -140,22 +140,10 @@ def test_a_counter_that_folds_without_a_reference(tmp_path: Path) -> None:
         one_column(tmp_path, [str(30_000 * i % 65536) for i in range(400)], "counter_bits = 16")
 
 
-@pytest.mark.parametrize(
-    ("cell", "hint"),
-    [
-        ("1,018", "is ',' a decimal mark"),
-        ("1 018", "remove the thousands separators"),
-        ("1'018", "remove the thousands separators"),
-        ("１０１８", "full-width"),
-        ("void", r"add \[data\] missing = \['void'\]"),
-        ("1018.0.0", "leave them out"),
-    ],
-)
-def test_what_a_bad_cell_may_mean(tmp_path: Path, cell: str, hint: str) -> None:
-    rows = ROWS.decode().replace(",", ";").replace("1018;", f"{cell};", 1)
-    with pytest.raises(piga.DataError, match=hint) as caught:
-        read(tmp_path, (HEADER.decode().replace(",", ";") + rows).encode(), data="decimal = '.'")
-    assert "row 4, column 'n' (B)" in str(caught.value)
+def test_a_comma_in_a_cell_of_a_file_with_points(tmp_path: Path) -> None:
+    text = (HEADER + ROWS).decode().replace(",", ";").replace("1018;", "1,018;", 1)
+    with pytest.raises(piga.DataError, match=r"row 4, column 'n' \(B\): '1,018'(?s:.*)is ',' a decimal mark"):
+        read(tmp_path, text.encode(), data="decimal = '.'")
 
 
 def test_the_first_hundred_faults_are_listed(tmp_path: Path) -> None:
