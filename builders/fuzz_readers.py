@@ -135,12 +135,55 @@ def _parquet(path: Path) -> list[bytes]:
 
 def _hdf5(path: Path) -> list[bytes]:
     found = []
-    for options in ({}, {"compression": "gzip", "shuffle": True}):
+    for options, places in (({}, ["up", "下"] * 4), ({"compression": "gzip", "shuffle": True}, np.arange(8))):
         with h5py.File(path, "w") as out:
             for name, values in columns().items():
                 out.create_dataset(name, data=values, **options).attrs["units"] = "s" if name == "t" else "1"
+            out["pos"] = places
+        found.append(path.read_bytes())
+    for write_places in (_matlab_text, _matlab_cells):
+        with h5py.File(path, "w", userblock_size=512) as out:
+            for name, values in columns().items():
+                _matlab(out, name, np.atleast_2d(values), "int64" if name == "n" else "double")
+            write_places(out)
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
         found.append(path.read_bytes())
     return found
+
+
+def _matlab(place: h5py.Group, name: str, values: np.ndarray, kind: str) -> h5py.Dataset:
+    """A variable as MATLAB v7.3 lays it out: transposed, its class in an attribute."""
+    item = place.create_dataset(name, data=values)
+    item.attrs["MATLAB_class"] = np.bytes_(kind)
+    if kind == "char":
+        item.attrs["MATLAB_int_decode"] = np.int32(2)
+    return item
+
+
+def _characters(words: list[str]) -> np.ndarray:
+    """UTF-16 units of words of one length, a column for each."""
+    return np.array([[ord(letter) for letter in word] for word in words], "<u2").T
+
+
+def _matlab_text(out: h5py.File) -> None:
+    """Labels as the rows of a char array."""
+    _matlab(out, "pos", _characters(["up ", "下  "] * 4), "char")
+
+
+def _matlab_cells(out: h5py.File) -> None:
+    """Labels as a cell array: references to texts, a number and an empty cell; a struct beside it."""
+    held = out.create_group("#refs#")
+    texts = [_matlab(held, name, _characters([word]), "char") for name, word in (("a", "up"), ("b", "下"))]
+    number = _matlab(held, "c", np.array([[3.0]]), "double")
+    empty = _matlab(held, "d", np.zeros(2, np.uint64), "char")
+    empty.attrs["MATLAB_empty"] = np.uint8(1)
+    cells = out.create_dataset("pos", (1, 8), h5py.ref_dtype)
+    cells[0, :] = [item.ref for item in (*texts, number, empty)] * 2
+    cells.attrs["MATLAB_class"] = np.bytes_("cell")
+    log = out.create_group("log")
+    log.attrs["MATLAB_class"] = np.bytes_("struct")
+    _matlab(log, "temperature", np.atleast_2d(np.arange(8.0)), "double")
 
 
 def _mat(path: Path) -> list[bytes]:
@@ -213,7 +256,8 @@ def reader(target: str, path: Path) -> Callable[[int], object]:
         return lambda choice: drain(ParquetStream(path, NAMES, "n" if choice & 1 else None))
     if target == "calibration":
         return lambda _: read_calibration(path)
-    return lambda choice: READERS[path.suffix](path, NAMES, "n" if choice & 1 else None)
+    labels = ("pos", None, "n") if target == "hdf5" else (None, "n")
+    return lambda choice: READERS[path.suffix](path, NAMES, labels[choice % len(labels)])
 
 
 def main() -> None:
