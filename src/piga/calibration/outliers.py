@@ -66,7 +66,7 @@ class Misses:
 
     def _thinned(self, part: Callable[[slice], Array]) -> Array:
         every = max(1, self.d.size // SAMPLE)
-        return np.concatenate([part(rows)[::every] for rows in spans(self.d.size)])
+        return np.concatenate([part(rows)[::every].copy() for rows in spans(self.d.size)])
 
 
 def limit(count: int) -> float:
@@ -91,7 +91,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
         formed = interval > 0.0
         white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
         for values, kept in ((np.abs(part[formed]), misses), (np.abs(white[formed]), whitened)):
-            kept.append(values[::every])
+            kept.append(values[::every].copy())
         biggest = max(biggest, float(np.abs(part).max()))
         largest = max(largest, float(np.abs(white).max()))
     size, shown = np.concatenate(misses), np.concatenate(whitened)
@@ -196,7 +196,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
         d, h = misses.d[rows].copy()[None, :], misses.h[rows].copy()
         d[:, flags[rows] == 2], h[flags[rows] == 2] = 0.0, 0.0
         merge_rows(d, h, flags[rows] == 1)
-        whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0])[::every])
+        whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
     shown = np.concatenate(whitened)
     core = float(np.median(shown)) / 0.6745 if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
@@ -261,6 +261,6 @@ def resolution_of(run: Run) -> float:
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
     every = max(1, run.size // SAMPLE)
-    sizes = np.concatenate([np.abs(steps(run.output, part))[::every] for part in spans(run.size)])
+    sizes = np.concatenate([np.abs(steps(run.output, part)[::every]) for part in spans(run.size)])
     moved = sizes[sizes > 0.0]
     return float(np.quantile(moved, 0.01)) if moved.size and moved.size < 0.95 * sizes.size else 0.0
