@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 
@@ -19,6 +20,9 @@ from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
 from piga.errors import EXTRAS, PigaError, missing_package
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+"""The matrices here are small: more threads would only wait for each other, for seconds when the machine is busy."""
 
 app = typer.Typer(
     name="piga",
