@@ -10,7 +10,8 @@ import pytest
 
 import piga
 from piga._kernels.outliers import correct_samples
-from piga.calibration.outliers import Misses, leave_out, limit
+from piga.calibration.cleaning import leave_out
+from piga.calibration.outliers import Misses, limit
 from piga.records import spool
 from piga.units import G0
 from tests.calibration.synthetic import BETA, SCALE, TERMS, errors, record

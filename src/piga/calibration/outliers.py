@@ -7,20 +7,19 @@ stretch, a stuck reading is left out as long as it lasts. The reference is taken
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.outliers import correct_samples, merge_rows, scan_samples
+from piga._kernels.outliers import merge_rows, scan_samples
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.solution import solve
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.errors import DataError
-from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
 from piga.records.spool import arrays_like, spans, steps
 
@@ -33,8 +32,6 @@ MOST = 0.4
 """Share of bad samples from which a record is refused."""
 ROWS = 200_000
 """Increments that the robust fit looks at."""
-STUCK = 4
-"""Equal readings in a row, off the path, that count as stuck."""
 NARROW = 0.6
 """Core of the residual increments over their spread from which bad samples are suspected; 1 for normal noise."""
 LEAST = 1e-7
@@ -43,10 +40,6 @@ PAIRS, SMOOTH = 100, 0.8
 """Neighbouring bad increments, and the share of them that miss to the same side, from which the model is at fault."""
 SAMPLE = 2_000_000
 """Increments that medians are taken of at most."""
-LISTED = 200_000
-"""Findings that a result lists one by one; all are counted."""
-SHOWN = 6
-"""Times named in an event."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,7 @@ class Misses:
 
     def _thinned(self, part: Callable[[slice], Array]) -> Array:
         every = max(1, self.d.size // SAMPLE)
-        return np.concatenate([part(rows)[::every] for rows in spans(self.d.size)])
+        return np.concatenate([part(rows)[::every].copy() for rows in spans(self.d.size)])
 
 
 def limit(count: int) -> float:
@@ -98,7 +91,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
         formed = interval > 0.0
         white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
         for values, kept in ((np.abs(part[formed]), misses), (np.abs(white[formed]), whitened)):
-            kept.append(values[::every])
+            kept.append(values[::every].copy())
         biggest = max(biggest, float(np.abs(part).max()))
         largest = max(largest, float(np.abs(white).max()))
     size, shown = np.concatenate(misses), np.concatenate(whitened)
@@ -203,7 +196,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
         d, h = misses.d[rows].copy()[None, :], misses.h[rows].copy()
         d[:, flags[rows] == 2], h[flags[rows] == 2] = 0.0, 0.0
         merge_rows(d, h, flags[rows] == 1)
-        whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0])[::every])
+        whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
     shown = np.concatenate(whitened)
     core = float(np.median(shown)) / 0.6745 if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
@@ -249,7 +242,7 @@ def refuse_if_too_many(flags: Flags) -> None:
     DataError
         With the share.
     """
-    share = _count(flags, 1) / flags.size
+    share = count_flags(flags, 1) / flags.size
     if share > MOST:
         raise DataError(
             f"{100.0 * share:.0f} % of the samples do not lie on any path that the reference allows; up to "
@@ -258,7 +251,7 @@ def refuse_if_too_many(flags: Flags) -> None:
         )
 
 
-def _count(flags: Flags, kind: int) -> int:
+def count_flags(flags: Flags, kind: int) -> int:
     """Samples of a kind."""
     return sum(int(np.count_nonzero(flags[part] == kind)) for part in spans(flags.size))
 
@@ -268,135 +261,6 @@ def resolution_of(run: Run) -> float:
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
     every = max(1, run.size // SAMPLE)
-    sizes = np.concatenate([np.abs(steps(run.output, part))[::every] for part in spans(run.size)])
+    sizes = np.concatenate([np.abs(steps(run.output, part)[::every]) for part in spans(run.size)])
     moved = sizes[sizes > 0.0]
     return float(np.quantile(moved, 0.01)) if moved.size and moved.size < 0.95 * sizes.size else 0.0
-
-
-def leave_out(run: Run, misses: Misses, flags: Flags) -> tuple[Run, tuple[Outlier, ...]]:
-    """The record without bad samples, and what was found.
-
-    Their output becomes what the model predicts (only the coupling's phase uses it); a jump is taken off all
-    later samples.
-    """
-    wrong = _corrections(run, misses, flags)
-    arrays = arrays_like(run.output)
-    output = arrays.empty(run.size)
-    left_out, begins = arrays.empty(run.size, np.bool_), arrays.empty(run.size, np.bool_)
-    lost = False
-    for part in spans(run.size):
-        output[part] = run.output[part] - wrong[part]
-        left_out[part] = flags[part] == 1
-        begins[part] = run.begins[part] | (flags[part] == 2)
-        lost = _begin_later(begins[part], left_out[part], lost)
-    found, counts = _findings(run, flags, wrong)
-    quality = run.quality
-    count = _count(flags, 1)
-    cleaned = replace(
-        run,
-        output=output,
-        begins=begins,
-        left_out=left_out,
-        quality=replace(
-            quality,
-            used=quality.used - count,
-            masked=quality.masked + count,
-            events=(*quality.events, *_events(found, counts)),
-        ),
-    )
-    return cleaned, found
-
-
-def _begin_later(begins: NDArray[np.bool_], left_out: NDArray[np.bool_], lost: bool) -> bool:
-    """Where a stretch begins with samples that are left out the first good one begins it, too, in place.
-
-    ``lost``: so it stood at the end of the block before; returned for the next.
-    """
-    starts = np.flatnonzero(begins & left_out)
-    for start in ([0] if lost else []) + starts.tolist():
-        rest = np.flatnonzero(~left_out[start:])
-        if rest.size:
-            begins[start + rest[0]] = True
-    if starts.size == 0 and not lost:
-        return False
-    last = int(starts[-1]) if starts.size else 0
-    return bool(left_out[last:].all())
-
-
-def _corrections(run: Run, misses: Misses, flags: Flags) -> Array:
-    """What every reading is too large by."""
-    wrong: Array = arrays_like(run.output).zeros(run.size)
-    if not misses.point:
-        correct_samples(misses.d, run.begins, flags, wrong)
-        return wrong
-    for part in spans(run.size):
-        wrong[part] = np.where(flags[part] == 0, 0.0, misses.d[part])
-    return wrong
-
-
-def _findings(run: Run, flags: Flags, wrong: Array) -> tuple[tuple[Outlier, ...], dict[str, int]]:
-    """Runs of bad samples and jumps, in order of time, at most LISTED; numbers of jumps and of samples of each kind."""
-    found: list[Outlier] = []
-    counts: dict[str, int] = {}
-    for start, stop in _runs(flags):
-        kind, size = _judge(run, flags, wrong, start, stop)
-        if kind == "jump" and size == 0.0:
-            continue
-        counts[kind] = counts.get(kind, 0) + (1 if kind == "jump" else stop - start)
-        if len(found) < LISTED:
-            samples = 0 if kind == "jump" else stop - start
-            found.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
-    return tuple(found), counts
-
-
-def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple[str, float]:
-    """Kind of a run of bad samples, or of a jump, and by how much it is off [rad, rad/s]."""
-    if flags[start] == 2:
-        return "jump", float(abs(wrong[start] - _before(wrong, flags, start)))
-    size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
-    if stop - start < STUCK:
-        return "spike", size
-    still = float((steps(run.output, slice(start, stop)) == 0.0).mean())
-    return "stuck" if still > 0.5 else "spike", size
-
-
-def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
-    """First row of every run of bad samples, or of a jump, and the row behind it."""
-    begun = -1
-    for part in spans(flags.size):
-        kind = np.asarray(flags[part])
-        marks = np.flatnonzero(kind)
-        edges = np.flatnonzero(np.diff(kind, prepend=np.int8(-1)) != 0) if marks.size or begun >= 0 else marks
-        for edge in edges.tolist():
-            at = part.start + edge
-            if begun >= 0 and kind[edge] != 1:
-                yield begun, at
-                begun = -1
-            if kind[edge] == 2:
-                yield at, at + 1
-            elif kind[edge] == 1 and begun < 0:
-                begun = at
-    if begun >= 0:
-        yield begun, flags.size
-
-
-def _before(wrong: Array, flags: Flags, at: int) -> float:
-    """What the last good sample before was too large by."""
-    good = np.flatnonzero(flags[max(0, at - 1000) : at] != 1)
-    return float(wrong[max(0, at - 1000) + good[-1]]) if good.size else 0.0
-
-
-def _events(found: tuple[Outlier, ...], counts: dict[str, int]) -> list[Event]:
-    words = {
-        "spike": "samples off the path of the output are left out",
-        "stuck": "samples during which the output stood still are left out",
-        "jump": "no increment is formed across it, and it is taken off what follows",
-    }
-    events = []
-    for kind, text in words.items():
-        those = [outlier for outlier in found if outlier.kind == kind]
-        if those:
-            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[:SHOWN])
-            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[:SHOWN]) else ""
-            events.append(Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {text}"))
-    return events
