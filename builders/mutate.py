@@ -44,7 +44,9 @@ FIT = [
 GROUND = ["tests/foundations"]
 TESTS = {
     "_kernels/motion.py": MOTION,
-    "_kernels/motion_records.py": SAMPLES,
+    "_kernels/motion_blocks.py": SAMPLES,
+    "_kernels/motion_increments.py": SAMPLES,
+    "_kernels/motion_samples.py": SAMPLES,
     "_kernels/motion_sensitivity.py": SAMPLES,
     "_kernels/transfer.py": MOTION,
     "instrument/constant_motion.py": MOTION,

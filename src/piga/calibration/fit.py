@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.cleaning import leave_out
 from piga.calibration.counted import Counted
 from piga.calibration.design import Design
 from piga.calibration.identifiability import Examination, examine, refuse_if_confounded
@@ -17,7 +18,6 @@ from piga.calibration.outliers import (
     first_noise,
     is_misfit,
     later_noise,
-    leave_out,
     misses_of,
     refuse_if_too_many,
     resolution_of,

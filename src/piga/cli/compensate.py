@@ -72,13 +72,11 @@ def compensate(
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
-    several = len(run) > 1 or str(run[0]) == "-" or _is_triad(run[0])
-    if resume and several:
-        raise ArgumentError("--resume is for one recorded run", remedy="leave it out")
-    if period is not None and str(run[0]) == "-":
-        raise ArgumentError("--rate is for recorded runs", remedy="resample with piga.compensation.Resampler")
-    if str(run[0]) == "-":
-        _live(_one(calibrations), kind, given, arrow, uncertainty, max_age)
+    live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
+    if live or several:
+        _refuse(live, resume=resume, identify_phase=rest, phase=given, rate=period)
+    if live:
+        _live(_one(calibrations), kind, method, given, arrow, uncertainty, max_age)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
@@ -94,6 +92,25 @@ def compensate(
     for title in ("flags", "repairs"):
         for name, count in summary.get(title, {}).items():
             note(f"{name}: {count} rows")
+
+
+ONE_RECORD = {
+    "resume": ("live", "several", "leave it out"),
+    "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
+    "phase": ("", "several", "give each [[triad.instrument]] its phase"),
+    "rate": ("live", "", "resample with piga.compensation.Resampler"),
+}
+"""Options that a live stream or several instruments do not take, and what to do instead."""
+
+
+def _refuse(live: bool, **options: object) -> None:
+    """Refuse an option that would have no effect."""
+    kind = "live" if live else "several"
+    for name, value in options.items():
+        *refused, remedy = ONE_RECORD[name]
+        if value and kind in refused:
+            where = "a live stream" if live else "several instruments"
+            raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
 
 
 def _is_triad(path: Path) -> bool:
@@ -217,6 +234,7 @@ def _together(
 def _live(
     calibration: Calibration,
     kind: str,
+    method: str | None,
     phase: Phase | None,
     arrow: bool,
     uncertainty: bool,
@@ -225,7 +243,9 @@ def _live(
     from piga.compensation import Compensator
     from piga.compensation.live import compensate_arrow, compensate_lines
 
-    stream = Compensator(calibration, kind=kind, phase=phase, uncertainty=uncertainty, max_age_days=max_age)
+    stream = Compensator(
+        calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
+    )
     if arrow:
         compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
     else:

@@ -20,8 +20,10 @@ from typing import Any, Self
 from piga._version import __version__
 from piga.errors import StoreError
 from piga.records.store.blobs import PART, read_blob
+from piga.records.store.chain import read_entries, read_identity, stored_sizes
 from piga.records.store.documents import RECORD, RecordDocument, decode, sha256
-from piga.records.store.store import Entry, Store, read_entries, read_identity, stored_sizes
+from piga.records.store.record import Entry
+from piga.records.store.store import Store
 
 SCHEMA = "piga.export/1"
 SEAL = b"piga.export sha256:"
