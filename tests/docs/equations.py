@@ -14,11 +14,11 @@ from scipy.optimize import brentq, minimize_scalar
 
 import piga
 from piga._kernels.compensate import solve_far, solve_small
+from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.function_motion import magnus_six
 from piga._kernels.motion import magnus_increments
 from piga._kernels.motion_sensitivity import unimodular_functions
 from piga._kernels.regressors import coupling_columns
-from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.noise import find_noise
 from piga.instrument import dead_zone, fixed_points, locking_time, mean_rate, revolution_period, sensitivities
