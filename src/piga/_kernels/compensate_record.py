@@ -280,8 +280,12 @@ def compensate_rates(
     ``psi`` holds the recorded angle; empty: the angle follows from the rate.
     """
     light = not (has_terms or orders.size or u.size or flags.size)
-    if light and psi.size and omega.shape[0] == 0:
-        lean.compensate_samples(t, rate, y, z, begins, psi, p, state, w, ax, dv)
+    bare = omega.shape[0] == 0 and orders.size == 0 and (temperature.size == 0 or flags.size == 0)
+    if psi.size and bare and lean.is_lean(p, codes[: codes.size if u.size else 0]):
+        lean.compensate_samples(
+            t, rate, y, z, begins, psi, typical, p, codes[: codes.size if u.size else 0], factor, limits, base_flag,
+            state, ax, dv, u, flags,
+        )  # fmt: skip
         return
     full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):

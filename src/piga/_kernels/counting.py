@@ -1,4 +1,4 @@
-"""Covariance of the counting error of a stretch along a path that is known only roughly."""
+"""The saw-tooth that counting adds: its harmonics along a path, and their covariance where that is known only roughly."""
 
 from __future__ import annotations
 
@@ -13,6 +13,26 @@ Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-6
 """Damping factor from which on higher harmonics are left out."""
+
+
+@kernel
+def add_waves(turned: Array, first: int, edges: NDArray[np.int64], cosines: Array, sines: Array) -> None:
+    """Add ``exp(2 pi i m turned)``, m = 1 .. M, of a path [counts] to sums over bins (M, bins).
+
+    The first sample is ``first`` rows behind the start from which ``edges`` (bins + 1,) are counted.
+    """
+    harmonics = cosines.shape[0]
+    at = np.searchsorted(edges, first, side="right") - 1
+    for j in range(turned.size):
+        if first + j >= edges[at + 1]:
+            at += 1
+        phase = 2.0 * math.pi * (turned[j] - math.floor(turned[j]))
+        c, s = math.cos(phase), math.sin(phase)
+        re, im = c, s
+        for m in range(harmonics):
+            cosines[m, at] += re
+            sines[m, at] += im
+            re, im = re * c - im * s, re * s + im * c
 
 
 @kernel

@@ -17,18 +17,26 @@ weights a stretch in which few counts change by what it really tells.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.counting import saw_tooth_covariance
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.solution import Solution, solve
+from piga.calibration.stretches import (
+    HARMONICS,
+    Stretch,
+    counting_covariances,
+    find_stretches,
+    modes_of,
+    walk_covariance,
+    white_covariance,
+)
 from piga.records.run import Run
 
 if TYPE_CHECKING:
@@ -41,13 +49,6 @@ WHITE = 0.15
 twelfth of it is the counting itself)."""
 WALKS = 0.1
 """Random walk from sample to sample, in squared counts, above which it is dithered too."""
-HARMONICS = 8
-"""Harmonics of the saw-tooth that white noise damps one by one."""
-FINE, SHORT = 24, 10_000
-"""Harmonics followed in stretches up to so many samples (else those above); the rest counts as white."""
-MODES = 24
-"""Cosines per stretch at least; four more per turn of the output and order of the model."""
-MOST_MODES = 160
 PASSES = 9
 """Alternations between path, noise levels and estimate."""
 TRUSTED = 3
@@ -59,10 +60,6 @@ SIGNIFICANT = 0.5
 """Gain in twice the log-likelihood from which white noise besides the counting is taken as real."""
 SETTLED = 0.03
 """Relative change of the random walk's variance at which the alternation ends."""
-SLOW, FINEST = 4.0, 96
-"""Counts in a stretch up to which so many harmonics of the saw-tooth are followed, as memory allows."""
-MOST_PHASES = 1_000_000
-"""Phases held at once in such a stretch (16 bytes each)."""
 WALKS_TRIED = 13
 """Random walks tried in each of three rounds, ever closer to the likely ones."""
 UNLIKELY = 18.0
@@ -86,6 +83,29 @@ class Stretches:
     segment: NDArray[np.int64]
     count: float
     design: Design
+    parts: list[Stretch] = field(repr=False)
+
+    @classmethod
+    def of(cls, design: Design, modes: int, count: float) -> Stretches:
+        """Rows and covariances of a design, without those of the counting."""
+        parts = find_stretches(design, modes)
+        return cls(
+            np.array([part.rows for part in parts]),
+            np.array([walk_covariance(part) for part in parts]),
+            np.array([white_covariance(part) for part in parts]),
+            np.zeros((HARMONICS + 1, 0, 0, 0)),
+            np.array([part.segment for part in parts]),
+            count,
+            design,
+            parts,
+        )
+
+    def along(self, solution: Solution, groups: tuple[int, ...], noise: Noise, spread: float) -> Stretches:
+        """The same with the covariances of the counting along the path of a solution."""
+        counting = counting_covariances(
+            self.design, self.parts, self.count, solution, groups, noise.walk, spread
+        )
+        return replace(self, counting=counting)
 
     def covariance(self, noise: Noise) -> Array:
         """Covariance of the rows (S, K, K) for noise besides the counting; white noise dithers the harmonics."""
@@ -121,7 +141,7 @@ class Counted:
         """Summaries per segment of a record of the same sampling, with these weights."""
         rows = self.stretches.rows
         if design is not self.stretches.design:
-            rows = np.array([stretch.rows for stretch in _stretches(design, self.modes)])
+            rows = np.array([stretch.rows for stretch in find_stretches(design, self.modes)])
         factor = np.linalg.cholesky(self.stretches.covariance(self.noise))
         summaries = [Reduction.empty(design.names) for _ in design.run.labels]
         for stretch, segment in zip(np.linalg.solve(factor, rows), self.stretches.segment, strict=True):
@@ -155,14 +175,15 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         return fit
     if design.run.left_out is not None:
         return fit
-    modes = _modes(design)
+    modes = modes_of(design)
     if modes < 3:
         return fit
+    stretches = Stretches.of(design, modes, count)
     solution, noise = fit.solution, Noise(0.0, 0.0)
     for index in range(PASSES):
         spread = SPREADS[index] if index < len(SPREADS) else 0.0
         dither = noise if index >= TRUSTED else Noise(0.0, 0.0)
-        stretches = _project(design, modes, count, solution, groups, dither, spread)
+        stretches = stretches.along(solution, groups, dither, spread)
         before = noise
         rows = _rows(stretches, solution.values if max(groups) else None)
         noise, walks = _levels(rows, stretches, noise.white, again=index == TRUSTED)
@@ -181,141 +202,6 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         covariance=solution.covariance,
         counted=counted,
     )
-
-
-def _modes(design: Design) -> int:
-    """Contrasts per stretch: enough for the ripple of the fastest one, no more than the shortest allows."""
-    run = design.run
-    starts = np.flatnonzero(run.begins)
-    lengths = np.diff(np.append(starts, run.size))
-    ends = starts + lengths - 1
-    turns = float(np.abs(run.output[ends] - run.output[starts]).max()) / (2.0 * math.pi)
-    order = max((1, *design.request.harmonics))
-    usable = lengths[lengths >= 8]
-    if usable.size == 0:
-        return 0
-    return int(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, usable.min() - 2))
-
-
-@dataclass(frozen=True)
-class _Stretch:
-    """One stretch: contrasts (K, bins), bin edges, sample times, angle columns (m + 1, n), their rows."""
-
-    segment: int
-    start: int
-    contrasts: Array
-    edges: NDArray[np.int64]
-    t: Array
-    columns: Array
-    rows: Array
-
-    def mean(self, values: Array) -> Array:
-        """Means over the bins, last axis."""
-        return np.add.reduceat(values, self.edges[:-1], axis=-1) / np.diff(self.edges)
-
-
-def _stretches(design: Design, modes: int) -> Iterator[_Stretch]:
-    """Stretches of at least eight samples, one segment in memory at a time."""
-    run = design.run
-    for start, segment, columns in _segments(design):
-        marks = np.flatnonzero(run.begins[start : start + columns.shape[1]])
-        for left, right in zip(marks, np.append(marks[1:], columns.shape[1]), strict=True):
-            size = int(right - left)
-            if size < 8:
-                continue
-            angle = np.cumsum(columns[:, left:right], axis=1)
-            bins = min(size, 4 * modes)
-            edges = np.linspace(0, size, bins + 1).astype(np.int64)
-            contrasts = _contrasts(modes, bins)
-            t = run.t[start + left : start + right]
-            means = np.add.reduceat(angle, edges[:-1], axis=1) / np.diff(edges)
-            yield _Stretch(segment, start + int(left), contrasts, edges, t, angle, contrasts @ means.T)
-
-
-def _segments(design: Design) -> Iterator[tuple[int, int, Array]]:
-    """First row, index and increment columns (m + 1, n) of every segment's part of the record."""
-    parts: list[Array] = []
-    first, current = 0, -1
-    for block in design.blocks():
-        if current not in (-1, block.segment):
-            yield first, current, np.concatenate(parts, axis=1)
-            parts = []
-        if not parts:
-            first, current = block.start, block.segment
-            if first == 1:
-                first, parts = 0, [np.zeros((block.columns.shape[0], 1))]
-        parts.append(block.columns)
-    yield first, current, np.concatenate(parts, axis=1)
-
-
-def _contrasts(modes: int, bins: int) -> Array:
-    """Slowest cosines of the second kind, and the difference of the ends (which a random walk is known by)."""
-    at = (np.arange(bins) + 0.5) / bins
-    found = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
-    ends = np.zeros(bins)
-    ends[0], ends[-1] = -1.0, 1.0
-    return np.vstack([found, ends / math.sqrt(2.0)])
-
-
-def _project(
-    design: Design,
-    modes: int,
-    count: float,
-    solution: Solution,
-    groups: tuple[int, ...],
-    noise: Noise,
-    spread: float,
-) -> Stretches:
-    """Rows and covariances of all stretches along the path of an estimate."""
-    rows, walks, whites, countings, segments = [], [], [], [], []
-    for stretch in _stretches(design, modes):
-        phi, group = stretch.contrasts, groups[stretch.segment]
-        times = stretch.mean(stretch.t)
-        tails = np.cumsum(phi[:, ::-1], axis=1)[:, ::-1][:, 1:]
-        rows.append(stretch.rows)
-        walks.append((tails * np.diff(times)) @ tails.T)
-        whites.append((phi / np.diff(stretch.edges)) @ phi.T)
-        jacobian = solution.jacobians[group]
-        far = stretch.columns[:-1, -1] - stretch.columns[:-1, 0]
-        known = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-        residual = stretch.columns[-1] - solution.values[stretch.segment] @ stretch.columns[:-1]
-        path = design.run.output[stretch.start : stretch.start + stretch.t.size] - residual
-        countings.append(_counting(stretch, path, count, known / count**2 + spread**2, noise.walk / count**2))
-        segments.append(stretch.segment)
-    return Stretches(
-        np.array(rows),
-        np.array(walks),
-        np.array(whites),
-        np.stack(countings, axis=1),
-        np.array(segments),
-        count,
-        design,
-    )
-
-
-def _counting(stretch: _Stretch, path: Array, count: float, known: float, walk: float) -> Array:
-    """Covariance of the contrasts by each harmonic of the counting, and all others (M + 1, K, K).
-
-    The path over the stretch is known to ``known`` [counts^2], at its ends against each other, and wanders from
-    there by a random walk of ``walk`` [counts^2/s]: what is out of phase by then is not correlated. Harmonics
-    beyond those followed are white.
-    """
-    turned = (path - path[0]) / count
-    followed = FINE if stretch.t.size <= SHORT else HARMONICS
-    if float(np.ptp(turned)) < SLOW:
-        followed = max(min(FINEST, MOST_PHASES // turned.size), followed)
-    power: Array = count**2 / (2.0 * np.pi**2 * np.arange(1.0, followed + 1.0) ** 2)
-    phase = np.multiply.accumulate(
-        np.broadcast_to(np.exp(2j * np.pi * turned), (followed, turned.size)), axis=0
-    )
-    mean, times = stretch.mean(phase), stretch.mean(stretch.t)
-    ramp = times / (stretch.t[-1] - stretch.t[0])
-    found = np.zeros((HARMONICS + 1, times.size, times.size))
-    saw_tooth_covariance(
-        np.ascontiguousarray(mean.real), np.ascontiguousarray(mean.imag), power, times, ramp, walk, known, found
-    )
-    found[-1].flat[:: times.size + 1] += (count**2 / 12.0 - float(power.sum())) / np.diff(stretch.edges)
-    return stretch.contrasts @ found @ stretch.contrasts.T
 
 
 def _rows(stretches: Stretches, values: Array | None) -> Array:

@@ -103,10 +103,12 @@ def propagate_distributions(
         A fixed number; None: adaptive, until every figure is stable to its tolerance, at most ``MOST``.
     """
     values: list[Array] = []
+    figures: list[Array] = []
     for block in _blocks(base, covariance, degrees, sources):
         values.append(results(block))
+        figures.append(_figures(values[-1]))
         done = len(values) * BLOCK >= (MOST if trials is None else trials)
-        if done or (trials is None and len(values) > 1 and _stable(values)):
+        if done or (trials is None and len(values) > 1 and _stable(np.array(figures))):
             break
     drawn = np.sort(np.concatenate(values)[: trials or MOST], axis=0)
     std = drawn.std(axis=0, ddof=1)
@@ -132,11 +134,19 @@ def _blocks(base: Array, covariance: Array, degrees: float, sources: list[Contri
         yield base + drawn
 
 
-def _stable(values: list[Array]) -> bool:
-    """JCGM 101, 7.9.4: twice the standard deviation of the average of every figure is below the tolerance."""
-    count = len(values)
-    figures = np.array(
-        [[v.mean(axis=0), v.std(axis=0, ddof=1), *np.quantile(v, (0.025, 0.975), axis=0)] for v in values]
+def _figures(values: Array) -> Array:
+    """Mean, standard deviation and ends of the symmetric interval of a block of trials (4, m)."""
+    return np.array(
+        [values.mean(axis=0), values.std(axis=0, ddof=1), *np.quantile(values, (0.025, 0.975), axis=0)]
     )
-    spread = figures.std(axis=0, ddof=1) / math.sqrt(count)
-    return bool((2.0 * spread <= tolerance(np.concatenate(values).std(axis=0, ddof=1))).all())
+
+
+def _stable(figures: Array) -> bool:
+    """JCGM 101, 7.9.4: twice the standard deviation of the average of every figure is below the tolerance.
+
+    ``figures`` (blocks, 4, m); all blocks have the same number of trials.
+    """
+    spread = figures.std(axis=0, ddof=1) / math.sqrt(len(figures))
+    mean, std = figures[:, 0], figures[:, 1]
+    pooled = np.sqrt(np.mean(std**2, axis=0) + mean.var(axis=0))
+    return bool((2.0 * spread <= tolerance(pooled)).all())
