@@ -40,10 +40,12 @@ class LongestRun:
     _next: int = 0
 
     def see(self, mask: NDArray[np.bool_], offset: int) -> None:
-        """The mask of the rows from ``offset`` on; some are True."""
+        """The mask of the rows from ``offset`` on."""
         held = self._open if offset == self._next else 0
         self._next, self._open = offset + mask.size, 0
         at = np.flatnonzero(mask)
+        if not at.size:
+            return
         ends = np.flatnonzero(np.diff(at) != 1)
         starts = at[np.concatenate(([0], ends + 1))]
         lengths = at[np.append(ends, at.size - 1)] - starts + 1
