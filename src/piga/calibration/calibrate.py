@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.advice import advise, looks_wrong, with_advice
 from piga.calibration.budget import budget_row, combined, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
@@ -19,6 +20,8 @@ from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions
 from piga.calibration.joint_result import joint_result
+from piga.calibration.leverage import find_leverage
+from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
@@ -35,7 +38,7 @@ from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, DataError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
@@ -90,10 +93,13 @@ def calibrate(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
-    fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
-    coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
-    spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
+    try:
+        fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
+        coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
+        spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
+        refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
+    except (IdentifiabilityError, DataError) as error:
+        raise with_advice(error, advise(run, request)) from None
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
@@ -103,8 +109,14 @@ def calibrate(
     history = _history(fit, groups) if request.method == "recursive" else None
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
+    leverage, doubts = find_leverage(fit, groups, per_segment, coefficients)
+    missing = suggest_terms(fit, groups, per_segment, coefficients)
+    notes = (*notes, *doubts, *suggestions_in_words(missing))
     result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
-    return replace(result, diagnostics=result.diagnostics | tested)
+    found = tested | leverage | ({"missing_terms": list(missing)} if missing else {})
+    advice = advise(fit.design.run, request) if looks_wrong(result) else ()
+    found |= {"advice": list(advice)} if advice else {}
+    return replace(result, notes=(*advice, *notes), diagnostics=result.diagnostics | found)
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
