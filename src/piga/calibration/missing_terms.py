@@ -185,7 +185,7 @@ def _test(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tes
     scale = np.linalg.norm(stacked[:, :-1], axis=0)
     if not scale.all():
         return None
-    R = np.linalg.qr(stacked / np.append(scale, 1.0), mode="r")
+    R: Array = np.asarray(np.linalg.qr(stacked / np.append(scale, 1.0), mode="r"))
     own = R[m : m + q, m : m + q]
     if np.linalg.svd(own, compute_uv=False)[-1] < CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
         return None
