@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.advice import advise, with_advice
 from piga.calibration.budget import budget_row, combined, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
@@ -23,6 +24,7 @@ from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
+from piga.calibration.remarks import with_remarks
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.revolutions import (
@@ -36,7 +38,7 @@ from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, DataError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
@@ -91,10 +93,13 @@ def calibrate(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
-    fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
-    coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
-    spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
+    try:
+        fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
+        coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
+        spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
+        refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
+    except (IdentifiabilityError, DataError) as error:
+        raise with_advice(error, advise(run, request)) from None
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
@@ -105,6 +110,7 @@ def calibrate(
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
     result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+    result = with_remarks(result, fit, groups, per_segment)
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
 
 

@@ -8,6 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from piga.records.calibration import Calibration
+from piga.reports.calibration_diagnostics import (
+    COMPARISON_LEAD,
+    LEVERAGE_LEAD,
+    OWN_TABLES,
+    comparison_table,
+    leverage_table,
+)
 from piga.reports.calibration_figures import calibration_figures, elapsed_time
 from piga.reports.calibration_tables import (
     budget_table,
@@ -330,9 +337,12 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
-        *scalars({key: value for key, value in cal.diagnostics.items() if key != "model_comparison"}),
+        *scalars({key: value for key, value in cal.diagnostics.items() if key not in OWN_TABLES}),
     ]
-    return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
+    blocks.append(facts_table(rows))
+    for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (comparison_table(cal), COMPARISON_LEAD)):
+        blocks += [Text(text, lead=True), found] if found is not None else []
+    return Section("Identifiability and noise", "identifiability", tuple(blocks))
 
 
 def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
