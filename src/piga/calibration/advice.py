@@ -41,7 +41,7 @@ FAR_BETTER = 3.0
 AS_GOOD = 1.2
 """Ratio of residuals up to which readings cannot be told apart."""
 OFF = 2.0
-"""Ratio of the scale factor to the nominal one from which something is wrong."""
+"""Ratio of the scale factor to the nominal one from which something is wrong, and no other reading is likely."""
 MOST_ALIKE = 3
 """Readings named that the record cannot tell from the best."""
 
@@ -83,10 +83,11 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
     plain = next((t for t in trials if t.reading == Reading()), None)
     if plain is None:
         return ()
-    least = min(t.residual for t in trials)
+    likely = [t for t in trials if t is plain or 1.0 / OFF < abs(t.scale) < OFF]
+    least = min(t.residual for t in likely)
     if plain.residual <= FAR_BETTER * least:
         return _scale_words(plain, trials, run)
-    near = [t for t in trials if t.residual <= AS_GOOD * least]
+    near = [t for t in likely if t.residual <= AS_GOOD * least]
     upright = [t for t in near if t.scale > 0.0] or near
     best, *others = sorted(upright, key=lambda t: (t.reading.changes, t.residual))
     alike = [t.reading for t in others[:MOST_ALIKE]]

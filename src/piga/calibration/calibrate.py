@@ -201,13 +201,13 @@ def _joint_calibration(
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
     fit = fit_jointly(items, terms, phase, per_run)
-    keys = [coefficient.key for coefficient in fit.coefficients]
     covariance = fit.covariance.copy()
     type_a = np.sqrt(np.diag(covariance))
-    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    found = fit.coefficients
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", found, type_a)]
     for source, change in joint_contributions(fit):
         covariance += np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, found, change))
     return joint_result(fit, covariance, tuple(budget))
 
 
@@ -219,10 +219,10 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
     type_a = np.sqrt(np.diag(covariance))
-    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, type_a)]
     for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
         covariance = covariance + np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, coefficients, change))
     std = np.sqrt(np.diag(covariance))
     coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
@@ -264,7 +264,7 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
+    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std),)
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 
