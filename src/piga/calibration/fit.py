@@ -32,6 +32,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Outlier
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
+from piga.records.spool import square_sum
 
 Array = NDArray[np.float64]
 
@@ -198,7 +199,7 @@ def _levels(
     information: Information | None = None,
 ) -> Noise:
     if mode == "samples":
-        variance = float(d @ d) / max(design.rows - parameters, 1)
+        variance = square_sum(d) / max(design.rows - parameters, 1)
         return Noise(0.0, variance * design.run.median_step)
     scale = largest_size(design.run.output)
     return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
