@@ -34,7 +34,13 @@ MOTION = [
     "tests/instrument/test_borders.py",
     "tests/docs/test_equations.py",
 ]
-SAMPLES = [*MOTION, "tests/instrument/test_sensitivity.py", "tests/instrument/test_propagate.py"]
+SAMPLES = [
+    *MOTION,
+    "tests/instrument/test_sensitivity.py",
+    "tests/instrument/test_step_sizes.py",
+    "tests/instrument/test_propagate.py",
+    "tests/instrument/test_input_forms.py",
+]
 FIT = [
     "tests/calibration/test_kernels.py",
     "tests/calibration/test_reduction.py",
@@ -43,12 +49,12 @@ FIT = [
 ]
 GROUND = ["tests/foundations"]
 TESTS = {
-    "_kernels/motion.py": MOTION,
+    "_kernels/motion.py": SAMPLES,
     "_kernels/motion_blocks.py": SAMPLES,
     "_kernels/motion_increments.py": SAMPLES,
     "_kernels/motion_samples.py": SAMPLES,
     "_kernels/motion_sensitivity.py": SAMPLES,
-    "_kernels/transfer.py": MOTION,
+    "_kernels/transfer.py": SAMPLES,
     "instrument/constant_motion.py": MOTION,
     "_kernels/regressors.py": FIT,
     "_kernels/square_root.py": FIT,

@@ -94,7 +94,7 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     if fit.design.request.angle_rms is not None:
         return np.full(len(names), math.inf)
     if fit.counted is not None:
-        return _satterthwaite(fit, groups, per_segment, (fit.counted.walk_deviation,), rest)
+        return _by_precision(fit, groups, per_segment, *fit.counted.walks, rest)
     starts = np.flatnonzero(fit.design.run.begins)
     lengths = np.diff(np.append(starts, fit.design.run.size))
     information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
@@ -129,6 +129,20 @@ def _satterthwaite(
         moved = variances(Noise(fit.noise.white + size * white, fit.noise.walk + size * walk))
         spread += ((moved - now) / size) ** 2
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
+
+
+def _by_precision(
+    fit: Fit, groups: tuple[int, ...], per_segment: bool, walks: Array, weights: Array, rest: float
+) -> Array:
+    """``2 m^2/var`` of the precision 1/v, m its mean, over the random walks that the record allows.
+
+    Exact, Student's t, where the variance is that of the random walk alone.
+    """
+    variances = _variances(fit, groups, per_segment)
+    precision = np.array([1.0 / variances(Noise(fit.noise.white, walk)) for walk in walks])
+    mean = weights @ precision
+    spread = weights @ (precision - mean) ** 2
+    return np.minimum(rest, 2.0 * mean**2 / np.maximum(spread, 1e-300))
 
 
 def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:
