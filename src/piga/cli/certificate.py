@@ -10,6 +10,7 @@ import typer
 
 from piga.cli.common import note, output_directory, print_json, say, write_by_rename
 from piga.cli.groups import Group
+from piga.cli.options import JsonOption
 from piga.errors import PigaError
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ app = typer.Typer(
     "'piga certificate CALIBRATION.json ...' issues.",
 )
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
 PemOption = Annotated[
     Path | None, typer.Option("--certificate", metavar="PEM", help="X.509 certificate of the laboratory.")
 ]

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.calibrate import JsonOption, RunFileArgument, report_available
-from piga.cli.common import output_directory, print_json, progress, say
+from piga.cli.common import output_directory, print_json, progress, report_available, say
 from piga.cli.groups import Group
+from piga.cli.options import JsonOption, RunFileArgument
 from piga.cli.records_output import (
     difference_document,
     print_added,

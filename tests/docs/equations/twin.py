@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from piga._kernels.servo import derivative, friction, wheel
 from piga.frames import axis_turn
 from piga.instrument.twin_linear import open_loop, tilt_compliance
-from piga.instrument.twin_parameters import PRESETS
 from piga.instrument.twin_predictions import (
     predicted_k2,
     predicted_rectification,
     predicted_second_harmonic,
 )
 from piga.units import G0
+from tests.instrument.rigid_body import RICH as DESIGN
 
 from .registry import Pair, equation
 
-DESIGN = replace(
-    PRESETS["example-floated"],
-    product_of_inertia=2e-5,
-    pick_off_null=3e-3,
-    coulomb_friction=1e-4,
-    inner_torque=1e-4,
-    outer_torque=2e-3,
-    hunting=1e-3,
-)
 P = DESIGN.constants()
 TIME = 0.3
 STATE = np.array([0.7, 4e-3, 1.1, -0.06, 2e-4])
