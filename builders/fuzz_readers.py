@@ -7,7 +7,7 @@ kept in ``tests/records/findings`` and read again by the tests.
 Containers are read in the fuzzing process, under the limit on memory that their own process has, so that a run of
 1e5 takes minutes. Where the library itself hangs or crashes, the input is read again as the program does, in a
 process of its own: when that ends in a refusal within 10 s of computing it is counted as contained and the run goes on.
-HDF5 files, on which the library often hangs, are first tried in a forked child that may compute for half a second; what the
+HDF5 files, on which the library often hangs, are first tried in a forked child that may compute for a sixth of a second; what the
 child survives is read in the fuzzing process, which learns from it.
 """
 
@@ -44,8 +44,8 @@ from builders.fuzz_seeds import NAMES, SEEDS, SUFFIX, seeds
 
 from piga.errors import PigaError
 
-PATIENCE = 0.5
-"""Computing time of the child for an input [s]; the slowest that it came back from took a third of that."""
+PATIENCE = 0.15
+"""Computing time of the child for an input [s]: what takes longer is read as the program does, or taken as ended."""
 PROVEN = 20
 """Inputs that end the child: so many are read as the program does, the others are taken as ended in the same way."""
 MEMORY = 4 << 30

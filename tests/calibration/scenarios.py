@@ -57,11 +57,11 @@ class Scenario:
     truth: dict[str, float] = field(default_factory=lambda: {"k0": 1.6e-3})
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
     turning: Array | None = None
-    per_segment: bool = False
+    phi: float = PHI
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
-        fixed = {"scale_factor": SCALE, "tan_beta": self.tan_beta, "phi": PHI}
+        fixed = {"scale_factor": SCALE, "tan_beta": self.tan_beta, "phi": self.phi}
         return fixed[name] if name in fixed else self.truth.get(name, 0.0)
 
     def indicated(self) -> Array:
@@ -83,7 +83,7 @@ class Scenario:
         starts = rng.uniform(-math.pi, math.pi, count)
         for s in range(count):
             _motion(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
-        output = psi.ravel() - PHI
+        output = psi.ravel() - self.phi
         if self.white:
             output = output + self.white * rng.standard_normal(output.size)
         if self.count:
@@ -108,11 +108,14 @@ class Scenario:
     def errors(self, found: piga.Calibration) -> Array:
         """Error of every coefficient in file units, in the order of the result."""
         errors = np.array([c.value - self.true_value(c.name) for c in found.coefficients])
-        angles = np.array([c.name == "phi" for c in found.coefficients])
-        return np.where(angles, np.angle(np.exp(1j * errors)), errors)
+        return _nearest(found, errors)
 
     def bound(self, run: piga.Run) -> Array:
-        """Cramer-Rao covariance (file units) for the true noise levels, computed densely, white reading noise.
+        """Cramer-Rao covariance (file units) for the true noise levels, computed densely, white reading noise."""
+        return np.linalg.inv(self.information(run))
+
+    def information(self, run: piga.Run) -> Array:
+        """Fisher information of the coefficients (file units).
 
         ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted.
         """
@@ -124,9 +127,9 @@ class Scenario:
         information = np.zeros((len(self.names), len(self.names)))
         for s in range(len(self.forces)):
             part = run.segment == s
-            columns = self._derivatives(run.output[part] + PHI, s, h)
+            columns = self._derivatives(run.output[part] + self.phi, s, h)
             information += columns.T @ np.linalg.solve(V, columns)
-        return np.linalg.inv(information)
+        return information
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,6 +150,49 @@ class Scenario:
         products = _products(a, y, z)
         rows = [known[n] if n in known else SCALE * products[n] + 0.0 * sine for n in self.names]
         return np.array([0.5 * h * (rate[1:] + rate[:-1]) for rate in rows]).T
+
+
+def _nearest(found: piga.Calibration, errors: Array) -> Array:
+    """Errors, those of phases to the nearest whole turn."""
+    angles = np.array([c.name == "phi" for c in found.coefficients])
+    return np.where(angles, np.angle(np.exp(1j * errors)), errors)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Several tests of one instrument calibrated together, each with its own noise and phase."""
+
+    name: str
+    runs: tuple[Scenario, ...]
+
+    def record(self, rng: np.random.Generator) -> list[piga.Run]:
+        """One simulated test of each kind."""
+        return [run.record(rng) for run in self.runs]
+
+    def calibrate(self, runs: list[piga.Run]) -> piga.Calibration:
+        """The estimate that is put to the test."""
+        return piga.calibrate(runs, self.runs[0].terms)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coefficients in the order of a result: the phases of all runs behind tan_beta."""
+        phases = tuple(f"phi[run {i + 1}]" for i in range(len(self.runs)))
+        return tuple(n for name in self.runs[0].names for n in (phases if name == "phi" else (name,)))
+
+    def errors(self, found: piga.Calibration) -> Array:
+        """Error of every coefficient in file units, in the order of the result."""
+        phases = {f"phi[run {i + 1}]": run.phi for i, run in enumerate(self.runs)}
+        truth = [phases.get(c.key, self.runs[0].true_value(c.name)) for c in found.coefficients]
+        return _nearest(found, np.array([c.value for c in found.coefficients]) - truth)
+
+    def bound(self, records: list[piga.Run]) -> Array:
+        """Cramer-Rao covariance (file units): the information of the tests adds."""
+        total = np.zeros((len(self.names), len(self.names)))
+        for index, (scenario, record) in enumerate(zip(self.runs, records, strict=True)):
+            own = [f"phi[run {index + 1}]" if name == "phi" else name for name in scenario.names]
+            at = [self.names.index(name) for name in own]
+            total[np.ix_(at, at)] += scenario.information(record)
+        return np.linalg.inv(total)
 
 
 def _products(a: Array, y: Array, z: Array) -> dict[str, Array]:
@@ -183,7 +229,12 @@ _STATIC = {"k0": 1.6e-3, "k2": 2.0e-4, "m_Y": 2.4e-4}
 _TERMS = ("scale_factor", "tan_beta", "k0", "k2", "m_Y")
 _ARM, _RATES = _centrifuge()
 
-SCENARIOS = {
+_JOINT_TERMS = ("scale_factor", "tan_beta", "k0", "k2", "k_YY", "m_Y")
+_JOINT = _STATIC | {"k_YY": -1.1e-4}
+_LEVELS = np.array([0.5, 1.0, -1.5, 2.0, -3.0, 4.0, -5.0, 6.0])
+_SPUN = np.stack([_LEVELS, np.full(8, 0.3), np.ones(8)], axis=1)
+
+SCENARIOS: dict[str, Scenario | Joint] = {
     found.name: found
     for found in (
         Scenario("static", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=2e-5, truth=_STATIC, terms=_TERMS),
@@ -205,5 +256,12 @@ SCENARIOS = {
         ),
         Scenario("white", tumble(8, (0.5, 1.0)), white=2.5e-5, truth=_STATIC, terms=_TERMS),
         Scenario("walk", tumble(8, (0.5, 1.0)), white=1e-9, walk=3e-5, truth=_STATIC, terms=_TERMS),
+        Joint(
+            "joint",
+            (
+                Scenario("head", tumble(12), white=2.5e-5, walk=1e-5, truth=_JOINT, terms=_JOINT_TERMS),
+                Scenario("spun", _SPUN, white=6e-5, walk=2e-5, truth=_JOINT, terms=_JOINT_TERMS, phi=-1.9),
+            ),
+        ),
     )
 }  # fmt: skip

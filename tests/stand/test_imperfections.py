@@ -1,12 +1,13 @@
 """Imperfections of a stand: read from text, refused by name, drawn with the stated spread."""
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 from piga.records.run_file import UNCERTAINTY_UNITS
-from piga.stand.imperfections import imperfection_units, imperfections
+from piga.stand.imperfections import Imperfections, imperfections
 from piga.units import ARCSEC, G0
 
 
@@ -26,7 +27,7 @@ def test_imperfections_from_text():
 
 
 def test_every_type_b_source_of_a_run_file_is_an_imperfection_with_that_unit():
-    units = imperfection_units()
+    units = {entry.name: entry.metadata["unit"] for entry in fields(Imperfections)}
     assert {name: units[name] for name in UNCERTAINTY_UNITS} == UNCERTAINTY_UNITS
 
 

@@ -31,7 +31,16 @@ def test_page_shows_stand_output_servo_and_truth():
     specimen = Specimen(INST, twin=replace(PRESETS["example"], torque_limit=0.01))
     test = simulate_test(stand, specimen, COUNTS, model="twin", imperfections=Imperfections(gravity=1e-5))
     keys = [figure.key for figure in simulation_figures(test)]
-    assert keys == ["stand", "imperfections", "output", "servo", "loop-bode", "loop-step", "loop-poles"]
+    assert keys == [
+        "stand",
+        "imperfections",
+        "output",
+        "locking",
+        "servo",
+        "loop-bode",
+        "loop-step",
+        "loop-poles",
+    ]
     for figure in simulation_figures(test):
         assert isinstance(figure, Figure)
         assert all(panel.x.quantity and panel.y.quantity for panel in figure.panels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,7 +18,7 @@ from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
-from piga.calibration.joint import check_items, fit_jointly, joint_contributions
+from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
 from piga.calibration.joint_result import joint_result
 from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
@@ -201,8 +202,10 @@ def _joint_calibration(
     budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
     for source, change in joint_contributions(fit):
         covariance += np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
-    return joint_result(fit, covariance, tuple(budget))
+        shape, degrees = source.distribution, source.degrees_of_freedom
+        known = degrees if math.isfinite(degrees) else None
+        budget.append(budget_row(source.name, "B", shape, source.value, source.unit, keys, change, known))
+    return joint_result(fit, covariance, tuple(budget), joint_degrees(fit))
 
 
 def _revolutions_calibration(run: Run, request: Request) -> Calibration:

@@ -88,18 +88,22 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
     fit = plain = _fit(run, request, groups, per_segment)
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
         return fit
+    plain.design.forget()
     raw = Design(run, request, run.scale_factor)
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw, groups))
+    raw.forget()
     flags = find_flags(misses, first_noise(misses), resolution)
     for _ in range(MAX_ROUNDS):
         if not flags.any() or is_misfit(run, misses, flags):
             return plain
         refuse_if_too_many(flags)
         cleaned, found = leave_out(run, misses, flags)
+        fit.design.forget()
         fit = replace(_fit(cleaned, request, groups, per_segment), outliers=found)
         raw = raw.with_phase_of(fit.design)
         misses = misses_of(raw, fit.solution.values)
+        raw.forget()
         again = find_flags(misses, later_noise(misses, fit.noise, flags), resolution)
         if np.array_equal(again, flags):
             break

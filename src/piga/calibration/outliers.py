@@ -38,7 +38,7 @@ LEAST = 1e-7
 """Smallest miss [rad, or rad/s] that makes a sample bad: 0.02 arcsec, finer than any readout."""
 PAIRS, SMOOTH = 100, 0.8
 """Neighbouring bad increments, and the share of them that miss to the same side, from which the model is at fault."""
-SAMPLE = 2_000_000
+SAMPLE = 500_000
 """Increments that medians are taken of at most."""
 
 

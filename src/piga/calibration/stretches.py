@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.counting import add_waves
+from piga._kernels.counting import add_waves, saw_tooth_covariance
 from piga.calibration.design import Block, Design
 from piga.calibration.solution import Solution
 
@@ -28,18 +28,8 @@ FINE, SHORT = 24, 10_000
 MODES = 24
 """Cosines per stretch at least; four more per turn of the output and order of the model."""
 MOST_MODES = 160
-SLOW = 4.0
-"""Counts in a stretch up to which all harmonics of the saw-tooth are followed, sample by sample."""
-KNOWN = 0.01
-"""Uncertainty of the path over a stretch [counts] that is not averaged over."""
-_NODES = (
-    (0.0, 8.0 / 15.0),
-    (1.355626, 0.222076),
-    (-1.355626, 0.222076),
-    (2.856970, 0.011257),
-    (-2.856970, 0.011257),
-)
-"""Gauss-Hermite nodes and weights for a standard normal variable."""
+SLOW, FINEST = 4.0, 96
+"""Counts in a stretch up to which so many harmonics of the saw-tooth are followed."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +37,7 @@ class Stretch:
     """Rows ``start`` to ``stop`` of a segment, bin edges counted from ``start``, contrasts (K, bins).
 
     Filled by one pass over the record: sums over the bins of the angle columns (m + 1, bins) and of the time, the
-    angle columns at the end, and the first and last time [s].
+    angle columns at the end, the first and last time [s], the least and largest reading since the start [rad].
     """
 
     segment: int
@@ -59,11 +49,12 @@ class Stretch:
     time: Array
     end: Array
     limits: Array = field(default_factory=lambda: np.zeros(2))
+    span: Array = field(default_factory=lambda: np.zeros(2))
 
     @classmethod
     def of(cls, segment: int, start: int, stop: int, modes: int, columns: int) -> Stretch:
         """An empty one."""
-        bins = min(stop - start, 8 * modes)
+        bins = min(stop - start, 4 * modes)
         edges = np.linspace(0, stop - start, bins + 1).astype(np.int64)
         return cls(
             segment, start, stop, edges, _contrasts(modes, bins), np.zeros((columns, bins)), np.zeros(bins),
@@ -121,6 +112,8 @@ def find_stretches(design: Design, modes: int) -> list[Stretch]:
         stretch.add(stretch.angle, first, angle)
         stretch.add(stretch.time, first, t)
         stretch.end[:] = angle[:, -1]
+        reading = run.output[at : at + t.size] - run.output[stretch.start]
+        stretch.span[:] = min(stretch.span[0], reading.min()), max(stretch.span[1], reading.max())
         if first == 0:
             stretch.limits[0] = t[0]
         stretch.limits[1] = t[-1]
@@ -175,63 +168,43 @@ def white_covariance(stretch: Stretch) -> Array:
 class Counting:
     """The saw-tooth of the counts along the path of a stretch, gathered block by block.
 
-    The rate is known to ``sigma`` [counts over the stretch]: averaged over by Gauss-Hermite quadrature. The
-    random walk about the best line, ``wander`` [counts], dithers the harmonics; what it takes out is white.
+    The path over the stretch is known to ``known`` [counts^2], at its ends against each other, and wanders from
+    there by a random walk of ``walk`` [counts^2/s]: what is out of phase by then is not correlated. Harmonics
+    beyond those followed are white.
     """
 
-    def __init__(self, stretch: Stretch, count: float, sigma: float, wander: float) -> None:
-        self.stretch, self.count, self.sigma, self.wander = stretch, count, sigma, wander
-        self.nodes = _NODES if sigma > KNOWN else ((0.0, 1.0),)
-        self.followed = FINE if stretch.size <= SHORT else HARMONICS
-        bins = stretch.contrasts.shape[1]
-        self.cosines = np.zeros((len(self.nodes), self.followed, bins))
+    def __init__(self, stretch: Stretch, count: float, known: float, walk: float) -> None:
+        self.stretch, self.count, self.known, self.walk = stretch, count, known, walk
+        followed = FINE if stretch.size <= SHORT else HARMONICS
+        if float(np.ptp(stretch.span)) < SLOW * count:
+            followed = FINEST
+        self.cosines = np.zeros((followed, stretch.time.size))
         self.sines = np.zeros_like(self.cosines)
-        self.turned = np.zeros(bins)
-        self.ramp = np.zeros(bins)
-        self.least, self.most = math.inf, -math.inf
-        self.middle = float(stretch.time.sum()) / stretch.size
 
-    def add(self, first: int, t: Array, turned: Array) -> None:
-        """Add samples: time [s] and path since the start [counts]."""
-        stretch = self.stretch
-        ramp = (t - self.middle) / (stretch.limits[1] - stretch.limits[0])
-        stretch.add(self.turned, first, turned)
-        stretch.add(self.ramp, first, ramp)
-        self.least, self.most = min(self.least, float(turned.min())), max(self.most, float(turned.max()))
-        for at, (node, _) in enumerate(self.nodes):
-            slope = node * self.sigma
-            add_waves(turned, ramp, slope, first, stretch.edges, self.cosines[at], self.sines[at])
+    def add(self, first: int, turned: Array) -> None:
+        """Add samples of the path since the start [counts]."""
+        add_waves(turned, first, self.stretch.edges, self.cosines, self.sines)
 
     def covariance(self) -> Array:
         """Covariance of the contrasts by each harmonic of the counting, and all others (M + 1, K, K)."""
         stretch, phi = self.stretch, self.stretch.contrasts
-        slow = self.most - self.least + 3.0 * self.sigma < SLOW
-        order = np.arange(1, self.followed + 1)
-        kept = self.count**2 / (2.0 * np.pi**2 * order**2)
-        kept *= np.exp(-4.0 * np.pi**2 * (order * self.wander) ** 2)
-        found = np.zeros((HARMONICS + 1, phi.shape[0], phi.shape[0]))
-        turned, ramp = stretch.mean(self.turned), stretch.mean(self.ramp)
-        for at, (node, weight) in enumerate(self.nodes):
-            for sums in (self.cosines[at], self.sines[at]):
-                s = phi @ stretch.mean(sums).T
-                for m in range(HARMONICS):
-                    found[m] += weight * kept[m] * np.outer(s[:, m], s[:, m])
-                if not slow:
-                    found[-1] += weight * (s[:, HARMONICS:] * kept[HARMONICS:]) @ s[:, HARMONICS:].T
-            if slow:
-                found[-1] += weight * _whole(phi, turned + node * self.sigma * ramp, self.count)
-        if slow:
-            found[-1] -= found[:-1].sum(axis=0)
-        else:
-            found[-1] += (self.count**2 / 12.0 - float(kept.sum())) * white_covariance(stretch)
-        return found
-
-
-def _whole(phi: Array, at: Array, count: float) -> Array:
-    """Covariance of the contrasts by the whole saw-tooth, ``c^2 (1/12 - {x}(1 - {x})/2)`` between readings."""
-    apart = at[:, None] - at
-    apart -= np.floor(apart)
-    return count**2 * phi @ (1.0 / 12.0 - 0.5 * apart * (1.0 - apart)) @ phi.T
+        followed, bins = self.cosines.shape
+        power: Array = self.count**2 / (2.0 * np.pi**2 * np.arange(1.0, followed + 1.0) ** 2)
+        times = stretch.mean(stretch.time)
+        ramp = times / (stretch.limits[1] - stretch.limits[0])
+        found = np.zeros((HARMONICS + 1, bins, bins))
+        saw_tooth_covariance(
+            stretch.mean(self.cosines),
+            stretch.mean(self.sines),
+            power,
+            times,
+            ramp,
+            self.walk,
+            self.known,
+            found,
+        )
+        found[-1].flat[:: bins + 1] += (self.count**2 / 12.0 - float(power.sum())) / np.diff(stretch.edges)
+        return phi @ found @ phi.T
 
 
 def counting_covariances(
@@ -252,8 +225,7 @@ def counting_covariances(
     for stretch, first, angle in _pieces(design, stretches):
         rows = slice(stretch.start + first, stretch.start + first + angle.shape[1])
         residual = angle[-1] - solution.values[stretch.segment] @ angle[:-1]
-        turned = (run.output[rows] - run.output[stretch.start] - residual) / count
-        gathered[stretch.start].add(first, np.asarray(run.t[rows]), turned)
+        gathered[stretch.start].add(first, (run.output[rows] - run.output[stretch.start] - residual) / count)
     return np.stack([gathered[s.start].covariance() for s in stretches], axis=1)
 
 
@@ -264,7 +236,4 @@ def _counting_of(
     jacobian = solution.jacobians[groups[stretch.segment]]
     far = stretch.end[:-1]
     known = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-    duration = float(stretch.limits[1] - stretch.limits[0])
-    return Counting(
-        stretch, count, math.sqrt(known) / count + spread, math.sqrt(walk * duration / 15.0) / count
-    )
+    return Counting(stretch, count, known / count**2 + spread**2, walk / count**2)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 import piga
+from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.noise import find_noise
@@ -61,6 +62,24 @@ def _whitening() -> Iterator[Pair]:
     innovation_weights(h, r, q_w, 0.0, carry, scale)
     whiten(d[None], carry, scale, np.zeros(1), out)
     yield literal, out[0], 1e-14
+
+
+@equation("calibration-counting")
+def _counting() -> Iterator[Pair]:
+    """Sum over the harmonics, pair by pair, for three readings on a path known to u, with a random walk."""
+    psi, t, c, q_w, u = np.array([0.0, 0.7, 2.4]), np.array([0.0, 1.0, 2.5]), 0.9, 2e-3, 0.02
+    m = np.arange(1.0, 61.0)
+    literal = np.empty((3, 3))
+    for j in range(3):
+        for k in range(3):
+            v = q_w * abs(t[j] - t[k]) + u**2 * (t[j] - t[k]) ** 2
+            wave = np.cos(2 * np.pi * m * (psi[j] - psi[k]) / c) * np.exp(-2 * np.pi**2 * m**2 * v / c**2)
+            literal[j, k] = np.sum(c**2 / (2 * np.pi**2 * m**2) * wave)
+    phase = 2 * np.pi * np.outer(m, psi) / c
+    found = np.zeros((9, 3, 3))
+    power = c**2 / (2 * np.pi**2 * m**2)
+    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, u**2 / c**2, found)
+    yield literal, found.sum(axis=0), 1e-6
 
 
 @equation("calibration-likelihood")
