@@ -16,6 +16,7 @@ from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
+from piga.calibration.drift import include_drift
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
@@ -92,7 +93,7 @@ def calibrate(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
-    fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
+    fit = include_drift(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
     coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
     spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
     refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
@@ -161,6 +162,7 @@ def _assemble(
         residual_max_after=figures["residual_max_after"],
         quality=fit.design.run.quality,
         outliers=fit.outliers,
+        bias_drift=fit.noise.bias_drift,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,

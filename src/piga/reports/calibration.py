@@ -29,7 +29,7 @@ from piga.reports.long_record import leading_part, outline
 from piga.reports.model_choice import comparison_sections
 from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
-from piga.units import ARCSEC
+from piga.units import ARCSEC, G0
 
 __all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
 
@@ -330,9 +330,18 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
+        ("Bias drift", _drift_found(cal)),
         *scalars({key: value for key, value in cal.diagnostics.items() if key != "model_comparison"}),
     ]
     return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
+
+
+def _drift_found(cal: Calibration) -> str:
+    """Random walk of the rate, or that there is none to be seen."""
+    if cal.bias_drift == 0.0:
+        return "none seen"
+    shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
 
 
 def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
@@ -409,6 +418,7 @@ def _text_figures(cal: Calibration) -> list[str]:
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
+        *([("bias drift", _drift_found(cal))] if cal.bias_drift > 0.0 else []),
         ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
         ("condition number", short(cal.condition)),
     ]
