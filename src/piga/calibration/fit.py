@@ -51,7 +51,8 @@ RATIOS = np.linspace(-9.0, 3.0, 9)
 class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
-    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out.
+    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
+    ``drift_deviation`` is the standard uncertainty of ``noise.drift``.
     """
 
     design: Design
@@ -65,6 +66,7 @@ class Fit:
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
     counted: Counted | None = None
+    drift_deviation: float = 0.0
 
     @property
     def sample_variance(self) -> float:
