@@ -15,16 +15,18 @@ weights a stretch in which few counts change by what it really tells.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.counted_stretches import Stretch, all_stretches, modes_of, stretches_of
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.saw_tooth import HARMONICS, counting_covariance, harmonic_shares
 from piga.calibration.solution import Solution, solve
 from piga.records.run import Run
 
@@ -38,21 +40,6 @@ WHITE = 0.15
 twelfth of it is the counting itself)."""
 WALKS = 0.1
 """Random walk from sample to sample, in squared counts, above which it is dithered too."""
-HARMONICS = 8
-"""Harmonics of the saw-tooth that white noise damps one by one."""
-FINE, SHORT = 24, 10_000
-"""Harmonics followed in stretches up to so many samples (else those above); the rest counts as white."""
-MODES = 24
-"""Cosines per stretch at least; four more per turn of the output and order of the model."""
-MOST_MODES = 160
-_NODES = (
-    (0.0, 8.0 / 15.0),
-    (1.355626, 0.222076),
-    (-1.355626, 0.222076),
-    (2.856970, 0.011257),
-    (-2.856970, 0.011257),
-)
-"""Gauss-Hermite nodes and weights for a standard normal variable."""
 PASSES = 6
 """Alternations between path, noise levels and estimate."""
 LEVELS = 13
@@ -61,8 +48,6 @@ SIGNIFICANT = 0.5
 """Gain in twice the log-likelihood from which a random walk is taken as real."""
 SETTLED = 0.03
 """Relative change of the random walk's variance at which the alternation ends."""
-SLOW = 4.0
-"""Counts in a stretch up to which all harmonics of the saw-tooth are followed, sample by sample."""
 UNSEEN = 0.4
 """A random walk that coarse counts cannot show counts as this share of its standard uncertainty (the mean of the
 positive half of a normal distribution)."""
@@ -90,14 +75,8 @@ class Stretches:
         """Covariance of the rows (S, K, K) for noise besides the counting; white noise dithers the harmonics."""
         order = np.arange(1, HARMONICS + 2)
         kept = np.exp(-4.0 * np.pi**2 * order**2 * noise.white / self.count**2)
-        lost = float(_shares(self.count) @ (1.0 - kept))
+        lost = float(harmonic_shares(self.count) @ (1.0 - kept))
         return np.tensordot(kept, self.counting, 1) + noise.walk * self.walk + (noise.white + lost) * self.white
-
-
-def _shares(count: float) -> Array:
-    """Variance of each harmonic of the counting followed, and of all others together [rad^2]."""
-    found = count**2 / (2.0 * np.pi**2 * np.arange(1, HARMONICS + 1) ** 2)
-    return np.append(found, count**2 / 12.0 - found.sum())
 
 
 @dataclass(frozen=True)
@@ -120,7 +99,7 @@ class Counted:
         """Summaries per segment of a record of the same sampling, with these weights."""
         rows = self.stretches.rows
         if design is not self.stretches.design:
-            rows = np.array([stretch.rows for stretch in _stretches(design, self.modes)])
+            rows = np.array([stretch.rows for stretch in stretches_of(design, self.modes)])
         factor = np.linalg.cholesky(self.stretches.covariance(self.noise))
         summaries = [Reduction.empty(design.names) for _ in design.run.labels]
         for stretch, segment in zip(np.linalg.solve(factor, rows), self.stretches.segment, strict=True):
@@ -154,12 +133,13 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         return fit
     if design.run.left_out is not None:
         return fit
-    modes = _modes(design)
+    modes = modes_of(design)
     if modes < 3:
         return fit
     solution, noise, spread = fit.solution, Noise(0.0, 0.0), FIRST_SPREAD
+    kept = all_stretches(design, modes)
     for index in range(PASSES):
-        stretches = _project(design, modes, count, solution, groups, noise, spread)
+        stretches = _project(design, modes, count, solution, groups, noise, spread, kept)
         before = noise
         noise = _levels(stretches, noise.white, solution.values if max(groups) else None, again=index == 1)
         if index > 1:
@@ -185,80 +165,6 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
     )
 
 
-def _modes(design: Design) -> int:
-    """Contrasts per stretch: enough for the ripple of the fastest one, no more than the shortest allows."""
-    run = design.run
-    starts = np.flatnonzero(run.begins)
-    lengths = np.diff(np.append(starts, run.size))
-    ends = starts + lengths - 1
-    turns = float(np.abs(run.output[ends] - run.output[starts]).max()) / (2.0 * math.pi)
-    order = max((1, *design.request.harmonics))
-    usable = lengths[lengths >= 8]
-    if usable.size == 0:
-        return 0
-    return int(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, usable.min() - 2))
-
-
-@dataclass(frozen=True)
-class _Stretch:
-    """One stretch: contrasts (K, bins), bin edges, sample times, angle columns (m + 1, n), their rows."""
-
-    segment: int
-    start: int
-    contrasts: Array
-    edges: NDArray[np.int64]
-    t: Array
-    columns: Array
-    rows: Array
-
-    def mean(self, values: Array) -> Array:
-        """Means over the bins, last axis."""
-        return np.add.reduceat(values, self.edges[:-1], axis=-1) / np.diff(self.edges)
-
-
-def _stretches(design: Design, modes: int) -> Iterator[_Stretch]:
-    """Stretches of at least eight samples, one segment in memory at a time."""
-    run = design.run
-    for start, segment, columns in _segments(design):
-        marks = np.flatnonzero(run.begins[start : start + columns.shape[1]])
-        for left, right in zip(marks, np.append(marks[1:], columns.shape[1]), strict=True):
-            size = int(right - left)
-            if size < 8:
-                continue
-            angle = np.cumsum(columns[:, left:right], axis=1)
-            bins = min(size, 8 * modes)
-            edges = np.linspace(0, size, bins + 1).astype(np.int64)
-            contrasts = _contrasts(modes, bins)
-            t = run.t[start + left : start + right]
-            means = np.add.reduceat(angle, edges[:-1], axis=1) / np.diff(edges)
-            yield _Stretch(segment, start + int(left), contrasts, edges, t, angle, contrasts @ means.T)
-
-
-def _segments(design: Design) -> Iterator[tuple[int, int, Array]]:
-    """First row, index and increment columns (m + 1, n) of every segment's part of the record."""
-    parts: list[Array] = []
-    first, current = 0, -1
-    for block in design.blocks():
-        if current not in (-1, block.segment):
-            yield first, current, np.concatenate(parts, axis=1)
-            parts = []
-        if not parts:
-            first, current = block.start, block.segment
-            if first == 1:
-                first, parts = 0, [np.zeros((block.columns.shape[0], 1))]
-        parts.append(block.columns)
-    yield first, current, np.concatenate(parts, axis=1)
-
-
-def _contrasts(modes: int, bins: int) -> Array:
-    """Slowest cosines of the second kind, and the difference of the ends (which a random walk is known by)."""
-    at = (np.arange(bins) + 0.5) / bins
-    found = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
-    ends = np.zeros(bins)
-    ends[0], ends[-1] = -1.0, 1.0
-    return np.vstack([found, ends / math.sqrt(2.0)])
-
-
 def _project(
     design: Design,
     modes: int,
@@ -267,10 +173,11 @@ def _project(
     groups: tuple[int, ...],
     noise: Noise,
     spread: float,
+    kept: list[Stretch] | None,
 ) -> Stretches:
     """Rows and covariances of all stretches along the path of an estimate."""
     rows, walks, whites, countings, segments = [], [], [], [], []
-    for stretch in _stretches(design, modes):
+    for stretch in kept if kept is not None else stretches_of(design, modes):
         phi, group = stretch.contrasts, groups[stretch.segment]
         times = stretch.mean(stretch.t)
         tails = np.cumsum(phi[:, ::-1], axis=1)[:, ::-1][:, 1:]
@@ -285,7 +192,7 @@ def _project(
         wander = math.sqrt(noise.walk * duration / 15.0) / count
         residual = stretch.columns[-1] - solution.values[stretch.segment] @ stretch.columns[:-1]
         path = design.run.output[stretch.start : stretch.start + stretch.t.size] - residual
-        countings.append(_counting(stretch, path, count, sigma, wander))
+        countings.append(counting_covariance(stretch, path, count, sigma, wander))
         segments.append(stretch.segment)
     return Stretches(
         np.array(rows),
@@ -296,46 +203,6 @@ def _project(
         count,
         design,
     )
-
-
-def _counting(stretch: _Stretch, path: Array, count: float, sigma: float, wander: float) -> Array:
-    """Covariance of the contrasts by each harmonic of the counting, and all others (M + 1, K, K).
-
-    The rate is known to ``sigma`` [counts over the stretch]: averaged over by Gauss-Hermite quadrature. The
-    random walk about the best line, ``wander`` [counts], dithers the harmonics; what it takes out is white.
-    """
-    ramp = (stretch.t - stretch.t.mean()) / (stretch.t[-1] - stretch.t[0])
-    turned = (path - path[0]) / count
-    slow = float(np.ptp(turned)) + 3.0 * sigma < SLOW
-    followed = FINE if stretch.t.size <= SHORT else HARMONICS
-    order = np.arange(1, followed + 1)
-    kept = count**2 / (2.0 * np.pi**2 * order**2) * np.exp(-4.0 * np.pi**2 * (order * wander) ** 2)
-    found = np.zeros((HARMONICS + 1, stretch.contrasts.shape[0], stretch.contrasts.shape[0]))
-    for node, weight in _NODES if sigma > 0.01 else ((0.0, 1.0),):
-        moved = turned + node * sigma * ramp
-        first = np.broadcast_to(np.exp(2j * np.pi * moved), (followed, moved.size))
-        s = stretch.contrasts @ stretch.mean(np.multiply.accumulate(first, axis=0)).T
-        low, high = s[:, :HARMONICS].T, s[:, HARMONICS:]
-        share = weight * kept[:HARMONICS, None, None]
-        found[:-1] += share * (low[:, :, None] * low[:, None, :].conj()).real
-        if slow:
-            found[-1] += weight * _whole(stretch, moved, count)
-        else:
-            found[-1] += weight * ((high * kept[HARMONICS:]) @ high.conj().T).real
-    if slow:
-        found[-1] -= found[:-1].sum(axis=0)
-    else:
-        rest = count**2 / 12.0 - float(kept.sum())
-        found[-1] += rest * (stretch.contrasts / np.diff(stretch.edges)) @ stretch.contrasts.T
-    return found
-
-
-def _whole(stretch: _Stretch, turned: Array, count: float) -> Array:
-    """Covariance of the contrasts by the whole saw-tooth, ``c^2 (1/12 - {x}(1 - {x})/2)`` between readings."""
-    at = stretch.mean(turned)
-    apart = at[:, None] - at
-    apart -= np.floor(apart)
-    return count**2 * stretch.contrasts @ (1.0 / 12.0 - 0.5 * apart * (1.0 - apart)) @ stretch.contrasts.T
 
 
 def _levels(stretches: Stretches, white: float, values: Array | None, *, again: bool) -> Noise:
