@@ -98,7 +98,7 @@ def suggest_terms(
     order = [name for names in left for name in names]
     limit = FALSE_ALARMS / len(left)
     for _ in range(SUGGESTIONS):
-        tests = [t for names in left if (t := _test(pieces, order, names, rows)) and t.probability < limit]
+        tests = [t for names in left if (t := tested(pieces, order, names, rows)) and t.probability < limit]
         shifts = [
             _largest_shift(fit, per_segment, coefficients, t.change, has_phases(layout, groups)) for t in tests
         ]
@@ -179,7 +179,7 @@ def _joins(block: Block, count: int) -> tuple[NDArray[np.int64], Array]:
     return starts, np.where((h == 0.0) & (block.h[starts] != 0.0), -1.0, h)
 
 
-def _test(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
+def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
     """Test of a candidate; None when the model leaves nothing of it."""
     from scipy.special import fdtrc
 
