@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.design import Design
 from piga.calibration.request import Request
+from piga.calibration.thinning import smooth_step
 from piga.records.run import Run
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def _thinned(run: Run) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     begun: NDArray[np.int64] = np.flatnonzero(run.begins) if run.begins.any() else np.zeros(1, dtype=np.int64)
     starts = begun[:: max(1, math.ceil(begun.size * 12 / ROWS))].tolist()
     ends = np.append(np.flatnonzero(run.begins)[1:], run.size)
-    skip = 1 if run.kind == "rate" else _skip(run)
+    skip = 1 if run.kind == "rate" else smooth_step(run, TURN)
     share = max(12, ROWS // len(starts))
     chosen: list[NDArray[np.int64]] = []
     for start in starts:
@@ -94,20 +95,3 @@ def _thinned(run: Run) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     kept = [part for part in chosen if part.size > 1]
     begins = [np.arange(part.size) == 0 for part in kept]
     return np.concatenate(kept), np.concatenate(begins)
-
-
-def _skip(run: Run) -> int:
-    """Step of the thinning: the output turns little, and the force is a straight line, between samples."""
-    inside = ~run.begins[1 : 1 + 4096]
-    turn = np.abs(np.diff(run.output[: 1 + 4096]))[: inside.size][inside]
-    largest = float(np.quantile(turn, 0.95)) if turn.size else 0.0
-    skip = int(min(TURN / largest, 64.0)) if largest > 0.0 else 1
-    f = run.f[:4096]
-    while skip > 1:
-        ends = f[: f.shape[0] - f.shape[0] % skip : skip]
-        middle = f[skip // 2 :: skip][: ends.shape[0] - 1]
-        line = ends[:-1] + (ends[1:] - ends[:-1]) * ((skip // 2) / skip)
-        if np.quantile(np.abs(middle - line), 0.9) < 1e-3 * max(float(np.abs(f).max()), 1e-300):
-            break
-        skip //= 2
-    return max(skip, 1)

@@ -34,23 +34,41 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     return found
 
 
-def candidate_increments(fit: Fit, block: Block, names: list[str]) -> list[Array]:
-    """Integrals of the candidates over the intervals of a block (their values, for a log of rates)."""
+def candidate_sums(
+    fit: Fit, block: Block, names: list[str], starts: NDArray[np.int64], step: int
+) -> list[Array]:
+    """Integrals of the candidates over joined intervals of a block (sums of their values, for a log of rates).
+
+    Parameters
+    ----------
+    fit, block, names:
+        The fit, a block of its design and the columns wanted.
+    starts:
+        Rows of the block at which the joined intervals begin, the first 0.
+    step:
+        Samples between those that are looked at, where the record is smooth; a log of rates is looked at in full.
+    """
     design, run = fit.design, fit.design.run
-    first = block.start if design.point else block.start - 1
-    window = slice(first, block.stop)
+    size, first = block.h.size, block.start if design.point else block.start - 1
+    at = np.arange(size)
+    if not design.point:
+        looked = np.zeros(size + 1, dtype=bool)
+        looked[::step] = looked[starts] = looked[size] = True
+        at = np.flatnonzero(looked)
+    rows = first + at
     phase = fit.solution.phases
     group = block.segment if phase.size > 1 else 0
-    alpha = design.phase_angle[window] + (phase[group] if phase.size else 0.0)
-    a = np.ascontiguousarray(run.f[window].T)
-    t = run.t[window] - design.time_reference
-    warm = t if run.temperature is None else run.temperature[window] - design.request.temperature_reference
-    turning = a[1:] if run.base_rate is None else a[1:] - run.base_rate[window, 1:].T / design.scale_factor
+    alpha = design.phase_angle[rows] + (phase[group] if phase.size else 0.0)
+    a = np.ascontiguousarray(run.f[rows].T)
+    t = run.t[rows] - design.time_reference
+    warm = t if run.temperature is None else run.temperature[rows] - design.request.temperature_reference
+    turning = a[1:] if run.base_rate is None else a[1:] - run.base_rate[rows, 1:].T / design.scale_factor
     values = (term_values(name, a, t, warm, turning, alpha) for name in names)
     if design.point:
-        return list(values)
-    half = 0.5 * np.where(run.begins[first + 1 : block.stop], 0.0, np.diff(run.t[window]))
-    return [half * (value[1:] + value[:-1]) for value in values]
+        return [np.add.reduceat(value, starts) for value in values]
+    half = 0.5 * np.where(run.begins[first + 1 + at[:-1]], 0.0, np.diff(t))
+    edges = np.searchsorted(at, starts)
+    return [np.add.reduceat(half * (value[1:] + value[:-1]), edges) for value in values]
 
 
 def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:

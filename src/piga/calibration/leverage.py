@@ -76,7 +76,7 @@ def find_leverage(
     whole = _named(fit, layout, _merged(parts), per_segment, linear)
     size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
     table: dict[str, Any] = {}
-    for label, traced, rest in zip(labels, _traces(parts), _all_but_one(parts), strict=True):
+    for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
         left = _named(fit, layout, rest, per_segment, linear)
         table[label] = {"leverage": traced + (1.0 if linear else 0.0)} | _influence(common, whole, left)
     return {"leverage": table}, _sole_words(table, common), _shift_words(table, common, whole, size)
@@ -102,7 +102,7 @@ def _merged(parts: list[Reduction]) -> Reduction:
     return total
 
 
-def _all_but_one(parts: list[Reduction]) -> list[Reduction]:
+def all_but_one(parts: list[Reduction]) -> list[Reduction]:
     """The merger of all other parts, for each part: running mergers from both ends."""
     before = [Reduction.empty(parts[0].names)]
     for part in parts[:-1]:
@@ -114,7 +114,7 @@ def _all_but_one(parts: list[Reduction]) -> list[Reduction]:
     return found[::-1]
 
 
-def _traces(parts: list[Reduction]) -> list[float]:
+def leverages(parts: list[Reduction]) -> list[float]:
     """Trace of each part's information in the total."""
     covariance = _merged(parts).solve()[1]
     factors = [part.factor[:, :-1] for part in parts]

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.candidate_columns import candidate_increments, candidate_terms
+from piga.calibration.candidate_columns import candidate_sums, candidate_terms
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.design import Block
 from piga.calibration.fit import Fit
 from piga.calibration.reduction import solve_upper
 from piga.calibration.segment_parts import has_phases, parameter_rows
 from piga.calibration.solution import layout_of
+from piga.calibration.thinning import smooth_step
 from piga.calibration.weighting import Whitener
 from piga.records.calibration import Coefficient
 from piga.records.terms import si_factor, unit_of
@@ -37,6 +38,8 @@ ROWS = 4096
 """Rows that the test looks at: neighbouring increments of longer records are joined."""
 WIDEST = 0.3
 """Turn of the output inside a joined increment [rad]; more would average its harmonics out."""
+SMOOTH = 0.1
+"""Turn of the output between the samples that candidates are evaluated at [rad]: the trapezoid misses 1e-3."""
 CONFOUNDED = 1e-3
 """Part of a candidate that the model leaves, relative to its size, below which it cannot be told apart."""
 NOTABLE = 0.01
@@ -95,7 +98,7 @@ def suggest_terms(
     order = [name for names in left for name in names]
     limit = FALSE_ALARMS / len(left)
     for _ in range(SUGGESTIONS):
-        tests = [t for names in left if (t := _test(pieces, order, names, rows)) and t.probability < limit]
+        tests = [t for names in left if (t := tested(pieces, order, names, rows)) and t.probability < limit]
         shifts = [
             _largest_shift(fit, per_segment, coefficients, t.change, has_phases(layout, groups)) for t in tests
         ]
@@ -141,13 +144,13 @@ def _pieces(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list[A
 def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
     """Segment, weighted rows ``[columns | extra | residual]`` and number of those formed, block by block."""
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
-    count = _joined(fit)
+    count, step = _joined(fit), smooth_step(design.run, SMOOTH)
     whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1)
     for block in design.blocks():
         values = fit.solution.values[block.segment]
         starts, h = _joins(block, count)
         model = np.add.reduceat(block.columns, starts, axis=1)
-        others = np.stack([np.add.reduceat(c, starts) for c in candidate_increments(fit, block, extra)])
+        others = np.stack(candidate_sums(fit, block, extra, starts, step))
         columns = np.vstack([model[:-1], others, model[-1] - values @ model[:-1]])
         if mode == "samples":
             columns = columns / np.sqrt(np.maximum(h, 1.0))
@@ -167,14 +170,16 @@ def _joined(fit: Fit) -> int:
 
 def _joins(block: Block, count: int) -> tuple[NDArray[np.int64], Array]:
     """Where joined rows start, and their intervals (0 where a stretch begins, -1 where nothing is left)."""
-    begins = np.flatnonzero(block.h == 0.0)
-    starts = np.unique(np.concatenate([np.arange(0, block.h.size, count), begins, begins + 1]))
-    starts = starts[starts < block.h.size]
+    begins = block.h == 0.0
+    first = begins.copy()
+    first[1:] |= begins[:-1]
+    first[::count] = True
+    starts = np.flatnonzero(first)
     h = np.add.reduceat(np.maximum(block.h, 0.0), starts)
     return starts, np.where((h == 0.0) & (block.h[starts] != 0.0), -1.0, h)
 
 
-def _test(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
+def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
     """Test of a candidate; None when the model leaves nothing of it."""
     from scipy.special import fdtrc
 

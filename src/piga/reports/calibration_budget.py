@@ -148,5 +148,5 @@ def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ..
             short(part, 2),
             f"{100 * share:.0f} %",
         )
-        rows.append(tuple(text.replace("–", "-") for text in shown))
+        rows.append(tuple(text.replace("–", "-").replace("\u202f", "") for text in shown))
     return rows
