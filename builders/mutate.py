@@ -38,6 +38,7 @@ SAMPLES = [
     *MOTION,
     "tests/instrument/test_sensitivity.py",
     "tests/instrument/test_step_sizes.py",
+    "tests/instrument/test_short_records.py",
     "tests/instrument/test_propagate.py",
     "tests/instrument/test_input_forms.py",
 ]
@@ -52,7 +53,7 @@ TESTS = {
     "_kernels/motion.py": SAMPLES,
     "_kernels/motion_blocks.py": SAMPLES,
     "_kernels/motion_increments.py": SAMPLES,
-    "_kernels/motion_samples.py": SAMPLES,
+    "_kernels/motion_samples.py": [*SAMPLES, "tests/instrument/test_fleet.py"],
     "_kernels/motion_sensitivity.py": SAMPLES,
     "_kernels/transfer.py": SAMPLES,
     "instrument/constant_motion.py": MOTION,

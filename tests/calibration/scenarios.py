@@ -58,6 +58,7 @@ class Scenario:
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
     turning: Array | None = None
     phi: float = PHI
+    drift: float = 0.0
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
@@ -81,6 +82,8 @@ class Scenario:
         z = self.tan_beta * (SCALE * self.forces[:, 2] - omega[:, 2])
         noise = self.walk * math.sqrt(h) * rng.standard_normal((count, steps))
         starts = rng.uniform(-math.pi, math.pi, count)
+        if self.drift:
+            noise += h * self._wandering(rng)
         for s in range(count):
             _motion(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
         output = psi.ravel() - self.phi
@@ -101,6 +104,21 @@ class Scenario:
             serial="synthetic",
         )
 
+    def _times(self) -> Array:
+        """Middle of every step, from the middle of the test, (segments, steps) [s]."""
+        steps, count = round(self.seconds * self.rate), len(self.forces)
+        whole = count * (self.seconds + 5.0) - 5.0
+        starts = (self.seconds + 5.0) * np.arange(count)[:, None]
+        times: Array = starts + (np.arange(steps) + 0.5) / self.rate - 0.5 * whole
+        return times
+
+    def _wandering(self, rng: np.random.Generator) -> Array:
+        """A random walk of the rate at ``_times``, zero in the middle of the test [rad/s]."""
+        t = self._times().ravel()
+        steps = np.sqrt(np.diff(np.append(t[0], t)))
+        walk = self.drift * np.cumsum(steps * rng.standard_normal(t.size))
+        return (walk - np.interp(0.0, t, walk)).reshape(self._times().shape)
+
     def calibrate(self, run: piga.Run) -> piga.Calibration:
         """The estimate that is put to the test."""
         return piga.calibrate(run, self.terms)
@@ -117,19 +135,25 @@ class Scenario:
     def information(self, run: piga.Run) -> Array:
         """Fisher information of the coefficients (file units).
 
-        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted.
+        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted. With a drift
+        the segments are not independent.
         """
         steps, h = round(self.seconds * self.rate), 1.0 / self.rate
         r = self.white**2 + self.count**2 / 12.0
         V = np.diag(np.full(steps, self.walk**2 * h + 2.0 * r)) - r * (
             np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
         )
-        information = np.zeros((len(self.names), len(self.names)))
-        for s in range(len(self.forces)):
-            part = run.segment == s
-            columns = self._derivatives(run.output[part] + self.phi, s, h)
-            information += columns.T @ np.linalg.solve(V, columns)
-        return information
+        parts = [
+            self._derivatives(run.output[run.segment == s] + self.phi, s, h) for s in range(len(self.forces))
+        ]
+        if self.drift:
+            t = self._times().ravel()
+            together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
+            whole = np.kron(np.eye(len(parts)), V) + (self.drift * h) ** 2 * together
+            columns = np.concatenate(parts)
+            found: Array = columns.T @ np.linalg.solve(whole, columns)
+            return found
+        return sum((part.T @ np.linalg.solve(V, part) for part in parts), np.zeros((len(self.names),) * 2))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -256,6 +280,9 @@ SCENARIOS: dict[str, Scenario | Joint] = {
         ),
         Scenario("white", tumble(8, (0.5, 1.0)), white=2.5e-5, truth=_STATIC, terms=_TERMS),
         Scenario("walk", tumble(8, (0.5, 1.0)), white=1e-9, walk=3e-5, truth=_STATIC, terms=_TERMS),
+        Scenario(
+            "drift", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=1e-5, drift=1e-6, truth=_STATIC, terms=_TERMS
+        ),
         Joint(
             "joint",
             (

@@ -126,7 +126,7 @@ def test_coefficients_per_run(runs: list[piga.Run]) -> None:
 
 def test_common_source_moves_all_runs_an_own_one_only_its_run(runs: list[piga.Run]) -> None:
     """A scale error shared by both stands goes into K undiminished; independent ones average."""
-    terms = ["scale_factor", "tan_beta", "k0", "k2"]
+    terms = TERMS
 
     def scale_part(first: str | None, second: str | None) -> tuple[float, int]:
         tables = (UncertaintyTable(reference_scale="10 ppm", reference_id=name) for name in (first, second))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,11 +99,13 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     starts = np.flatnonzero(fit.design.run.begins)
     lengths = np.diff(np.append(starts, fit.design.run.size))
     information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
+    if fit.noise.walk == 0.0 and fit.noise.drift > 0.0:
+        return _satterthwaite(fit, groups, per_segment, (), rest)
     if fit.noise.walk == 0.0:
         return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
     scale = np.array([fit.noise.white, fit.noise.walk])
     covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    if fit.design.rows > LARGE:
+    if fit.design.rows > LARGE and fit.noise.drift == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))
     values, vectors = np.linalg.eigh(covariance)
@@ -126,8 +129,13 @@ def _satterthwaite(
             abs(level / part) for level, part in ((fit.noise.white, white), (fit.noise.walk, walk)) if part
         ]
         size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
-        moved = variances(Noise(fit.noise.white + size * white, fit.noise.walk + size * walk))
+        moved = variances(
+            replace(fit.noise, white=fit.noise.white + size * white, walk=fit.noise.walk + size * walk)
+        )
         spread += ((moved - now) / size) ** 2
+    if fit.noise.drift > 0.0:
+        moved = variances(replace(fit.noise, drift=(1.0 + STEP) * fit.noise.drift))
+        spread += ((moved - now) * fit.drift_deviation / (STEP * fit.noise.drift)) ** 2
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
 
 

@@ -32,6 +32,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Outlier
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
+from piga.records.spool import square_sum
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,8 @@ RATIOS = np.linspace(-9.0, 3.0, 9)
 class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
-    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out.
+    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
+    ``drift_deviation`` is the standard uncertainty of ``noise.drift``.
     """
 
     design: Design
@@ -64,6 +66,7 @@ class Fit:
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
     counted: Counted | None = None
+    drift_deviation: float = 0.0
 
     @property
     def sample_variance(self) -> float:
@@ -198,7 +201,7 @@ def _levels(
     information: Information | None = None,
 ) -> Noise:
     if mode == "samples":
-        variance = float(d @ d) / max(design.rows - parameters, 1)
+        variance = square_sum(d) / max(design.rows - parameters, 1)
         return Noise(0.0, variance * design.run.median_step)
     scale = largest_size(design.run.output)
     return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)

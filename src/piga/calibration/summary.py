@@ -15,6 +15,7 @@ from piga._version import __version__
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
+from piga.calibration.drift import include_drift
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
@@ -201,7 +202,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         wish = replace(request, terms=terms)
         groups, per_segment = phase_groups(run, wish)
         try:
-            fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
+            fit = include_drift(refine_counted(fit_run(run, wish, groups, per_segment), groups), groups)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]

@@ -67,7 +67,7 @@ class _Summary(msgspec.Struct, frozen=True):
     source: str
     software: str
     created: str
-    noise: tuple[float, float]
+    noise: tuple[float, ...]
     parts: tuple[_Reduction, ...]
     sources: tuple[_Source, ...]
     quality: Quality
@@ -80,7 +80,7 @@ def write_summary(summary: RunSummary, path: Path) -> None:
     """Write a summary as JSON, every float with all its digits."""
     document: dict[str, Any] = {"schema": SCHEMA} | {name: getattr(summary, name) for name in _PLAIN}
     document |= {
-        "noise": [summary.noise.white, summary.noise.walk],
+        "noise": [summary.noise.white, summary.noise.walk, summary.noise.drift],
         "parts": [_plain(part) for part in summary.parts],
         "sources": [
             {

@@ -72,7 +72,9 @@ def calibrate(
 
     say(calibration_text(calibration))
     if "model_comparison" in calibration.diagnostics:
-        _print_comparison(calibration)
+        from piga.reports.model_choice import comparison_text
+
+        say("\n".join(comparison_text(calibration.diagnostics["model_comparison"])))
     for path in written:
         say(f"wrote {path}")
 
@@ -100,24 +102,6 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
     for index, terms in enumerate(sets, start=1):
         check_terms(terms, where=f"--compare: set {index}")
     return [replace(item, model=replaced(item.model, compare=sets))]
-
-
-def _print_comparison(calibration: Calibration) -> None:
-    """The comparison of term sets as a table for the terminal."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from piga.reports.model_choice import comparison_rows, comparison_words
-
-    document = calibration.diagnostics["model_comparison"]
-    heads, rows = comparison_rows(document)
-    table = Table(title="Term sets compared", title_justify="left")
-    for index, head in enumerate(heads):
-        table.add_column(head, justify="left" if index in (1, len(heads) - 1) else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    Console(markup=False, highlight=False, soft_wrap=False).print(table)
-    say(comparison_words(document))
 
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:

@@ -69,6 +69,7 @@ class _Covariance(msgspec.Struct, frozen=True):
 class _Noise(msgspec.Struct, frozen=True):
     angle_rms: _Quantity
     angle_random_walk: _Quantity
+    bias_drift: _Quantity | None = None
 
 
 class _Residual(msgspec.Struct, frozen=True):
@@ -167,6 +168,7 @@ def _estimates(c: Calibration) -> dict[str, Any]:
         "noise": {
             "angle_rms": {"value": c.angle_rms, "unit": "rad"},
             "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
+            "bias_drift": {"value": c.bias_drift, "unit": "rad/s/sqrt(s)"},
         },
     }
 
@@ -246,6 +248,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         degrees_of_freedom=document.degrees_of_freedom,
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
         angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
+        bias_drift=0.0 if document.noise.bias_drift is None else document.noise.bias_drift.value,
         residual_rms=document.residual.rms.value,
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,

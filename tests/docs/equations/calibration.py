@@ -11,7 +11,10 @@ import piga
 from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
+from piga.calibration.leverage import all_but_one, leverages
+from piga.calibration.missing_terms import tested
 from piga.calibration.noise import find_noise
+from piga.calibration.reduction import Reduction
 from piga.instrument.parameters import ErrorModel
 from piga.units import G0
 from tests.compensation.twin_data import TAN_BETA, instrument
@@ -80,6 +83,42 @@ def _counting() -> Iterator[Pair]:
     power = c**2 / (2 * np.pi**2 * m**2)
     saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, u**2 / c**2, found)
     yield literal, found.sum(axis=0), 1e-6
+
+
+@equation("calibration-added-variable")
+def _added_variable() -> Iterator[Pair]:
+    """Fall of the sum of squares and estimate of a candidate, from normal equations and from the library."""
+    random = np.random.default_rng(12)
+    X, x = random.standard_normal((60, 3)), random.standard_normal(60)
+    y = X @ [1.0, -2.0, 0.5] + 0.3 * x + random.standard_normal(60)
+
+    def without_model(v: np.ndarray) -> np.ndarray:
+        return v - X @ np.linalg.solve(X.T @ X, X.T @ v)
+
+    e, rest = without_model(y), without_model(x)
+    fall, estimate = (rest @ e) ** 2 / (rest @ rest), (rest @ e) / (rest @ rest)
+    rows = np.column_stack([X, x, y])
+    pieces = [np.linalg.qr(rows[at : at + 12], mode="r") for at in range(0, 60, 12)]
+    found = tested(pieces, ["k2"], ("k2",), 60)
+    yield fall / (e @ e), found.fall, 1e-12
+    yield estimate, found.columns[0], 1e-12
+
+
+@equation("calibration-leverage")
+def _leverage() -> Iterator[Pair]:
+    """Leverage of segments and variance without one, from information matrices and from the library."""
+    random = np.random.default_rng(13)
+    rows = [random.standard_normal((7, 4)) for _ in range(4)]
+    information = [part[:, :3].T @ part[:, :3] for part in rows]
+    total = sum(information)
+    parts = []
+    for part in rows:
+        parts.append(Reduction.empty(("a", "b", "c")))
+        parts[-1].add(part[:, :3], part[:, 3])
+    yield [np.trace(A @ np.linalg.inv(total)) for A in information], leverages(parts), 1e-12
+    left = [np.diag(rest.solve()[1]) for rest in all_but_one(parts)]
+    literal = [np.diag(np.linalg.inv(total - A)) for A in information]
+    yield 1 - np.diag(np.linalg.inv(total)) / literal, 1 - np.diag(np.linalg.inv(total)) / left, 1e-11
 
 
 @equation("calibration-likelihood")
