@@ -24,7 +24,8 @@ from piga.instrument.twin_predictions import (
     predicted_rectification,
     predicted_second_harmonic,
 )
-from piga.reports.calibration_figures import order_spectrum, scale_factor, spectrum_figure
+from piga.reports.calibration_figures import order_spectrum, scale_factor
+from piga.reports.calibration_rotation_figures import spectrum_figure
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.simulation_figures import loop_figures, servo_figure
 from piga.reports.static import write_figure

@@ -11,7 +11,7 @@ import piga
 from piga.calibration.design import Design
 from piga.calibration.request import make_request
 from piga.records.run_file import UncertaintyTable
-from piga.units import G0
+from piga.units import G0, parse_unit
 from tests.calibration.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
 
 pytestmark = pytest.mark.only_compiled
@@ -292,6 +292,14 @@ def test_type_b_first_order() -> None:
         2.0 * np.pi / 648000, rel=1e-3
     )
     assert rows["timing"]["contributions"]["scale_factor"] == pytest.approx(-0.8884e-6, rel=1e-2)
+    sensitivity = rows["reference_scale"]["sensitivities"]["scale_factor"]
+    assert sensitivity == {
+        "value": pytest.approx(-0.8884e-6, rel=1e-3), "unit": "rad/s/g/ppm"
+    }  # fmt: skip
+    turned = rows["reference_misalignment Z0"]["sensitivities"]["m_Y"]
+    assert (turned["value"], turned["unit"]) == (pytest.approx(np.pi / 648000, rel=1e-3), "rad/arcsec")
+    assert all(parse_unit(s["unit"]) for row in full.budget for s in row.get("sensitivities", {}).values())
+    assert "sensitivities" not in rows["fit residuals (repeatability)"]
     total = sum(row["contributions"]["scale_factor"] ** 2 for row in full.budget) ** 0.5
     assert full["scale_factor"].std == pytest.approx(total, rel=1e-9)
     assert full["scale_factor"].std > 5.0 * plain["scale_factor"].std

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from piga.calibration.trend import YEAR, effective_freedom, find_trend, moving_average, student
+from piga.calibration.control_chart import moving_average
+from piga.calibration.trend import YEAR, effective_freedom, find_trend, student
 from piga.errors import ArgumentError
 from tests.calibration.history import START, history, record
 

@@ -95,6 +95,39 @@ def test_budget_combines_the_sources(cal):
     assert cells[-1][-1].text == "9.8"  # hypot(1.3, 9.7) urad
 
 
+def with_sensitivities(cal):
+    """The budget with sensitivities, as calibrations write it."""
+    rows = []
+    for row in cal.budget:
+        source = row["standard_uncertainty"]
+        found = {
+            c.key: {
+                "value": row["contributions"][c.key] / source["value"],
+                "unit": f"{c.unit}/{source['unit']}",
+            }
+            for c in cal.coefficients
+            if c.key in row["contributions"]
+        }
+        rows.append(row | {"sensitivities": found})
+    return dataclasses.replace(cal, budget=tuple(rows))
+
+
+def test_sensitivities_are_per_unit_of_the_source(cal):
+    assert len(tables(calibration_page(cal))["budget"]) == 1, "a record of before has none"
+    table = tables(calibration_page(with_sensitivities(cal)))["budget"][1]
+    assert [row[1].text for row in table.cells] == ["1 ppm", "1 ″"]
+    assert table.cells[0][2].text == "8.90\u00a0×\u00a010⁻⁷"  # 8.9e-6 for 10 ppm
+    assert table.cells[1][-1].text == "4.85"  # 9.7 urad for 2 arcsec
+
+
+def test_the_budget_on_the_terminal_leaves_slight_sources_out(cal):
+    lines = calibration_text(with_sensitivities(cal)).splitlines()
+    start = next(i for i, line in enumerate(lines) if "uncertainty budget" in line)
+    assert any("8.90e-7 per ppm" in line and line.endswith("%") for line in lines[start:])
+    assert "Reference misalignment" not in "\n".join(lines[start : start + 3])
+    assert max(map(len, lines[start:])) <= 80 or any(line.startswith("note") for line in lines)
+
+
 def test_missing_type_b_is_said():
     page = calibration_page(calibration(budget=False, with_residuals=False))
     budget = next(section for section in page.sections if section.anchor == "budget")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,6 @@ def make_budget(
     fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...], type_a: Array
 ) -> tuple[tuple[dict[str, Any], ...], Array]:
     """Budget rows (one per source, contribution to every coefficient) and the covariance of Type B."""
-    keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
     turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
 
@@ -40,14 +40,13 @@ def make_budget(
         values = np.array([coefficient.value for coefficient in named])
         return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
 
-    rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
-    covariance = np.zeros((len(keys), len(keys)))
+    rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, type_a)]
+    covariance = np.zeros((base.size, base.size))
     for source, change in contributions(fit.design.run, base, estimate):
         covariance += np.outer(change, change)
         degrees = source.degrees_of_freedom if math.isfinite(source.degrees_of_freedom) else None
-        rows.append(
-            budget_row(source.name, "B", source.distribution, source.value, source.unit, keys, change, degrees)
-        )
+        shape, size, unit = source.distribution, source.value, source.unit
+        rows.append(budget_row(source.name, "B", shape, size, unit, coefficients, change, degrees))
     return tuple(rows), covariance
 
 
@@ -81,19 +80,32 @@ def budget_row(
     distribution: str,
     value: float | None,
     unit: str,
-    keys: list[str],
+    coefficients: Sequence[Coefficient],
     change: Array,
     degrees: float | None = None,
 ) -> dict[str, Any]:
-    """A row of the budget; contributions in file units.
+    """A row of the budget; contributions in file units, and sensitivities where a source has a size.
 
-    Degrees of freedom None: known exactly, or one per coefficient (Type A).
+    The contribution is the change of a coefficient that one standard uncertainty ``value`` of the source makes,
+    the sensitivity that of one ``unit`` of it (JCGM 100, 5.1.3). Degrees of freedom None: known exactly, or one
+    per coefficient (Type A).
     """
-    return {
+    parts = [(c, float(part)) for c, part in zip(coefficients, change, strict=True)]
+    row: dict[str, Any] = {
         "source": source,
         "type": kind,
         "distribution": distribution,
         "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
         "degrees_of_freedom": degrees,
-        "contributions": {key: float(c) for key, c in zip(keys, change, strict=True)},
+        "contributions": {c.key: part for c, part in parts},
     }
+    if value:
+        row["sensitivities"] = {c.key: {"value": part / value, "unit": _per(c.unit, unit)} for c, part in parts}
+    return row
+
+
+def _per(unit: str, source: str) -> str:
+    """Unit of a sensitivity: that of the coefficient per that of the source."""
+    if source in ("", "1"):
+        return unit
+    return f"{unit}/({source})" if "/" in source or "*" in source else f"{unit}/{source}"

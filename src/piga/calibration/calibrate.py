@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,19 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.advice import advise, with_advice
 from piga.calibration.budget import budget_row, combined, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
+from piga.calibration.drift import include_drift
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
-from piga.calibration.joint import check_items, fit_jointly, joint_contributions
+from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
 from piga.calibration.joint_result import joint_result
 from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
+from piga.calibration.remarks import with_remarks
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.revolutions import (
@@ -36,10 +40,11 @@ from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, DataError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
+from piga.records.spool import extent
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -91,10 +96,13 @@ def calibrate(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
-    fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
-    coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
-    spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-    refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
+    try:
+        fit = include_drift(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
+        coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
+        spread = 0.0 if run.temperature is None else _range(run.temperature)
+        refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
+    except (IdentifiabilityError, DataError) as error:
+        raise with_advice(error, advise(run, request)) from None
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
@@ -105,7 +113,14 @@ def calibrate(
     scatter = segment_scatter(fit.design, residuals, fit.noise)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
     result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+    result = with_remarks(result, fit, groups, per_segment)
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
+
+
+def _range(values: Array) -> float:
+    """Largest less least value."""
+    low, high = extent(values)
+    return high - low
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
@@ -160,6 +175,7 @@ def _assemble(
         residual_max_after=figures["residual_max_after"],
         quality=fit.design.run.quality,
         outliers=fit.outliers,
+        bias_drift=fit.noise.bias_drift,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
@@ -195,14 +211,16 @@ def _joint_calibration(
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
     fit = fit_jointly(items, terms, phase, per_run)
-    keys = [coefficient.key for coefficient in fit.coefficients]
     covariance = fit.covariance.copy()
     type_a = np.sqrt(np.diag(covariance))
-    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    found = fit.coefficients
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", found, type_a)]
     for source, change in joint_contributions(fit):
         covariance += np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
-    return joint_result(fit, covariance, tuple(budget))
+        shape, degrees = source.distribution, source.degrees_of_freedom
+        known = degrees if math.isfinite(degrees) else None
+        budget.append(budget_row(source.name, "B", shape, source.value, source.unit, found, change, known))
+    return joint_result(fit, covariance, tuple(budget), joint_degrees(fit))
 
 
 def _revolutions_calibration(run: Run, request: Request) -> Calibration:
@@ -213,10 +231,10 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
     type_a = np.sqrt(np.diag(covariance))
-    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", keys, type_a)]
+    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, type_a)]
     for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
         covariance = covariance + np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, keys, change))
+        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, coefficients, change))
     std = np.sqrt(np.diag(covariance))
     coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
@@ -258,7 +276,7 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     history = {"sample": found.samples.astype(float)}
     history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
-    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", list(found.names), std),)
+    std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std),)
     return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 

@@ -5,7 +5,9 @@ alpha/c + ..)``: white only where the angle is dithered by much more than a coun
 follows from the path, which the fit knows to a fraction of a count, with the phase of the saw-tooth
 unknown and uniform in every stretch:
 
-    cov(e_j, e_k) = sum_m c^2/(2 pi^2 m^2) cos(2 pi m (psi_j - psi_k)/c)
+    cov(e_j, e_k) = sum_m c^2/(2 pi^2 m^2) cos(2 pi m (psi_j - psi_k)/c) exp(-2 pi^2 m^2 v_jk/c^2)
+
+with v_jk the variance to which the path from j to k is known: its rate by the estimate, and the random walk.
 
 Each stretch is projected on its slowest cosines (all its information on rates and ripple), where random
 walk, white noise and quantisation have small full covariance matrices; generalised least squares there
@@ -15,8 +17,8 @@ weights a stretch in which few counts change by what it really tells.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +28,15 @@ from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.solution import Solution, solve
+from piga.calibration.stretches import (
+    HARMONICS,
+    Stretch,
+    counting_covariances,
+    find_stretches,
+    modes_of,
+    walk_covariance,
+    white_covariance,
+)
 from piga.records.run import Run
 
 if TYPE_CHECKING:
@@ -38,36 +49,23 @@ WHITE = 0.15
 twelfth of it is the counting itself)."""
 WALKS = 0.1
 """Random walk from sample to sample, in squared counts, above which it is dithered too."""
-HARMONICS = 8
-"""Harmonics of the saw-tooth that white noise damps one by one."""
-FINE, SHORT = 24, 10_000
-"""Harmonics followed in stretches up to so many samples (else those above); the rest counts as white."""
-MODES = 24
-"""Cosines per stretch at least; four more per turn of the output and order of the model."""
-MOST_MODES = 160
-_NODES = (
-    (0.0, 8.0 / 15.0),
-    (1.355626, 0.222076),
-    (-1.355626, 0.222076),
-    (2.856970, 0.011257),
-    (-2.856970, 0.011257),
-)
-"""Gauss-Hermite nodes and weights for a standard normal variable."""
-PASSES = 6
+PASSES = 9
 """Alternations between path, noise levels and estimate."""
-LEVELS = 13
-"""Levels tried, over six decades."""
+TRUSTED = 3
+"""Passes after which the random walk found is let dither the counting: before, what the path misses passes for a
+random walk, and taking its dither for granted ends at no random walk at all."""
+LEVELS = 6
+"""Levels of white noise tried, over three decades."""
 SIGNIFICANT = 0.5
-"""Gain in twice the log-likelihood from which a random walk is taken as real."""
+"""Gain in twice the log-likelihood from which white noise besides the counting is taken as real."""
 SETTLED = 0.03
 """Relative change of the random walk's variance at which the alternation ends."""
-SLOW = 4.0
-"""Counts in a stretch up to which all harmonics of the saw-tooth are followed, sample by sample."""
-UNSEEN = 0.4
-"""A random walk that coarse counts cannot show counts as this share of its standard uncertainty (the mean of the
-positive half of a normal distribution)."""
-FIRST_SPREAD = 0.5
-"""Uncertainty of the path over a stretch [counts] before there is an estimate to trust."""
+WALKS_TRIED = 13
+"""Random walks tried in each of three rounds, ever closer to the likely ones."""
+UNLIKELY = 18.0
+"""Twice the loss of logarithmic probability beyond which a random walk is looked at no more."""
+SPREADS = (0.5, 0.2)
+"""Uncertainty of the path over a stretch [counts] in the first passes, when there is no estimate to trust."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +83,29 @@ class Stretches:
     segment: NDArray[np.int64]
     count: float
     design: Design
+    parts: list[Stretch] = field(repr=False)
+
+    @classmethod
+    def of(cls, design: Design, modes: int, count: float) -> Stretches:
+        """Rows and covariances of a design, without those of the counting."""
+        parts = find_stretches(design, modes)
+        return cls(
+            np.array([part.rows for part in parts]),
+            np.array([walk_covariance(part) for part in parts]),
+            np.array([white_covariance(part) for part in parts]),
+            np.zeros((HARMONICS + 1, 0, 0, 0)),
+            np.array([part.segment for part in parts]),
+            count,
+            design,
+            parts,
+        )
+
+    def along(self, solution: Solution, groups: tuple[int, ...], noise: Noise, spread: float) -> Stretches:
+        """The same with the covariances of the counting along the path of a solution."""
+        counting = counting_covariances(
+            self.design, self.parts, self.count, solution, groups, noise.walk, spread
+        )
+        return replace(self, counting=counting)
 
     def covariance(self, noise: Noise) -> Array:
         """Covariance of the rows (S, K, K) for noise besides the counting; white noise dithers the harmonics."""
@@ -104,13 +125,13 @@ def _shares(count: float) -> Array:
 class Counted:
     """Weights found for a coarsely counted record: its stretches, noise besides the counting, contrasts used.
 
-    ``walk_deviation``: (0, standard uncertainty of the random walk's variance [rad^2/s]).
+    ``walks``: random walks [rad^2/s] that the record allows, and their probabilities.
     """
 
     stretches: Stretches
     modes: int
     noise: Noise
-    walk_deviation: tuple[float, float] = (0.0, 0.0)
+    walks: tuple[Array, Array]
 
     def with_walk(self, walk: float) -> Counted:
         """The same with another random walk [rad^2/s]."""
@@ -120,7 +141,7 @@ class Counted:
         """Summaries per segment of a record of the same sampling, with these weights."""
         rows = self.stretches.rows
         if design is not self.stretches.design:
-            rows = np.array([stretch.rows for stretch in _stretches(design, self.modes)])
+            rows = np.array([stretch.rows for stretch in find_stretches(design, self.modes)])
         factor = np.linalg.cholesky(self.stretches.covariance(self.noise))
         summaries = [Reduction.empty(design.names) for _ in design.run.labels]
         for stretch, segment in zip(np.linalg.solve(factor, rows), self.stretches.segment, strict=True):
@@ -154,27 +175,25 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         return fit
     if design.run.left_out is not None:
         return fit
-    modes = _modes(design)
+    modes = modes_of(design)
     if modes < 3:
         return fit
-    solution, noise, spread = fit.solution, Noise(0.0, 0.0), FIRST_SPREAD
+    stretches = Stretches.of(design, modes, count)
+    solution, noise = fit.solution, Noise(0.0, 0.0)
     for index in range(PASSES):
-        stretches = _project(design, modes, count, solution, groups, noise, spread)
+        spread = SPREADS[index] if index < len(SPREADS) else 0.0
+        dither = noise if index >= TRUSTED else Noise(0.0, 0.0)
+        stretches = stretches.along(solution, groups, dither, spread)
         before = noise
-        noise = _levels(stretches, noise.white, solution.values if max(groups) else None, again=index == 1)
-        if index > 1:
+        rows = _rows(stretches, solution.values if max(groups) else None)
+        noise, walks = _levels(rows, stretches, noise.white, again=index == TRUSTED)
+        if index > TRUSTED:
             noise = Noise(noise.white, 0.5 * (noise.walk + before.walk))
-        counted = Counted(stretches, modes, noise)
-        summaries = counted.reduce(design)
-        solution, spread = solve(design, summaries, groups), 0.0
-        if index > 1 and abs(noise.walk - before.walk) <= SETTLED * before.walk:
-            break
-    deviation = _walk_deviation(stretches, noise)
-    counted = replace(counted, walk_deviation=(0.0, deviation))
-    if noise.walk < UNSEEN * deviation:
-        counted = counted.with_walk(UNSEEN * deviation)
+        counted = Counted(stretches, modes, noise, walks)
         summaries = counted.reduce(design)
         solution = solve(design, summaries, groups)
+        if index > TRUSTED and abs(noise.walk - before.walk) <= SETTLED * before.walk:
+            break
     return replace(
         fit,
         noise=Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk),
@@ -185,186 +204,56 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
     )
 
 
-def _modes(design: Design) -> int:
-    """Contrasts per stretch: enough for the ripple of the fastest one, no more than the shortest allows."""
-    run = design.run
-    starts = np.flatnonzero(run.begins)
-    lengths = np.diff(np.append(starts, run.size))
-    ends = starts + lengths - 1
-    turns = float(np.abs(run.output[ends] - run.output[starts]).max()) / (2.0 * math.pi)
-    order = max((1, *design.request.harmonics))
-    usable = lengths[lengths >= 8]
-    if usable.size == 0:
-        return 0
-    return int(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, usable.min() - 2))
+def _rows(stretches: Stretches, values: Array | None) -> Array:
+    """Rows ``[x | y]``; with ``values`` (segments, m), taken as they are (several phases), the rest ``[y]`` alone."""
+    if values is None:
+        return stretches.rows
+    modelled = np.einsum("skm,sm->sk", stretches.rows[:, :, :-1], values[stretches.segment])
+    return (stretches.rows[:, :, -1] - modelled)[:, :, None]
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """One stretch: contrasts (K, bins), bin edges, sample times, angle columns (m + 1, n), their rows."""
-
-    segment: int
-    start: int
-    contrasts: Array
-    edges: NDArray[np.int64]
-    t: Array
-    columns: Array
-    rows: Array
-
-    def mean(self, values: Array) -> Array:
-        """Means over the bins, last axis."""
-        return np.add.reduceat(values, self.edges[:-1], axis=-1) / np.diff(self.edges)
-
-
-def _stretches(design: Design, modes: int) -> Iterator[_Stretch]:
-    """Stretches of at least eight samples, one segment in memory at a time."""
-    run = design.run
-    for start, segment, columns in _segments(design):
-        marks = np.flatnonzero(run.begins[start : start + columns.shape[1]])
-        for left, right in zip(marks, np.append(marks[1:], columns.shape[1]), strict=True):
-            size = int(right - left)
-            if size < 8:
-                continue
-            angle = np.cumsum(columns[:, left:right], axis=1)
-            bins = min(size, 8 * modes)
-            edges = np.linspace(0, size, bins + 1).astype(np.int64)
-            contrasts = _contrasts(modes, bins)
-            t = run.t[start + left : start + right]
-            means = np.add.reduceat(angle, edges[:-1], axis=1) / np.diff(edges)
-            yield _Stretch(segment, start + int(left), contrasts, edges, t, angle, contrasts @ means.T)
-
-
-def _segments(design: Design) -> Iterator[tuple[int, int, Array]]:
-    """First row, index and increment columns (m + 1, n) of every segment's part of the record."""
-    parts: list[Array] = []
-    first, current = 0, -1
-    for block in design.blocks():
-        if current not in (-1, block.segment):
-            yield first, current, np.concatenate(parts, axis=1)
-            parts = []
-        if not parts:
-            first, current = block.start, block.segment
-            if first == 1:
-                first, parts = 0, [np.zeros((block.columns.shape[0], 1))]
-        parts.append(block.columns)
-    yield first, current, np.concatenate(parts, axis=1)
-
-
-def _contrasts(modes: int, bins: int) -> Array:
-    """Slowest cosines of the second kind, and the difference of the ends (which a random walk is known by)."""
-    at = (np.arange(bins) + 0.5) / bins
-    found = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
-    ends = np.zeros(bins)
-    ends[0], ends[-1] = -1.0, 1.0
-    return np.vstack([found, ends / math.sqrt(2.0)])
-
-
-def _project(
-    design: Design,
-    modes: int,
-    count: float,
-    solution: Solution,
-    groups: tuple[int, ...],
-    noise: Noise,
-    spread: float,
-) -> Stretches:
-    """Rows and covariances of all stretches along the path of an estimate."""
-    rows, walks, whites, countings, segments = [], [], [], [], []
-    for stretch in _stretches(design, modes):
-        phi, group = stretch.contrasts, groups[stretch.segment]
-        times = stretch.mean(stretch.t)
-        tails = np.cumsum(phi[:, ::-1], axis=1)[:, ::-1][:, 1:]
-        rows.append(stretch.rows)
-        walks.append((tails * np.diff(times)) @ tails.T)
-        whites.append((phi / np.diff(stretch.edges)) @ phi.T)
-        jacobian = solution.jacobians[group]
-        far = stretch.columns[:-1, -1] - stretch.columns[:-1, 0]
-        known = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-        duration = float(stretch.t[-1] - stretch.t[0])
-        sigma = math.sqrt(known) / count + spread
-        wander = math.sqrt(noise.walk * duration / 15.0) / count
-        residual = stretch.columns[-1] - solution.values[stretch.segment] @ stretch.columns[:-1]
-        path = design.run.output[stretch.start : stretch.start + stretch.t.size] - residual
-        countings.append(_counting(stretch, path, count, sigma, wander))
-        segments.append(stretch.segment)
-    return Stretches(
-        np.array(rows),
-        np.array(walks),
-        np.array(whites),
-        np.stack(countings, axis=1),
-        np.array(segments),
-        count,
-        design,
-    )
-
-
-def _counting(stretch: _Stretch, path: Array, count: float, sigma: float, wander: float) -> Array:
-    """Covariance of the contrasts by each harmonic of the counting, and all others (M + 1, K, K).
-
-    The rate is known to ``sigma`` [counts over the stretch]: averaged over by Gauss-Hermite quadrature. The
-    random walk about the best line, ``wander`` [counts], dithers the harmonics; what it takes out is white.
-    """
-    ramp = (stretch.t - stretch.t.mean()) / (stretch.t[-1] - stretch.t[0])
-    turned = (path - path[0]) / count
-    slow = float(np.ptp(turned)) + 3.0 * sigma < SLOW
-    followed = FINE if stretch.t.size <= SHORT else HARMONICS
-    order = np.arange(1, followed + 1)
-    kept = count**2 / (2.0 * np.pi**2 * order**2) * np.exp(-4.0 * np.pi**2 * (order * wander) ** 2)
-    found = np.zeros((HARMONICS + 1, stretch.contrasts.shape[0], stretch.contrasts.shape[0]))
-    for node, weight in _NODES if sigma > 0.01 else ((0.0, 1.0),):
-        moved = turned + node * sigma * ramp
-        first = np.broadcast_to(np.exp(2j * np.pi * moved), (followed, moved.size))
-        s = stretch.contrasts @ stretch.mean(np.multiply.accumulate(first, axis=0)).T
-        low, high = s[:, :HARMONICS].T, s[:, HARMONICS:]
-        share = weight * kept[:HARMONICS, None, None]
-        found[:-1] += share * (low[:, :, None] * low[:, None, :].conj()).real
-        if slow:
-            found[-1] += weight * _whole(stretch, moved, count)
-        else:
-            found[-1] += weight * ((high * kept[HARMONICS:]) @ high.conj().T).real
-    if slow:
-        found[-1] -= found[:-1].sum(axis=0)
-    else:
-        rest = count**2 / 12.0 - float(kept.sum())
-        found[-1] += rest * (stretch.contrasts / np.diff(stretch.edges)) @ stretch.contrasts.T
-    return found
-
-
-def _whole(stretch: _Stretch, turned: Array, count: float) -> Array:
-    """Covariance of the contrasts by the whole saw-tooth, ``c^2 (1/12 - {x}(1 - {x})/2)`` between readings."""
-    at = stretch.mean(turned)
-    apart = at[:, None] - at
-    apart -= np.floor(apart)
-    return count**2 * stretch.contrasts @ (1.0 / 12.0 - 0.5 * apart * (1.0 - apart)) @ stretch.contrasts.T
-
-
-def _levels(stretches: Stretches, white: float, values: Array | None, *, again: bool) -> Noise:
-    """Noise besides the counting by restricted likelihood: the random walk, ``again`` with the white noise.
-
-    ``values`` (segments, m): column coefficients to take as they are (several phases); None: those that fit.
-    """
-    rows = stretches.rows
-    if values is not None:
-        modelled = np.einsum("skm,sm->sk", rows[:, :, :-1], values[stretches.segment])
-        rows = (rows[:, :, -1] - modelled)[:, :, None]
-    walk = _best_walk(rows, stretches, white)
+def _levels(
+    rows: Array, stretches: Stretches, white: float, *, again: bool
+) -> tuple[Noise, tuple[Array, Array]]:
+    """Noise besides the counting by restricted likelihood: the random walk, ``again`` with the white noise."""
+    walk, walks = _likely_walks(rows, stretches, white)
     if again:
-        levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, LEVELS // 2)
+        levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, LEVELS)
         white = _best(lambda white: _deviance(rows, stretches.covariance(Noise(white, walk))), levels)
-        walk = _best_walk(rows, stretches, white)
-    return Noise(white, walk)
+        walk, walks = _likely_walks(rows, stretches, white)
+    return Noise(white, walk), walks
 
 
-def _best_walk(rows: Array, stretches: Stretches, white: float) -> float:
-    """Random walk of least deviance; the covariances are made diagonal together, once."""
+def _likely_walks(rows: Array, stretches: Stretches, white: float) -> tuple[float, tuple[Array, Array]]:
+    """The random walk to weight by, those that the record allows, and their probabilities.
+
+    Restricted likelihood times Jeffreys' prior (the root of its Fisher information), which gives Student's t
+    where the random walk is all there is. The one to weight by has the mean precision of the slowest contrast.
+    """
     flat, eigen = _diagonal(rows, stretches, white)
-
-    def deviance(walk: float) -> float:
-        size = 1.0 + walk * eigen
-        return float(np.log(size).sum()) + _restricted(flat / np.sqrt(size)[:, None])
-
     strongest = float(np.median(eigen.reshape(len(rows), -1)[:, -1]))
-    return _best(deviance, 10.0 ** np.linspace(-2.0, 5.0, 2 * LEVELS) / strongest)
+    low, high = -3.0, 5.0
+    for _ in range(3):
+        grid = np.linspace(low, high, WALKS_TRIED)
+        levels = 10.0**grid / strongest
+        found = np.array([_log_probability(flat, eigen, level) for level in levels]) + 2.0 * np.log(levels)
+        likely = np.flatnonzero(found > found.max() - UNLIKELY)
+        low, high = grid[max(likely[0] - 1, 0)], grid[min(likely[-1] + 1, grid.size - 1)]
+    weights = np.exp(0.5 * (found - found.max()))
+    weights /= weights.sum()
+    precision = float(weights @ (1.0 / (1.0 + strongest * levels)))
+    return (1.0 / precision - 1.0) / strongest, (levels, weights)
+
+
+def _log_probability(flat: Array, eigen: Array, walk: float) -> float:
+    """Twice the logarithm of restricted likelihood times root of Fisher information, of a random walk."""
+    size = 1.0 + walk * eigen
+    q, r = np.linalg.qr(flat / np.sqrt(size)[:, None])
+    diagonal, share, basis = np.abs(np.diag(r)), eigen / size, q[:, :-1]
+    deviance = float(np.log(size).sum()) + 2.0 * float(np.log(diagonal[:-1]).sum()) + float(diagonal[-1] ** 2)
+    inner = basis.T * share @ basis
+    information = float(share @ share - 2.0 * np.sum((share[:, None] * basis) ** 2) + np.sum(inner**2))
+    return math.log(max(information, 1e-300)) - deviance
 
 
 def _diagonal(rows: Array, stretches: Stretches, white: float) -> tuple[Array, Array]:
@@ -373,17 +262,6 @@ def _diagonal(rows: Array, stretches: Stretches, white: float) -> tuple[Array, A
     values, vectors = np.linalg.eigh(factor @ stretches.walk @ factor.transpose(0, 2, 1))
     turned = vectors.transpose(0, 2, 1) @ (factor @ rows)
     return turned.reshape(-1, rows.shape[2]), np.maximum(values, 0.0).ravel()
-
-
-def _walk_deviation(stretches: Stretches, noise: Noise) -> float:
-    """Standard uncertainty of the random walk's variance: the restricted likelihood's Fisher information."""
-    flat, eigen = _diagonal(stretches.rows, stretches, noise.white)
-    size = 1.0 + noise.walk * eigen
-    share = eigen / size
-    basis = np.linalg.qr(flat[:, :-1] / np.sqrt(size)[:, None])[0]
-    inner = basis.T * share @ basis
-    information = 0.5 * float(share @ share - 2.0 * np.sum((share[:, None] * basis) ** 2) + np.sum(inner**2))
-    return 1.0 / math.sqrt(max(information, 1e-300))
 
 
 def _best(deviance: Callable[[float], float], levels: Array) -> float:

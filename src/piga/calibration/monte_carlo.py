@@ -103,11 +103,15 @@ def propagate_distributions(
         A fixed number; None: adaptive, until every figure is stable to its tolerance, at most ``MOST``.
     """
     values: list[Array] = []
+    figures: list[Array] = []
     for block in _blocks(base, covariance, degrees, sources):
         values.append(results(block))
-        done = len(values) * BLOCK >= (MOST if trials is None else trials)
-        if done or (trials is None and len(values) > 1 and _stable(values)):
+        if len(values) * BLOCK >= (MOST if trials is None else trials):
             break
+        if trials is None:
+            figures.append(_figures(values[-1]))
+            if len(values) > 1 and _stable(np.array(figures)):
+                break
     drawn = np.sort(np.concatenate(values)[: trials or MOST], axis=0)
     std = drawn.std(axis=0, ddof=1)
     symmetric = np.quantile(drawn, (0.025, 0.975), axis=0)
@@ -132,11 +136,20 @@ def _blocks(base: Array, covariance: Array, degrees: float, sources: list[Contri
         yield base + drawn
 
 
-def _stable(values: list[Array]) -> bool:
-    """JCGM 101, 7.9.4: twice the standard deviation of the average of every figure is below the tolerance."""
-    count = len(values)
-    figures = np.array(
-        [[v.mean(axis=0), v.std(axis=0, ddof=1), *np.quantile(v, (0.025, 0.975), axis=0)] for v in values]
-    )
+def _figures(block: Array) -> Array:
+    """Mean, standard deviation and both ends of the 95 % interval of a block of trials, (4, m)."""
+    ends = np.quantile(block, (0.025, 0.975), axis=0)
+    return np.stack([block.mean(axis=0), block.std(axis=0, ddof=1), *ends])
+
+
+def _stable(figures: Array) -> bool:
+    """JCGM 101, 7.9.4: twice the standard deviation of the average of every figure is below the tolerance.
+
+    ``figures`` (blocks, 4, m); the standard deviation of all trials is put together from those of the blocks.
+    """
+    count = len(figures)
     spread = figures.std(axis=0, ddof=1) / math.sqrt(count)
-    return bool((2.0 * spread <= tolerance(np.concatenate(values).std(axis=0, ddof=1))).all())
+    within = (BLOCK - 1) * np.sum(figures[:, 1] ** 2, axis=0)
+    between = BLOCK * (count - 1) * figures[:, 0].var(axis=0, ddof=1)
+    std = np.sqrt((within + between) / (count * BLOCK - 1))
+    return bool((2.0 * spread <= tolerance(std)).all())

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.control_chart import LIMIT, moving_average
 from piga.calibration.trend_line import Groups, LineFit, fit_line, merge_groups
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
@@ -25,11 +26,6 @@ Array = NDArray[np.float64]
 
 YEAR = 31557600.0
 """One year [s], as the unit ``year``."""
-SMOOTHING = 0.2
-"""Weight of the newest score in the moving average of the control chart."""
-LIMIT = 3.0
-"""Control limit of scores and of their moving average, in its standard deviations."""
-
 HistoryEntry = tuple[str, dt.datetime, Calibration]
 """Record id, time of the calibration (with time zone), calibration: what a store's ``history`` gives."""
 Common = float | Mapping[str, float]
@@ -361,24 +357,6 @@ def common_contributions(key: str, calibrations: Sequence[Calibration], common: 
                 table[sources.index(str(row["source"])), column] += amount
     parts = [common if not isinstance(common, Mapping) else common.get(source, 1.0) for source in sources]
     return table * np.sqrt(np.array(parts, dtype=float)).reshape(-1, 1)
-
-
-def moving_average(scores: Array, weight: float = SMOOTHING) -> tuple[Array, Array]:
-    """Exponentially weighted moving average of the scores, and its control limit.
-
-    For independent standard normal scores the variance after ``n`` of them is
-    ``w/(2 - w) (1 - (1 - w)^(2 n))``.
-    """
-    averages, limits = np.full(scores.size, np.nan), np.full(scores.size, np.nan)
-    average, seen = 0.0, 0
-    for i, score in enumerate(scores):
-        if math.isnan(score):
-            continue
-        seen += 1
-        average = weight * float(np.clip(score, -LIMIT, LIMIT)) + (1.0 - weight) * average
-        averages[i] = average
-        limits[i] = LIMIT * math.sqrt(weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2 * seen)))
-    return averages, limits
 
 
 def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import note, output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import JsonOption
 
 if TYPE_CHECKING:
     from piga.calibration import RunSummary
     from piga.records import Calibration, Run
 
-RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
 RunFilesArgument = Annotated[
     list[Path],
     typer.Argument(metavar="RUN.toml...", help="Run file; several, or summaries of runs (.json), jointly."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
 
 
 def calibrate(
@@ -73,7 +72,9 @@ def calibrate(
 
     say(calibration_text(calibration))
     if "model_comparison" in calibration.diagnostics:
-        _print_comparison(calibration)
+        from piga.reports.model_choice import comparison_text
+
+        say("\n".join(comparison_text(calibration.diagnostics["model_comparison"])))
     for path in written:
         say(f"wrote {path}")
 
@@ -101,24 +102,6 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
     for index, terms in enumerate(sets, start=1):
         check_terms(terms, where=f"--compare: set {index}")
     return [replace(item, model=replaced(item.model, compare=sets))]
-
-
-def _print_comparison(calibration: Calibration) -> None:
-    """The comparison of term sets as a table for the terminal."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from piga.reports.model_choice import comparison_rows, comparison_words
-
-    document = calibration.diagnostics["model_comparison"]
-    heads, rows = comparison_rows(document)
-    table = Table(title="Term sets compared", title_justify="left")
-    for index, head in enumerate(heads):
-        table.add_column(head, justify="left" if index in (1, len(heads) - 1) else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    Console(markup=False, highlight=False, soft_wrap=False).print(table)
-    say(comparison_words(document))
 
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:
@@ -182,13 +165,3 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
             write_by_rename(page, lambda path: write_calibration_report(calibration, path))
             return [*written, residuals.result(), page]
         return [*written, residuals.result()]
-
-
-def report_available() -> bool:
-    """True when the report extra is installed; otherwise a note says how to get it."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None:
-        note("piga: no report.html: figures need the extra 'report' (pip install 'piga[report]')")
-        return False
-    return True

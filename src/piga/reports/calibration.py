@@ -1,4 +1,4 @@
-"""The calibration report: a page for the screen and for print, and a summary for the terminal."""
+"""The calibration report: a page for the screen and for print."""
 
 from __future__ import annotations
 
@@ -8,9 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from piga.records.calibration import Calibration
-from piga.reports.calibration_figures import calibration_figures, elapsed_time
+from piga.reports.calibration_budget import budget_table, sensitivity_table
+from piga.reports.calibration_diagnostics import (
+    COMPARISON_LEAD,
+    LEVERAGE_LEAD,
+    OWN_TABLES,
+    comparison_table,
+    leverage_table,
+)
+from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
+from piga.reports.calibration_figures import calibration_figures
 from piga.reports.calibration_tables import (
-    budget_table,
     coefficient_table,
     common_coefficients,
     correlation_table,
@@ -24,10 +32,11 @@ from piga.reports.calibration_tables import (
     scalars,
     segment_table,
 )
+from piga.reports.calibration_text import calibration_text, drift_found
 from piga.reports.figure import Figure
-from piga.reports.long_record import leading_part, outline
+from piga.reports.long_record import leading_part
 from piga.reports.model_choice import comparison_sections
-from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short, significant
+from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
 
@@ -78,40 +87,9 @@ def calibration_page(cal: Calibration) -> Page:
     )
 
 
-def _files(cal: Calibration) -> str:
-    if cal.runs:
-        return ", ".join(run.name for run in cal.runs)
-    names = [Path(name).name for name in cal.provenance.input_sha256]
-    data = [name for name in names if not name.endswith(".toml")] or names
-    return ", ".join(data) or "a record in memory"
-
-
-def _duration(cal: Calibration) -> float:
-    if cal.segments:
-        return math.fsum(segment.duration for segment in cal.segments)
-    return (
-        float(elapsed_time(outline(cal.residuals))[-1])
-        if cal.residuals is not None and cal.residuals.t.size
-        else 0.0
-    )
-
-
-def _period(seconds: float) -> str:
-    if seconds < 120.0:
-        return f"{significant(seconds, 3)} s"
-    return (
-        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
-    )
-
-
-def _segments_in_words(cal: Calibration) -> str:
-    runs = f"{len(cal.runs)} runs, " if cal.runs else ""
-    return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
-
-
 def _subtitle(cal: Calibration) -> str:
-    extent = f"{_segments_in_words(cal)}, {_period(_duration(cal))}"
-    return f"{_files(cal)}: {extent}, {count(cal.quality.used)} samples used."
+    extent = f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}"
+    return f"{files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used."
 
 
 def _improvement(before: float, after: float) -> str:
@@ -211,8 +189,8 @@ def _tested(cal: Calibration) -> Section:
         phase = "; ".join(f"run {run.name}: {run.phase}" for run in cal.runs)
     rows = [
         ("Instrument", cal.serial),
-        ("Data", _files(cal)),
-        ("Duration", f"{_period(_duration(cal))} in {_segments_in_words(cal)}"),
+        ("Data", files_in_words(cal)),
+        ("Duration", f"{period_in_words(total_duration(cal))} in {segments_in_words(cal)}"),
         ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
         ("Model terms", terms),
         ("Phase of the output", f"{phase}; source: {cal.phase_source}"),
@@ -304,6 +282,13 @@ def _budget(cal: Calibration) -> Section:
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
     blocks: list[Block] = [Text(lead, lead=True), budget_table(cal)]
+    sensitivities = sensitivity_table(cal)
+    if sensitivities is not None:
+        text = (
+            "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
+            "Times the standard uncertainty of the source they are the contributions above."
+        )
+        blocks += [Text(text, lead=True), sensitivities]
     if not any(row.get("type") == "B" for row in cal.budget):
         text = (
             "No source of type B was stated, so reference scale, alignment and local gravity are taken as "
@@ -330,9 +315,13 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         ("Condition number", printed(short(cal.condition))),
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
-        *scalars({key: value for key, value in cal.diagnostics.items() if key != "model_comparison"}),
+        ("Bias drift", drift_found(cal)),
+        *scalars({key: value for key, value in cal.diagnostics.items() if key not in OWN_TABLES}),
     ]
-    return Section("Identifiability and noise", "identifiability", (*blocks, facts_table(rows)))
+    blocks.append(facts_table(rows))
+    for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (comparison_table(cal), COMPARISON_LEAD)):
+        blocks += [Text(text, lead=True), found] if found is not None else []
+    return Section("Identifiability and noise", "identifiability", tuple(blocks))
 
 
 def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
@@ -367,58 +356,3 @@ def _provenance(cal: Calibration) -> Section:
     rows += [("Software", cal.provenance.software), ("Created", cal.provenance.created)]
     rows += [(f"Option {name}", text) for name, text in scalars(cal.provenance.options)]
     return Section("Provenance", "provenance", (Text(lead, lead=True), facts_table(rows, code=True)))
-
-
-def calibration_text(cal: Calibration) -> str:
-    """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
-    used = f"{cal.quality.used} of {cal.quality.rows}"
-    head = [
-        f"Calibration of {cal.serial} from {_files(cal)}",
-        f"  {_segments_in_words(cal)}, {_period(_duration(cal))}, {used} rows used",
-        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
-        "",
-    ]
-    return "\n".join(
-        [*head, *_text_table(cal), "", *_text_figures(cal), *[f"note: {note}" for note in cal.notes]]
-    )
-
-
-def _text_table(cal: Calibration) -> list[str]:
-    lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
-    for coefficient in cal.coefficients:
-        value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
-        scale = std / coefficient.std if coefficient.std else 1.0
-        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
-        lines.append((coefficient.key, number.value, number.uncertainty, wide.uncertainty, unit))
-    width = [max(len(line[column]) for line in lines) for column in range(5)]
-    return [
-        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit}".rstrip()
-        for name, value, u, wide, unit in ((c.replace("–", "-") for c in line) for line in lines)
-    ]
-
-
-def _text_figures(cal: Calibration) -> list[str]:
-    unit = residual_quantity(cal)[1]
-
-    def angle(before: float, after: float) -> str:
-        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
-
-    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
-    noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
-    rows = [
-        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
-        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
-        ("noise of the angle", noise),
-        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
-        ("condition number", short(cal.condition)),
-    ]
-    rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
-    rows += [
-        (
-            f"noise of run {run.name}",
-            f"{short(run.angle_rms / ARCSEC)} arcsec white, {short(run.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk",
-        )
-        for run in cal.runs
-    ]
-    wide = max(len(name) for name, _ in rows)
-    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

@@ -43,7 +43,8 @@ _MEANING = {
     "k1_T": "scale factor with temperature",
 }
 _SHOWN_SEGMENTS = 60
-_SHOWN_NAMES = 14
+SHOWN_NAMES = 14
+"""Coefficients that a table has columns for."""
 _SHOWN_OUTLIERS = 30
 
 
@@ -129,7 +130,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
     common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
-    index = common[:_SHOWN_NAMES]
+    index = common[:SHOWN_NAMES]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
@@ -148,73 +149,6 @@ def _correlation(value: float, diagonal: bool) -> Cell:
     if diagonal:
         return Cell("1", "quiet")
     return Cell(printed(f"{value:+.2f}"), heat=value) if math.isfinite(value) else Cell("–")
-
-
-def budget_table(cal: Calibration) -> Table:
-    """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
-
-    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "standard_uncertainty": {"value",
-    "unit"} or None, "contributions": {coefficient key: change in the coefficient's unit}}``. Without a row of type A the
-    standard uncertainties of the fit are put first.
-    """
-    coefficients = common_coefficients(cal)[:_SHOWN_NAMES]
-    sources: list[dict[str, Any]] = list(cal.budget)
-    if not any(source.get("type") == "A" for source in sources):
-        fit = {coefficient.key: coefficient.std for coefficient in coefficients}
-        sources.insert(0, {"source": "Fit to the record", "type": "A", "contributions": fit})
-    names = [_friendly_unit(coefficient) for coefficient in coefficients]
-    columns = (
-        Column("Source", align="text"),
-        Column("Type", align="text"),
-        Column("Distribution", align="text"),
-        Column("Standard uncertainty", align="text"),
-        Column("Degrees of freedom"),
-        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
-    )
-    total = {c.key: math.hypot(*(_contribution(source, c) for source in sources)) for c in coefficients}
-    rows = [_budget_row(source, coefficients, total) for source in sources]
-    if len(sources) > 1:
-        combined = {"source": "Combined", "type": "", "contributions": total}
-        rows.append(_budget_row(combined, coefficients, {}))
-    note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
-    return Table(columns, tuple(rows), notes=(note,))
-
-
-def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
-    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
-    return unit, scale
-
-
-def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
-    return float(source.get("contributions", {}).get(coefficient.key, 0.0))
-
-
-def _budget_row(
-    source: dict[str, Any], coefficients: list[Coefficient], total: dict[str, float]
-) -> tuple[str | Cell, ...]:
-    cells = []
-    for coefficient in coefficients:
-        part = abs(_contribution(source, coefficient))
-        amount, whole = part * _friendly_unit(coefficient)[1], total.get(coefficient.key, 0.0)
-        share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
-        cells.append(Cell(printed(short(amount, 2)) + share) if amount else Cell("–", "quiet"))
-    given = source.get("standard_uncertainty")
-    entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
-    degrees = source.get("degrees_of_freedom")
-    return (
-        str(source.get("source", "")),
-        str(source.get("type", "")),
-        str(source.get("distribution", "")),
-        entered,
-        "see above"
-        if source.get("type") == "A"
-        else "∞"
-        if degrees is None and source.get("type")
-        else printed(short(degrees, 3))
-        if degrees
-        else "",
-        *cells,
-    )
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
@@ -358,6 +292,6 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
             rows.append((key, printed(short(value, 4))))
         elif isinstance(value, (str, int)):
             rows.append((key, str(value)))
-        elif isinstance(value, (list, tuple)) and len(value) <= _SHOWN_NAMES:
+        elif isinstance(value, (list, tuple)) and len(value) <= SHOWN_NAMES:
             rows.append((key, ", ".join(str(item) for item in value)))
     return rows

@@ -14,7 +14,8 @@ from typing import Any
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.certificate_file import CertificateFile, missing_items
-from piga.reports.calibration_tables import budget_table, common_coefficients, correlation_table, meaning
+from piga.reports.calibration_budget import budget_table
+from piga.reports.calibration_tables import common_coefficients, correlation_table, meaning
 from piga.reports.certificate_statements import Verdict, decision_rule, statements, verdicts
 from piga.reports.numbers import (
     count,
@@ -91,7 +92,7 @@ def certificate_html(
 
 
 def write_certificate(html: str, path: Path) -> Path:
-    """Write the certificate."""
+    """Write the page in UTF-8, line ends as they are on every system; returns ``path``."""
     path.write_bytes(html.encode("utf-8"))
     return path
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from textwrap import wrap
 from typing import Any
 
 from piga.records.calibration import Calibration
@@ -11,6 +13,7 @@ from piga.reports.page import Cell, Column, FigureBlock, Section, Table, Text
 from piga.units import G0
 
 MICRO_G = G0 * 1e-6
+_PLAIN = str.maketrans("−–⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "---0123456789")
 HEADS = (
     "",
     "terms",
@@ -101,6 +104,30 @@ def _remark(found: dict[str, Any], document: dict[str, Any]) -> str:
 
 def _plain(value: float, digits: int = 3) -> str:
     return printed(short(value, digits))
+
+
+def comparison_text(document: dict[str, Any]) -> list[str]:
+    """The comparison for a terminal of 80 columns: figures by number of the set, then what the sets hold."""
+    heads = ("set", "coeffs", "chi2/dof", "BIC above", "weight", "prediction above", "missed [ug]")
+    order = comparison_rows(document)[1]
+    rows = [tuple(_ascii(text) for text in (row[0], *row[2:-1])) for row in order if row[2] != "–"]
+    width = [max(len(row[i]) for row in (heads, *rows)) for i in range(len(heads))]
+    lines = ["Term sets compared, the best first"]
+    if rows:
+        lines += [
+            "  " + "  ".join(f"{text:>{w}}" for text, w in zip(row, width, strict=True))
+            for row in (heads, *rows)
+        ]
+    for number, terms, *_, remark in order:
+        text = f"{number}: {terms}" + (f" ({remark})" if remark else "")
+        lines += wrap(text, 78, initial_indent="  ", subsequent_indent="     ")
+    return [*lines, *wrap(comparison_words(document), 78, initial_indent="  ", subsequent_indent="  ")]
+
+
+def _ascii(text: str) -> str:
+    """A printed number in plain text."""
+    text = re.sub(r"\s*×\s*10", "e", text).replace("±", "+/-")
+    return re.sub(r"[\u202f\u00a0]", "", text).translate(_PLAIN)
 
 
 def comparison_table(document: dict[str, Any]) -> Table:

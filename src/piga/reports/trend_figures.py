@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piga.calibration.trend import LIMIT, YEAR, CoefficientTrend, Forecast, Trend, student
+from piga.calibration.control_chart import LIMIT
+from piga.calibration.trend import YEAR, CoefficientTrend, Forecast, Trend, student
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.numbers import fixed, pretty_unit
 

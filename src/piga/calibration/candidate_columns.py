@@ -1,0 +1,108 @@
+"""Columns of terms that are not in the model, good enough to test for them: trapezoid over the samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.design import Block, Design
+from piga.calibration.fit import Fit
+from piga.records.spool import extent
+from piga.records.terms import harmonic
+
+Array = NDArray[np.float64]
+
+SINGLE = (
+    "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+)  # fmt: skip
+PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
+"""Candidates that turn with the output: term that stands for them, and their columns."""
+
+
+def candidate_terms(design: Design) -> list[tuple[str, ...]]:
+    """Columns of every candidate that the model lacks and the record can hold.
+
+    What turns with the output is left out where the zero of its angle is not known in all segments.
+    """
+    terms, run = design.request.terms, design.run
+    low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
+    left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
+    left_out |= {"k0_T", "k1_T"} if low == high else set()
+    found: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
+    if design.request.phase == "shared" or "tan_beta" in terms:
+        found += [columns for name, columns in PAIRS if name not in terms]
+    return found
+
+
+def candidate_sums(
+    fit: Fit, block: Block, names: list[str], starts: NDArray[np.int64], step: int
+) -> list[Array]:
+    """Integrals of the candidates over joined intervals of a block (sums of their values, for a log of rates).
+
+    Parameters
+    ----------
+    fit, block, names:
+        The fit, a block of its design and the columns wanted.
+    starts:
+        Rows of the block at which the joined intervals begin, the first 0.
+    step:
+        Samples between those that are looked at, where the record is smooth; a log of rates is looked at in full.
+    """
+    design, run = fit.design, fit.design.run
+    size, first = block.h.size, block.start if design.point else block.start - 1
+    at = np.arange(size)
+    if not design.point:
+        looked = np.zeros(size + 1, dtype=bool)
+        looked[::step] = looked[starts] = looked[size] = True
+        at = np.flatnonzero(looked)
+    rows = first + at
+    phase = fit.solution.phases
+    group = block.segment if phase.size > 1 else 0
+    alpha = design.phase_angle[rows] + (phase[group] if phase.size else 0.0)
+    a = np.ascontiguousarray(run.f[rows].T)
+    t = run.t[rows] - design.time_reference
+    warm = t if run.temperature is None else run.temperature[rows] - design.request.temperature_reference
+    turning = a[1:] if run.base_rate is None else a[1:] - run.base_rate[rows, 1:].T / design.scale_factor
+    values = (term_values(name, a, t, warm, turning, alpha) for name in names)
+    if design.point:
+        return [np.add.reduceat(value, starts) for value in values]
+    half = 0.5 * np.where(run.begins[first + 1 + at[:-1]], 0.0, np.diff(t))
+    edges = np.searchsorted(at, starts)
+    return [np.add.reduceat(half * (value[1:] + value[:-1]), edges) for value in values]
+
+
+def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:
+    """What the column of a term holds at the samples, its integrand.
+
+    Parameters
+    ----------
+    name:
+        Term, or ``p``, ``q`` of the coupling.
+    a:
+        (3, n) specific force [m/s^2].
+    t, warm:
+        (n,) time [s] and temperature [K] from their references.
+    turning:
+        (2, n) specific force along Y0 and Z0 less base rate over K [m/s^2].
+    alpha:
+        (n,) angle that the column turns with [rad].
+    """
+    order = harmonic(name)
+    if order:
+        return np.sin(order[1] * alpha) if order[0] == "s" else np.cos(order[1] * alpha)
+    x, y, z = a
+    if name in ("p", "q"):
+        sine, cosine = np.sin(alpha), np.cos(alpha)
+        return (
+            turning[0] * sine - turning[1] * cosine if name == "p" else turning[0] * cosine + turning[1] * sine
+        )
+    if name in ("k0_t", "k0_T", "k1_T"):
+        return {"k0_t": t, "k0_T": warm, "k1_T": x * warm}[name]
+    factors = {
+        "k0": (), "k1": (x,), "k2": (x, x), "k3": (x, x, x), "k2o": (x, np.abs(x)), "m_Y": (y,), "m_Z": (z,),
+        "k_XY": (x, y), "k_XZ": (x, z), "k_YY": (y, y), "k_ZZ": (z, z), "k_YZ": (y, z),
+    }[name]  # fmt: skip
+    result = np.ones_like(x)
+    for factor in factors:
+        result = result * factor
+    return result

@@ -1,0 +1,37 @@
+"""What a finished calibration says about model and data: leverage, missing terms, data read wrongly.
+
+One cause gets one remark: data that fit far better when read otherwise look as if terms were missing, and a
+missing term moves single segments. So advice on the data holds back the suggestions of terms, and both hold
+back the remarks on segments that move a coefficient. Nothing is ever applied.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from piga.calibration.advice import advise, looks_wrong
+from piga.calibration.fit import Fit
+from piga.calibration.leverage import find_leverage
+from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
+from piga.records.calibration import Calibration
+
+
+def with_remarks(result: Calibration, fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Calibration:
+    """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes.
+
+    Parameters
+    ----------
+    result:
+        The finished calibration of one run.
+    fit, groups, per_segment:
+        The fit behind it, the phase group of every segment, and whether each has its own.
+    """
+    found, alone, moved = find_leverage(fit, groups, per_segment, result.coefficients)
+    advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
+    missing = () if advice else suggest_terms(fit, groups, per_segment, result.coefficients)
+    if advice:
+        found |= {"advice": list(advice)}
+    if missing:
+        found |= {"missing_terms": list(missing)}
+    cause = (*advice, *suggestions_in_words(missing)) or moved
+    return replace(result, notes=(*cause, *result.notes, *alone), diagnostics=result.diagnostics | found)

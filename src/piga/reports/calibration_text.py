@@ -1,0 +1,82 @@
+"""The summary of a calibration for the terminal."""
+
+from __future__ import annotations
+
+from piga.records.calibration import Calibration
+from piga.reports.calibration_budget import budget_text
+from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
+from piga.reports.calibration_tables import residual_quantity
+from piga.reports.numbers import friendly, printed, rounded, short
+from piga.units import ARCSEC, G0
+
+
+def calibration_text(cal: Calibration) -> str:
+    """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
+    used = f"{cal.quality.used} of {cal.quality.rows}"
+    head = [
+        f"Calibration of {cal.serial} from {files_in_words(cal)}",
+        f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
+        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
+        "",
+    ]
+    return "\n".join(
+        [
+            *[*head, *_text_table(cal), "", *_text_figures(cal)],
+            *budget_text(cal),
+            *[f"note: {note}" for note in cal.notes],
+        ]
+    )
+
+
+def drift_found(cal: Calibration) -> str:
+    """Random walk of the rate, or that there is none to be seen."""
+    if cal.bias_drift == 0.0:
+        return "none seen"
+    shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
+
+
+def _text_table(cal: Calibration) -> list[str]:
+    lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
+    for coefficient in cal.coefficients:
+        value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
+        scale = std / coefficient.std if coefficient.std else 1.0
+        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
+        lines.append((coefficient.key, number.value, number.uncertainty, wide.uncertainty, unit))
+    width = [max(len(line[column]) for line in lines) for column in range(5)]
+    return [
+        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit}".rstrip()
+        for name, value, u, wide, unit in ((c.replace("–", "-") for c in line) for line in lines)
+    ]
+
+
+def _text_figures(cal: Calibration) -> list[str]:
+    unit = residual_quantity(cal)[1]
+
+    def angle(before: float, after: float) -> str:
+        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
+
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
+    rows = [
+        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
+        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
+        ("noise of the angle", noise),
+        *(
+            [("bias drift", drift_found(cal).replace("µ", "u").replace("√s", "sqrt(s)"))]
+            if cal.bias_drift > 0.0
+            else []
+        ),
+        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
+        ("condition number", short(cal.condition)),
+    ]
+    rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
+    rows += [
+        (
+            f"noise of run {run.name}",
+            f"{short(run.angle_rms / ARCSEC)} arcsec white, {short(run.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk",
+        )
+        for run in cal.runs
+    ]
+    wide = max(len(name) for name, _ in rows)
+    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]

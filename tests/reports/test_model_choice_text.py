@@ -1,0 +1,39 @@
+"""The comparison of term sets fits a terminal of 80 columns, whatever its figures."""
+
+from piga.reports.model_choice import comparison_text
+
+TERMS = ["scale_factor", "tan_beta", "k0", "m_Y"]
+LONG = [*TERMS, "k2", "k3", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "m_Z"]
+
+
+def found(terms, above):
+    return {
+        "terms": terms, "parameters": len(terms) + 1, "chi_square_per_degree": 1.0 + above, "bic": above,
+        "bic_above_best": above, "weight": 0.37, "prediction_chi_square": 1e3 + above, "prediction_above_best": above,
+        "prediction_standard_error": 0.1 * above, "prediction_force_error": 1e-5 * (1.0 + above),
+    }  # fmt: skip
+
+
+DOCUMENT = {
+    "best": TERMS, "best_prediction": TERMS, "parted_by": "segment", "folds": 24, "parts": 24,
+    "sets": [
+        found(["scale_factor", "tan_beta"], 9.93e7), found(TERMS, 0.0), found(["k0"], 950782.0),
+        {"terms": LONG, "reason": "this record cannot separate k0, k2, k_YY, k_ZZ, k_XY, m_Y and a few terms more"},
+    ],
+}  # fmt: skip
+
+
+def test_no_line_is_wider_than_80_columns_and_no_word_is_broken():
+    lines = comparison_text(DOCUMENT)
+    assert max(map(len, lines)) <= 80
+    assert "\n".join(lines).isascii()
+    words = set(" ".join(lines).replace(",", " ").replace("(", " ").replace(")", " ").split())
+    assert {"scale_factor", "tan_beta", "k_YZ", "separate"} <= words
+
+
+def test_the_best_comes_first_and_figures_stand_under_their_heads():
+    lines = comparison_text(DOCUMENT)
+    assert lines[2].split()[0] == "2"
+    assert "9.93e7" in lines[4]
+    assert len({len(line) for line in lines[1:5]}) == 1
+    assert any(line.strip().startswith("2: scale_factor, tan_beta, k0, m_Y (least BIC") for line in lines)
