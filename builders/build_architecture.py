@@ -47,7 +47,8 @@ def layers() -> list[list[str]]:
         "contracts"
     ]
     wanted = next(contract for contract in contracts if contract["type"] == "layers")
-    return [[part.strip().removeprefix("piga.") for part in re.split("[:|]", row)] for row in wanted["layers"]]
+    rows = [[part.strip().removeprefix("piga.") for part in re.split("[:|]", row)] for row in wanted["layers"]]
+    return [row for row in rows if row != ["__main__"]]
 
 
 def graph() -> dict[str, list[str]]:

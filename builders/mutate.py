@@ -1,9 +1,10 @@
-"""Mutation testing of the numerics: ``python builders/mutate.py [--sample N] [--seed S] [FILE ...]``.
+"""Mutation testing of the numerics: ``python builders/mutate.py [--sample N] [--seed S] [--minutes M] [FILE ...]``.
 
 Each mutant is one small change of one source file (an operator, a comparison, a constant, a sign, sine for cosine). The tests
 named for that file run on it with the JIT off; a mutant that no test notices has *survived*. mutmut and cosmic-ray rewrite the
 installed package and start Python anew for each mutant; here the libraries are loaded once, and every mutant is a forked child that
-imports the changed module, which is what makes kernels with seconds of imports affordable.
+imports the changed module, which is what makes kernels with seconds of imports affordable. The mutants of a sample are tried
+in random order: stopped after ``--minutes``, those that were tried are a random sample, too.
 """
 
 from __future__ import annotations
@@ -33,7 +34,14 @@ MOTION = [
     "tests/instrument/test_borders.py",
     "tests/docs/test_equations.py",
 ]
-SAMPLES = [*MOTION, "tests/instrument/test_sensitivity.py", "tests/instrument/test_propagate.py"]
+SAMPLES = [
+    *MOTION,
+    "tests/instrument/test_sensitivity.py",
+    "tests/instrument/test_step_sizes.py",
+    "tests/instrument/test_short_records.py",
+    "tests/instrument/test_propagate.py",
+    "tests/instrument/test_input_forms.py",
+]
 FIT = [
     "tests/calibration/test_kernels.py",
     "tests/calibration/test_reduction.py",
@@ -42,10 +50,12 @@ FIT = [
 ]
 GROUND = ["tests/foundations"]
 TESTS = {
-    "_kernels/motion.py": MOTION,
-    "_kernels/motion_records.py": SAMPLES,
+    "_kernels/motion.py": SAMPLES,
+    "_kernels/motion_blocks.py": SAMPLES,
+    "_kernels/motion_increments.py": SAMPLES,
+    "_kernels/motion_samples.py": [*SAMPLES, "tests/instrument/test_fleet.py"],
     "_kernels/motion_sensitivity.py": SAMPLES,
-    "_kernels/transfer.py": MOTION,
+    "_kernels/transfer.py": SAMPLES,
     "instrument/constant_motion.py": MOTION,
     "_kernels/regressors.py": FIT,
     "_kernels/square_root.py": FIT,
@@ -213,12 +223,21 @@ def run_tests(mutant: Mutant | None, tests: list[str], limit: float) -> tuple[in
     return 99, limit
 
 
+def interval(killed: int, tried: int) -> tuple[float, float]:
+    """95 % interval of a binomial share (Wilson 1927)."""
+    z2 = 1.959964**2
+    middle = (killed + 0.5 * z2) / (tried + z2)
+    half = (z2 * (killed * (tried - killed) / tried + 0.25 * z2)) ** 0.5 / (tried + z2)
+    return middle - half, middle + half
+
+
 def main() -> None:
     """Run a sample of mutants, list the survivors, print the score of each file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", help="files within src/piga; all targets when none are named")
     parser.add_argument("--sample", type=int, default=300, help="mutants over all files; 0: every one")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after so long")
     parser.add_argument("--out", type=Path, help="JSON file for the result")
     arguments = parser.parse_args()
     os.chdir(ROOT)
@@ -244,8 +263,10 @@ def main() -> None:
         assert code == 0, f"{', '.join(tests)}: fail without any change (exit code {code})"
         limits[tests] = 4.0 * seconds + 20.0
     score = {file: [0, 0, len(found)] for file, found in chosen.items()}
-    survivors = []
+    survivors, begun = [], time.monotonic()
     for number, mutant in enumerate(pool, 1):
+        if time.monotonic() - begun > 60.0 * arguments.minutes:
+            break
         tests = tuple(TESTS[mutant.file])
         code, _ = run_tests(mutant, list(tests), limits[tests])
         score[mutant.file][1] += 1
@@ -255,6 +276,9 @@ def main() -> None:
             print(f"survived {number}/{len(pool)}: {mutant.file}:{mutant.line}: {mutant.change}", flush=True)
     for file, (killed, tried, total) in score.items():
         print(f"{file:34} {killed:4} of {tried:4} noticed ({total} mutants in all)")
+    killed, tried = (sum(counts[k] for counts in score.values()) for k in (0, 1))
+    low, high = interval(killed, tried)
+    print(f"{killed} of {tried} noticed, {killed / tried:.1%} (95 % interval {low:.1%} to {high:.1%})")
     if arguments.out:
         arguments.out.write_text(json.dumps({"score": score, "survivors": survivors}, indent=1))
 

@@ -57,11 +57,12 @@ class Scenario:
     truth: dict[str, float] = field(default_factory=lambda: {"k0": 1.6e-3})
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
     turning: Array | None = None
-    per_segment: bool = False
+    phi: float = PHI
+    drift: float = 0.0
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
-        fixed = {"scale_factor": SCALE, "tan_beta": self.tan_beta, "phi": PHI}
+        fixed = {"scale_factor": SCALE, "tan_beta": self.tan_beta, "phi": self.phi}
         return fixed[name] if name in fixed else self.truth.get(name, 0.0)
 
     def indicated(self) -> Array:
@@ -81,9 +82,11 @@ class Scenario:
         z = self.tan_beta * (SCALE * self.forces[:, 2] - omega[:, 2])
         noise = self.walk * math.sqrt(h) * rng.standard_normal((count, steps))
         starts = rng.uniform(-math.pi, math.pi, count)
+        if self.drift:
+            noise += h * self._wandering(rng)
         for s in range(count):
             _motion(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
-        output = psi.ravel() - PHI
+        output = psi.ravel() - self.phi
         if self.white:
             output = output + self.white * rng.standard_normal(output.size)
         if self.count:
@@ -101,6 +104,21 @@ class Scenario:
             serial="synthetic",
         )
 
+    def _times(self) -> Array:
+        """Middle of every step, from the middle of the test, (segments, steps) [s]."""
+        steps, count = round(self.seconds * self.rate), len(self.forces)
+        whole = count * (self.seconds + 5.0) - 5.0
+        starts = (self.seconds + 5.0) * np.arange(count)[:, None]
+        times: Array = starts + (np.arange(steps) + 0.5) / self.rate - 0.5 * whole
+        return times
+
+    def _wandering(self, rng: np.random.Generator) -> Array:
+        """A random walk of the rate at ``_times``, zero in the middle of the test [rad/s]."""
+        t = self._times().ravel()
+        steps = np.sqrt(np.diff(np.append(t[0], t)))
+        walk = self.drift * np.cumsum(steps * rng.standard_normal(t.size))
+        return (walk - np.interp(0.0, t, walk)).reshape(self._times().shape)
+
     def calibrate(self, run: piga.Run) -> piga.Calibration:
         """The estimate that is put to the test."""
         return piga.calibrate(run, self.terms)
@@ -108,25 +126,34 @@ class Scenario:
     def errors(self, found: piga.Calibration) -> Array:
         """Error of every coefficient in file units, in the order of the result."""
         errors = np.array([c.value - self.true_value(c.name) for c in found.coefficients])
-        angles = np.array([c.name == "phi" for c in found.coefficients])
-        return np.where(angles, np.angle(np.exp(1j * errors)), errors)
+        return _nearest(found, errors)
 
     def bound(self, run: piga.Run) -> Array:
-        """Cramer-Rao covariance (file units) for the true noise levels, computed densely, white reading noise.
+        """Cramer-Rao covariance (file units) for the true noise levels, computed densely, white reading noise."""
+        return np.linalg.inv(self.information(run))
 
-        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted.
+    def information(self, run: piga.Run) -> Array:
+        """Fisher information of the coefficients (file units).
+
+        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted. With a drift
+        the segments are not independent.
         """
         steps, h = round(self.seconds * self.rate), 1.0 / self.rate
         r = self.white**2 + self.count**2 / 12.0
         V = np.diag(np.full(steps, self.walk**2 * h + 2.0 * r)) - r * (
             np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
         )
-        information = np.zeros((len(self.names), len(self.names)))
-        for s in range(len(self.forces)):
-            part = run.segment == s
-            columns = self._derivatives(run.output[part] + PHI, s, h)
-            information += columns.T @ np.linalg.solve(V, columns)
-        return np.linalg.inv(information)
+        parts = [
+            self._derivatives(run.output[run.segment == s] + self.phi, s, h) for s in range(len(self.forces))
+        ]
+        if self.drift:
+            t = self._times().ravel()
+            together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
+            whole = np.kron(np.eye(len(parts)), V) + (self.drift * h) ** 2 * together
+            columns = np.concatenate(parts)
+            found: Array = columns.T @ np.linalg.solve(whole, columns)
+            return found
+        return sum((part.T @ np.linalg.solve(V, part) for part in parts), np.zeros((len(self.names),) * 2))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,6 +174,49 @@ class Scenario:
         products = _products(a, y, z)
         rows = [known[n] if n in known else SCALE * products[n] + 0.0 * sine for n in self.names]
         return np.array([0.5 * h * (rate[1:] + rate[:-1]) for rate in rows]).T
+
+
+def _nearest(found: piga.Calibration, errors: Array) -> Array:
+    """Errors, those of phases to the nearest whole turn."""
+    angles = np.array([c.name == "phi" for c in found.coefficients])
+    return np.where(angles, np.angle(np.exp(1j * errors)), errors)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Several tests of one instrument calibrated together, each with its own noise and phase."""
+
+    name: str
+    runs: tuple[Scenario, ...]
+
+    def record(self, rng: np.random.Generator) -> list[piga.Run]:
+        """One simulated test of each kind."""
+        return [run.record(rng) for run in self.runs]
+
+    def calibrate(self, runs: list[piga.Run]) -> piga.Calibration:
+        """The estimate that is put to the test."""
+        return piga.calibrate(runs, self.runs[0].terms)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coefficients in the order of a result: the phases of all runs behind tan_beta."""
+        phases = tuple(f"phi[run {i + 1}]" for i in range(len(self.runs)))
+        return tuple(n for name in self.runs[0].names for n in (phases if name == "phi" else (name,)))
+
+    def errors(self, found: piga.Calibration) -> Array:
+        """Error of every coefficient in file units, in the order of the result."""
+        phases = {f"phi[run {i + 1}]": run.phi for i, run in enumerate(self.runs)}
+        truth = [phases.get(c.key, self.runs[0].true_value(c.name)) for c in found.coefficients]
+        return _nearest(found, np.array([c.value for c in found.coefficients]) - truth)
+
+    def bound(self, records: list[piga.Run]) -> Array:
+        """Cramer-Rao covariance (file units): the information of the tests adds."""
+        total = np.zeros((len(self.names), len(self.names)))
+        for index, (scenario, record) in enumerate(zip(self.runs, records, strict=True)):
+            own = [f"phi[run {index + 1}]" if name == "phi" else name for name in scenario.names]
+            at = [self.names.index(name) for name in own]
+            total[np.ix_(at, at)] += scenario.information(record)
+        return np.linalg.inv(total)
 
 
 def _products(a: Array, y: Array, z: Array) -> dict[str, Array]:
@@ -183,7 +253,12 @@ _STATIC = {"k0": 1.6e-3, "k2": 2.0e-4, "m_Y": 2.4e-4}
 _TERMS = ("scale_factor", "tan_beta", "k0", "k2", "m_Y")
 _ARM, _RATES = _centrifuge()
 
-SCENARIOS = {
+_JOINT_TERMS = ("scale_factor", "tan_beta", "k0", "k2", "k_YY", "m_Y")
+_JOINT = _STATIC | {"k_YY": -1.1e-4}
+_LEVELS = np.array([0.5, 1.0, -1.5, 2.0, -3.0, 4.0, -5.0, 6.0])
+_SPUN = np.stack([_LEVELS, np.full(8, 0.3), np.ones(8)], axis=1)
+
+SCENARIOS: dict[str, Scenario | Joint] = {
     found.name: found
     for found in (
         Scenario("static", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=2e-5, truth=_STATIC, terms=_TERMS),
@@ -205,5 +280,15 @@ SCENARIOS = {
         ),
         Scenario("white", tumble(8, (0.5, 1.0)), white=2.5e-5, truth=_STATIC, terms=_TERMS),
         Scenario("walk", tumble(8, (0.5, 1.0)), white=1e-9, walk=3e-5, truth=_STATIC, terms=_TERMS),
+        Scenario(
+            "drift", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=1e-5, drift=1e-6, truth=_STATIC, terms=_TERMS
+        ),
+        Joint(
+            "joint",
+            (
+                Scenario("head", tumble(12), white=2.5e-5, walk=1e-5, truth=_JOINT, terms=_JOINT_TERMS),
+                Scenario("spun", _SPUN, white=6e-5, walk=2e-5, truth=_JOINT, terms=_JOINT_TERMS, phi=-1.9),
+            ),
+        ),
     )
 }  # fmt: skip

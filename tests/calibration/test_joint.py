@@ -14,8 +14,10 @@ import pytest
 import piga
 from piga.calibration import RunSummary
 from piga.records.calibration_json import to_document
+from piga.records.distribution import Spread
 from piga.records.residuals_parquet import write_residuals
 from piga.records.run_file import UncertaintyTable
+from tests.calibration.scenarios import SCENARIOS
 from tests.calibration.scenarios_joint import TERMS, joint_test, scores
 
 pytestmark = pytest.mark.only_compiled
@@ -124,7 +126,7 @@ def test_coefficients_per_run(runs: list[piga.Run]) -> None:
 
 def test_common_source_moves_all_runs_an_own_one_only_its_run(runs: list[piga.Run]) -> None:
     """A scale error shared by both stands goes into K undiminished; independent ones average."""
-    terms = ["scale_factor", "tan_beta", "k0", "k2"]
+    terms = TERMS
 
     def scale_part(first: str | None, second: str | None) -> tuple[float, int]:
         tables = (UncertaintyTable(reference_scale="10 ppm", reference_id=name) for name in (first, second))
@@ -179,3 +181,33 @@ def test_every_segment_with_its_own_phase(runs: list[piga.Run]) -> None:
     shared = piga.calibrate(runs, TERMS)
     for name in TERMS:
         assert calibration[name].value == pytest.approx(shared[name].value, abs=3.0 * calibration[name].std)
+
+
+def test_coarse_counts_and_degrees_of_freedom_as_of_a_run_alone(tmp_path: Path) -> None:
+    """One run by its summary is that run: exact covariance of coarse counts, Student's t for its noise levels."""
+    scenario = SCENARIOS["coarse-slow"]
+    run = scenario.record(np.random.default_rng(5))
+    RunSummary.of(run, scenario.terms).to_json(tmp_path / "s.json")
+    alone, merged = (
+        scenario.calibrate(run),
+        piga.calibrate([RunSummary.from_json(tmp_path / "s.json")], scenario.terms),
+    )
+    for a, b in zip(alone.coefficients, merged.coefficients, strict=True):
+        assert (b.value - a.value) / a.std == pytest.approx(0.0, abs=1e-3)
+        assert b.std == pytest.approx(a.std, rel=1e-3)
+        assert b.degrees_of_freedom == pytest.approx(
+            min(c.degrees_of_freedom for c in alone.coefficients), rel=1e-3
+        )
+
+
+def test_degrees_of_freedom_of_two_runs(runs: list[piga.Run]) -> None:
+    """What both runs tell is known better than by either; a bounded source keeps its distribution."""
+    calibration = piga.calibrate(runs, TERMS)
+    own = [RunSummary.of(run, TERMS).degrees_of_freedom for run in runs]
+    degrees = np.array([c.degrees_of_freedom for c in calibration.coefficients])
+    assert (degrees > 0.99 * min(own)).all()
+    assert (degrees < 1.01 * sum(own)).all()
+    assert degrees.max() > max(own)
+    spread = Spread(half_width="10 ppm", distribution="rectangular")
+    moved = [replace(run, uncertainty=UncertaintyTable(reference_scale=spread)) for run in runs]
+    assert piga.calibrate(moved, TERMS).budget[1]["distribution"] == "rectangular"

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import piga
-from piga.calibration.outliers import limit
+from piga._kernels.outliers import correct_samples
+from piga.calibration.cleaning import leave_out
+from piga.calibration.outliers import Misses, limit
+from piga.records import spool
 from piga.units import G0
 from tests.calibration.synthetic import BETA, SCALE, TERMS, errors, record
 
@@ -136,3 +140,60 @@ def test_outliers_in_the_file(tmp_path) -> None:
     calibration = piga.calibrate(spiked(run, 39, 0.01, 1.0)[0], TERMS)
     calibration.to_json(tmp_path / "c.json")
     assert piga.Calibration.from_json(tmp_path / "c.json").outliers == calibration.outliers
+
+
+def drawn(seed: int, size: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual increments, breaks and marks, anywhere and at the ends."""
+    rng = np.random.default_rng(seed)
+    begins = rng.random(size) < 0.02
+    begins[0] = True
+    flags = rng.choice(np.array([0, 1, 2], dtype=np.int8), size, p=(0.6, 0.35, 0.05))
+    return np.where(begins, 0.0, rng.standard_normal(size)), begins, flags
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_corrections_by_the_definition(seed: int) -> None:
+    """Stretch by stretch with NumPy's interpolation, jumps carried through the record."""
+    d, begins, flags = drawn(seed)
+    found = np.zeros(d.size)
+    correct_samples(d, begins, flags, found)
+    expected, shift = np.zeros(d.size), 0.0
+    edges = [*np.flatnonzero(begins).tolist(), d.size]
+    for start, stop in pairwise(edges):
+        angle, kind = np.cumsum(d[start:stop]), flags[start:stop]
+        own = np.zeros(angle.size)
+        for at in np.flatnonzero(kind == 2):
+            calm = np.flatnonzero(kind[:at] == 0)
+            if calm.size:
+                own[at:] += angle[at] - angle[calm[-1]]
+        good = np.flatnonzero(kind != 1)
+        wrong = shift + own
+        if good.size:
+            bad = np.flatnonzero(kind == 1)
+            wrong[bad] = shift + angle[bad] - np.interp(bad, good, angle[good] - own[good])
+        expected[start:stop] = wrong
+        shift += own[-1]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_left_out_does_not_depend_on_the_blocks(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    d, begins, flags = drawn(seed)
+    t = np.arange(d.size) * 0.1
+    run = piga.Run.from_arrays(t, np.cumsum(d) + t, np.ones((d.size, 3)), scale_factor=SCALE)
+    run = replace(run, begins=begins)
+    misses = Misses(d, np.where(begins, 0.0, 0.1), point=False)
+    whole, listed = leave_out(run, misses, flags)
+    monkeypatch.setattr(spool, "BLOCK", 7)
+    parts, again = leave_out(run, misses, flags)
+    assert listed == again
+    np.testing.assert_array_equal(whole.output, parts.output)
+    np.testing.assert_array_equal(whole.begins, parts.begins)
+    np.testing.assert_array_equal(whole.left_out, flags == 1)
+    assert whole.quality == parts.quality
+    assert whole.quality.masked - run.quality.masked == int((flags == 1).sum())
+    spikes = sum(o.samples for o in listed)
+    assert spikes == int((flags == 1).sum())
+    for start in np.flatnonzero(begins & (flags == 1)):
+        later = start + int(np.argmax(flags[start:] != 1))
+        assert whole.begins[later] or not (flags[start:] != 1).any()

@@ -12,6 +12,7 @@ from piga.calibration.budget import propagate
 from piga.calibration.degrees_of_freedom import coverage_factor, level_information, welch_satterthwaite
 from piga.calibration.noise import Noise
 from piga.errors import RunFileError
+from piga.records import spool
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from tests.calibration.scenarios import SCENARIOS
 
@@ -104,6 +105,17 @@ def test_information_of_the_levels() -> None:
     assert 2.0 * white[0, 0] * 1e-20 == pytest.approx(4000 - 6)
     walk = level_information([401] * 10, 0.1, Noise(1e-22, 1e-9), 6)
     assert 2.0 * walk[1, 1] * 1e-18 == pytest.approx(4000 - 6, rel=1e-6)
+
+
+@pytest.mark.parametrize("block", [1 << 16, 7])
+def test_information_of_mixed_stretches(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values of all stretches in one list, sorted, the most telling ones left out."""
+    monkeypatch.setattr(spool, "BLOCK", block)
+    lengths, noise, fitted = [30, 12, 30, 30, 55, 2], Noise(0.3, 0.7), 5
+    gains = [0.2 / (4.0 * np.sin(0.5 * np.pi * np.arange(1, n) / n) ** 2) for n in lengths]
+    gain = np.sort(np.concatenate(gains))[:-fitted]
+    rows = np.stack([np.ones(gain.size), gain]) / (0.3 + 0.7 * gain)
+    np.testing.assert_allclose(level_information(lengths, 0.2, noise, fitted), 0.5 * rows @ rows.T, rtol=1e-12)
 
 
 def test_distributions_of_type_b() -> None:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from typer.main import get_command
 
+import piga as piga_package
 from piga.cli import common
 from piga.cli.demo import copy_example
+from piga.cli.main import app
 from piga.errors import PigaError
+from piga.units import G0
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 from tests.records.files import lines, write_log, write_run
 
 
@@ -29,20 +36,6 @@ def small_run(folder: Path) -> Path:
     turned = [f"{i / 20.0 + 10.0:.4f},{20000 + round(5089.5 * i / 20.0)},0.5,0.3,0.0,1" for i in range(30)]
     write_log(folder, first + turned, header="t,n,fx,fy,fz,seg")
     return write_run(folder, data='segment = "seg"')
-
-
-def test_help_imports_nothing_heavy() -> None:
-    code = (
-        "import sys; sys.argv = ['piga', '--help']\n"
-        "from piga.cli.main import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'numba', 'scipy', 'pyarrow', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for command in ("demo", "check", "calibrate", "compensate"):
-        assert command in done.stdout
 
 
 @pytest.mark.only_compiled
@@ -166,3 +159,41 @@ def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     done = piga("calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again"))
     again = {c["name"]: c["value"] for c in json.loads(done.stdout)["coefficients"]}
     assert again["k_YY"] == pytest.approx(values["k_YY"]["value"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("run", "option", "words"),
+    [
+        ("-", ("--rate", "10 Hz"), "--rate is not for a live stream"),
+        ("-", ("--identify-phase", "60 s"), "--identify-phase is not for a live stream"),
+        ("-", ("--resume",), "--resume is not for a live stream"),
+        ("triad.toml", ("--resume",), "--resume is not for several instruments"),
+        ("triad.toml", ("--phase", "0.4 rad"), "--phase is not for several instruments"),
+        ("triad.toml", ("--identify-phase", "60 s"), "--identify-phase is not for several instruments"),
+    ],
+)
+def test_an_option_that_would_have_no_effect_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: str, option: tuple[str, ...], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "triad.toml").write_text("[[triad.instrument]]\n", encoding="utf-8")
+    with pytest.raises(PigaError, match=words):
+        get_command(app).main(["compensate", run, "--out", "o.csv", *option], standalone_mode=False)
+
+
+@pytest.mark.parametrize("method", ["exact", "published"])
+def test_a_live_stream_takes_the_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], method: str
+) -> None:
+    t = np.arange(40) * 0.05
+    f = G0 * np.column_stack([1.0 + 0.2 * np.sin(t), 3.0 + 0 * t, 1.0 + 0 * t])
+    calibration = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
+    calibration.to_json(tmp_path / "calibration.json")
+    run = run_of(t, f, phi=0.3)
+    rows = np.column_stack([run.t, run.output, run.f])
+    text = "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+    monkeypatch.setattr(sys, "stdin", io.StringIO(text))
+    words = ["compensate", "-", "--calibration", str(tmp_path / "calibration.json"), "--method", method]
+    get_command(app).main(words, standalone_mode=False)
+    answered = [float(line.split(",")[1]) for line in capsys.readouterr().out.splitlines()[1:]]
+    np.testing.assert_array_equal(answered, piga_package.compensate(run, calibration, method=method).ax)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -109,7 +110,8 @@ def test_help_is_light() -> None:
         "heavy = {'numpy', 'numba', 'scipy', 'pyarrow', 'sqlalchemy', 'alembic', 'sqlite3'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=plain)
     assert done.returncode == 0, done.stderr
     assert "reproduce" in done.stdout
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numba
@@ -30,15 +31,43 @@ def samples(seed: int = 1) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
+STD = {"scale_factor": 1e-7, "tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-6}
+VALUES = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "s1": 1e-5, "c1": -2e-5, "k0": 1e-3}
+LIMITS = {"range": {"a_x": [-20.0, 20.0], "a_t": [0.0, 15.0]}}
+
+
 @pytest.mark.compiled
-def test_samples_without_flags_are_those_with_flags_to_the_bit():
+@pytest.mark.parametrize("left_out", [(), ("tan_beta",), ("scale_factor", "k0"), tuple(STD)])
+def test_one_pass_is_the_general_kernel_to_rounding_and_itself_to_the_bit(left_out):
+    """A base rate of zero takes the general kernel; chunks of any size, all results or some."""
     columns = samples()
-    whole = piga.Compensator(CAL, kind="rate").push(columns)
-    lean = piga.Compensator(CAL, kind="rate", uncertainty=False, flags=False)
-    parts = [lean.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(CUTS)]
-    for name in ("ax", "dv"):
+    columns["t"][120] = columns["t"][119]
+    std = {name: u for name, u in STD.items() if name not in left_out}
+    cal = calibration_of(VALUES, std, angle_rms=1e-6, angle_random_walk=1e-5, diagnostics=LIMITS)
+    spread = np.sqrt(np.diag(cal.covariance))
+    cal = replace(cal, covariance=np.outer(spread, spread) * (0.6 + 0.4 * np.eye(spread.size)))
+    whole = piga.Compensator(cal, kind="rate", step=0.01).push(columns)
+    still = {**columns, "base_rate": np.zeros((ROWS, 3))}
+    general = piga.Compensator(cal, kind="rate", step=0.01).push(still)
+    size = np.abs(general.ax) + np.abs(columns["f"]).max()
+    assert np.all(np.abs(whole.ax - general.ax) < 4e-16 * size)
+    assert np.abs(whole.dv - general.dv).max() < 4e-16 * size.max()
+    assert np.abs(whole.u_ax / general.u_ax - 1.0).max() < 2e-15
+    assert np.array_equal(whole.flags, general.flags)
+    assert len(set(whole.flags.tolist())) > 4
+    stream = piga.Compensator(cal, kind="rate", step=0.01)
+    parts = [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(CUTS)]
+    for name in ("ax", "dv", "u_ax", "flags"):
         assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
-    assert list(parts[0].columns()) == ["t", "ax", "dv"]
+    bare = piga.Compensator(cal, kind="rate", uncertainty=False, flags=False).push(columns)
+    flagged = piga.Compensator(cal, kind="rate", step=0.01, uncertainty=False).push(columns)
+    known = piga.Compensator(cal, kind="rate", step=0.01, flags=False).push(columns)
+    for found in (bare, flagged, known):
+        assert found.ax.tobytes() == whole.ax.tobytes()
+        assert found.dv.tobytes() == whole.dv.tobytes()
+    assert np.array_equal(flagged.flags, whole.flags)
+    assert known.u_ax.tobytes() == whole.u_ax.tobytes()
+    assert list(bare.columns()) == ["t", "ax", "dv"]
     assert columns["angle"][-1] > 1.6e6 > columns["angle"][0]
     assert np.all(whole.dv[columns["begins"]] == 0.0)
 
@@ -81,3 +110,65 @@ def test_bad_number_in_a_set_is_named_and_leaves_the_state():
         stream.push(data["t"][10:20], broken)
     again = [s.push(data["t"][10:20], psi[:, 10:20]).f for s in (stream, sound)]
     assert again[0].tobytes() == again[1].tobytes()
+
+
+def angles(start: float) -> dict[str, np.ndarray]:
+    """Intervals that turn little and far, even and uneven, beginnings, one repeated time; weak and strong force."""
+    rng = np.random.default_rng(7)
+    step = np.where(np.arange(ROWS) % 150 < 90, 0.01, rng.choice([0.01, 0.012, 0.05, 1.5], ROWS))
+    step[120] = 0.0
+    begins = np.zeros(ROWS, dtype=bool)
+    begins[[70, 131, 132, 200]] = True
+    force = (
+        9.8 * (0.3 + rng.standard_normal((ROWS, 3))) * np.where(np.arange(ROWS) % 40 < 25, 1.0, 1e-2)[:, None]
+    )
+    turn = K_G * step * force[:, 0] / 9.8
+    turn[90] = 30.0
+    return {"t": np.cumsum(step), "output": start + np.cumsum(turn), "f": force, "begins": begins}
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("start", [0.0, 1.6e6 - 30.0])
+@pytest.mark.parametrize("left_out", [(), ("scale_factor", "k0"), tuple(STD)])
+def test_angles_tile_by_tile_are_the_general_kernel_to_rounding_and_themselves_to_the_bit(start, left_out):
+    columns = angles(start)
+    std = {name: u for name, u in STD.items() if name not in left_out}
+    cal = calibration_of(VALUES, std, angle_rms=1e-6, angle_random_walk=1e-5, diagnostics=LIMITS)
+    whole = piga.Compensator(cal).push(columns)
+    general = piga.Compensator(cal).push({**columns, "base_rate": np.zeros((ROWS, 3))})
+    step = np.diff(columns["t"], prepend=-1.0)
+    rounding = 4e-16 * (np.abs(columns["output"]).max() * 9.8 / K_G / np.maximum(step, 0.01) + 100.0)
+    assert np.array_equal(np.isnan(whole.ax), np.isnan(general.ax))
+    assert np.all(~(np.abs(whole.ax - general.ax) > rounding))
+    assert np.all(~(np.abs(whole.dv - general.dv) > rounding * step))
+    assert not np.any(np.abs(whole.u_ax / general.u_ax - 1.0) > 1e-9)
+    assert np.array_equal(whole.flags, general.flags)
+    assert len(set(whole.flags.tolist())) > 4
+    assert whole.flagged("no_increment")[120]
+    rng = np.random.default_rng(8)
+    for cuts in (CUTS, (0, 66, 67, 131, 195, ROWS), (0, *np.sort(rng.integers(0, ROWS, 20)), ROWS)):
+        stream = piga.Compensator(cal)
+        parts = [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(cuts)]
+        for name in ("ax", "dv", "u_ax", "flags"):
+            assert np.concatenate([getattr(p, name) for p in parts]).tobytes() == getattr(whole, name).tobytes()
+    for wanted in ({"flags": False}, {"uncertainty": False}, {"flags": False, "uncertainty": False}):
+        found = piga.Compensator(cal, **wanted).push(columns)
+        assert found.ax.tobytes() == whole.ax.tobytes()
+        assert found.dv.tobytes() == whole.dv.tobytes()
+        assert not found.u_ax.size or found.u_ax.tobytes() == whole.u_ax.tobytes()
+        assert not found.flags.size or found.flags.tobytes() == whole.flags.tobytes()
+
+
+@pytest.mark.compiled
+def test_base_rate_may_come_and_go_in_a_stream_of_angles():
+    """Both kernels leave the state that the other one needs."""
+    columns = angles(0.0)
+    cal = calibration_of(VALUES, STD, angle_rms=1e-6)
+    whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)
+    parts = []
+    for k, (a, b) in enumerate(pairwise(CUTS)):
+        part = {name: c[a:b] for name, c in columns.items()}
+        parts.append(stream.push(part | ({"base_rate": np.zeros((b - a, 3))} if k % 2 else {})).ax)
+    found = np.concatenate(parts)
+    assert not np.any(np.abs(found - whole.ax) > 1e-9)
+    assert np.array_equal(np.isnan(found), np.isnan(whole.ax))

@@ -67,11 +67,10 @@ class Runner:
         """Run a line with pipes or another program; ``piga``, ``logger`` and ``consumer`` are on the path."""
         programs = self.folder / "bin"
         programs.mkdir(exist_ok=True)
-        piga = programs / "piga"
-        piga.write_text(f'#!/bin/sh\nexec {sys.executable} -c "from piga.cli.main import main; main()" "$@"\n')
-        piga.chmod(0o755)
-        (programs / "python").unlink(missing_ok=True)
-        (programs / "python").symlink_to(sys.executable)
+        for name, words in (("piga", "-m piga "), ("python", "")):
+            program = programs / name
+            program.write_text(f'#!/bin/sh\nexec {sys.executable} {words}"$@"\n')
+            program.chmod(0o755)
         path = f"{programs}{os.pathsep}{os.environ['PATH']}"
         done = subprocess.run(
             ["bash", "-ec", f"set -o pipefail; {line}"],

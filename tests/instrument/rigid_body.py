@@ -5,8 +5,24 @@ Used as the outside authority of the twin tests; shares no formula with ``piga._
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.integrate import solve_ivp
+
+from piga.instrument.twin_parameters import PRESETS
+
+RICH = replace(
+    PRESETS["example-floated"],
+    product_of_inertia=2e-5,
+    pick_off_null=3e-3,
+    coulomb_friction=1e-4,
+    inner_torque=1e-4,
+    outer_torque=2e-3,
+    hunting=1e-3,
+    alpha0=0.4,
+)
+"""A design in which every term of the equations is at work."""
 
 
 def accelerations(p, t, state, f, omega, omega_rate):

@@ -23,22 +23,12 @@ from piga.instrument.twin_predictions import (
 )
 from piga.units import G0
 
-from .rigid_body import accelerations, solve
+from .rigid_body import RICH, accelerations, solve
 
 pytestmark = pytest.mark.compiled
 
 SLOW_PYTHON = bool(numba.config.DISABLE_JIT)
 EXAMPLE = PRESETS["example"]
-RICH = replace(
-    PRESETS["example-floated"],
-    product_of_inertia=2e-5,
-    pick_off_null=3e-3,
-    coulomb_friction=1e-4,
-    inner_torque=1e-4,
-    outer_torque=2e-3,
-    hunting=1e-3,
-    alpha0=0.4,
-)
 
 
 def constant(f, duration, step=1e-3, omega=(0.0, 0.0, 0.0)):

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from piga._kernels import double_double as dd
-from piga._kernels import motion_records as records
+from piga._kernels import motion_blocks as blocks
+from piga._kernels import motion_increments as increments
 from piga._kernels import transfer as block
 from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
 from piga._kernels.motion_sensitivity import unimodular_functions
@@ -141,7 +142,7 @@ def test_large_steps_are_counted_out():
 
 def test_the_product_of_large_steps_is_that_of_the_exponentials():
     w = _filled(4, 3.0)
-    usable, u, v, x, y = records.multiply_steps(w, 4)
+    usable, u, v, x, y = blocks.multiply_steps(w, 4)
     assert usable
     product = mp.eye(2)
     for j in range(4):
@@ -151,7 +152,7 @@ def test_the_product_of_large_steps_is_that_of_the_exponentials():
     for value, entry in zip((u, x, v, y), product, strict=True):
         assert abs(value - entry / size) < 1e-14
     w[block.STEP_Z + 2] = math.nan
-    assert not records.multiply_steps(w, 4)[0]
+    assert not blocks.multiply_steps(w, 4)[0]
 
 
 @pytest.mark.parametrize("A", [1.9, -1.9, 0.4, 3.0, -7.5, 40.0])
@@ -166,8 +167,8 @@ def test_a_step_of_pure_turning_turns_by_it(A):
 
 def test_a_record_of_one_interval_has_no_slope():
     w = np.zeros(block.SIZE)
-    records.load_means(np.array([1.0, 3.0]), np.array([[0.5, -0.7, 0.9]]), np.empty((0, 3)), 1.0, 1.0, w[1:])
-    records.edge_step(w, 1, 1, 1)
+    increments.load_means(np.array([1.0, 3.0]), np.array([[0.5, -0.7, 0.9]]), np.empty((0, 3)), 1.0, 1.0, w[1:])
+    increments.edge_step(w, 1, 1, 1)
     assert (w[block.STEP_A], w[block.STEP_Y], w[block.STEP_Z]) == pytest.approx((0.5, -0.7, 0.9), rel=1e-15)
 
 
@@ -190,11 +191,11 @@ def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
     c = np.array([[1.0, 0.4, -0.3], [0.2, -0.7, 0.9], [0.5, 0.1, -0.2]])
     integral = t[:, None] * c[0] + t[:, None] ** 2 / 2 * c[1] + t[:, None] ** 3 / 3 * c[2]
     w = np.zeros(block.SIZE)
-    records.load_means(t, np.diff(integral, axis=0), np.empty((0, 3)), 1.0, 1.0, w[1:])
-    records.fill_edges(w, m, 0, 0)
-    records.steps_from_means(w, m)
-    records.edge_step(w, 1, 2, 3)
-    records.edge_step(w, m, m - 1, m - 2)
+    increments.load_means(t, np.diff(integral, axis=0), np.empty((0, 3)), 1.0, 1.0, w[1:])
+    increments.fill_edges(w, m, 0, 0)
+    increments.steps_from_means(w, m)
+    increments.edge_step(w, 1, 2, 3)
+    increments.edge_step(w, m, m - 1, m - 2)
     h = np.diff(t)[:, None]
     mean = np.diff(integral, axis=0) / h
     (a, y, z), (sa, sy, sz) = mean.T, (c[1] + (t[1:] + t[:-1])[:, None] * c[2]).T

@@ -214,16 +214,17 @@ def test_the_reading_process_is_limited(tmp_path: Path, monkeypatch: pytest.Monk
     path = tmp_path / "run.h5"
     path.write_bytes(b"x")
     monkeypatch.setattr(sys, "path", [str(tmp_path / "fake"), *sys.path])
-    monkeypatch.setattr(container, "CPU_BASE", 0.3)
-    for code, message in (
-        ("while True: pass", "took more than"),
+    for code, message, seconds in (
+        ("while True: pass", "took more than", 0.3),
         (
             "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
             r"the reading library failed on it \(signal 11",
+            30.0,
         ),
-        ("raise MemoryError", "needs more than"),
-        ("import sys; sys.exit('odd')", "failed on it .odd"),
+        ("raise MemoryError", "needs more than", 30.0),
+        ("import sys; sys.exit('odd')", "failed on it .odd", 30.0),
     ):
+        monkeypatch.setattr(container, "CPU_BASE", seconds)
         child.write_text(code + "\n")
         with pytest.raises(piga.DataError, match=message):
             container.read_container(path, ".h5", ("t",), None)

@@ -233,3 +233,32 @@ def test_damaged_large_and_missing_files(tmp_path, monkeypatch):
     monkeypatch.setattr(xml_file, "MAX_BYTES", 10)
     with pytest.raises(DataError, match="larger than"):
         read_dcc(put(tmp_path, b"<a>" + b" " * 20 + b"</a>"))
+
+
+def test_keys_of_another_kind_and_files_too_large(cal, keys, tmp_path):
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+    root = dcc_document(complete(), cal)
+    form = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    (tmp_path / "ed.pem").write_bytes(Ed25519PrivateKey.generate().private_bytes(*form))
+    with pytest.raises(DataError, match="neither an RSA nor an elliptic-curve key"):
+        sign_xml(root, tmp_path / "ed.pem", keys["ours"][1])
+    (tmp_path / "large.pem").write_bytes(keys["ours"][0].read_bytes() + bytes(1 << 20))
+    with pytest.raises(DataError, match=r"large\.pem: larger than 1048576 bytes"):
+        sign_xml(root, tmp_path / "large.pem", keys["ours"][1])
+
+
+def test_a_record_of_other_coefficients_inside(cal, tmp_path):
+    """The list in SI and the attached record are both sound, but not of the same calibration."""
+    import base64
+    from dataclasses import replace
+
+    from piga.records.calibration_json import calibration_to_bytes
+
+    fewer = replace(cal, coefficients=cal.coefficients[:-1], covariance=cal.covariance[:-1, :-1])
+    root = dcc_document(complete(), cal)
+    data = root.find(".//{*}byteData[@refType='piga_calibrationRecord']/{*}dataBase64")
+    data.text = base64.b64encode(calibration_to_bytes(fewer)).decode()
+    with pytest.raises(DataError, match="the attached record holds other coefficients"):
+        read_dcc(put(tmp_path, written(root)))

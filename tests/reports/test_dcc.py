@@ -23,7 +23,8 @@ etree = pytest.importorskip("lxml.etree")
 
 from piga.records.dcc_reader import calibration_of, label_of, read_dcc  # noqa: E402
 from piga.records.xml_signature import written  # noqa: E402
-from piga.reports.dcc import dcc_document, joint_factor  # noqa: E402
+from piga.reports.dcc import dcc_document  # noqa: E402
+from piga.reports.dcc_results import joint_factor  # noqa: E402
 
 N = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 needs_schemas = pytest.mark.skipif(

@@ -35,7 +35,7 @@ from piga.stand.truth import coefficients, predicted_angle_error
 from piga.stand.write_run import run_file_text, toml_table, truth_document
 from piga.units import G0
 
-from .test_simulate import COUNTS, INST, SCENARIO, written
+from .simulated import COUNTS, INST, SCENARIO, written
 
 SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)

@@ -93,6 +93,7 @@ def load_past(
 @exact
 def save_last(n: int, y: Array, z: Array, omega: Array, state: Array, w: Array) -> None:
     """Keep what the next block needs to know of this one."""
+    last_y, last_z = state[at.S_FORCE_Y], state[at.S_FORCE_Z]
     state[at.S_VALID] = 1.0
     state[at.S_TIME], state[at.S_PSI] = w[at.TIME + n], w[at.PSI + n]
     state[at.S_PSI_BEFORE] = w[at.PSI + n - 1]
@@ -100,6 +101,10 @@ def save_last(n: int, y: Array, z: Array, omega: Array, state: Array, w: Array) 
     state[at.S_FORCE_Y], state[at.S_FORCE_Z] = y[n - 1], z[n - 1]
     state[at.S_WARMTH] = w[at.WARMTH + n]
     state[at.S_FIRST], state[at.S_FORCE] = w[at.FIRST + n], w[at.FORCE + n]
+    state[at.S_FORCE_Y_BEFORE] = y[n - 2] if n > 1 else last_y
+    state[at.S_FORCE_Z_BEFORE] = z[n - 2] if n > 1 else last_z
+    state[at.S_NODE_SINE], state[at.S_NODE_COSINE] = w[at.NODE_SINE + n], w[at.NODE_COSINE + n]
+    state[at.S_COUPLING], state[at.S_ACROSS] = w[at.COUPLING + n], w[at.ACROSS + n]
     for k in range(3):
         state[at.S_EARLY + k], state[at.S_STEPS + k] = w[at.EARLY + n - k], w[at.STEP + n - k]
     if omega.shape[0]:

@@ -105,7 +105,13 @@ S_RATE_Y_BEFORE = 18
 S_RATE_Z_BEFORE = 19
 S_EARLY = 20  # mean u_x of the last three intervals, the latest first
 S_STEPS = 23  # their lengths
-STATE = 26
+S_FORCE_Y_BEFORE = 26  # reference one sample before the last
+S_FORCE_Z_BEFORE = 27
+S_NODE_SINE = 28  # of the last angle, and the coupling there
+S_NODE_COSINE = 29
+S_COUPLING = 30
+S_ACROSS = 31
+STATE = 32
 
 EXACT, PUBLISHED = 0, 1
 

@@ -123,13 +123,20 @@ def curved(h: float, bend: float, j: int, w: Array) -> float:
 
 
 @exact
+def is_odd(j: int, w: Array) -> bool:
+    """True for an interval that differs from the one before, or stands near the beginning of a stretch."""
+    x = 0.5 * (w[at.STEP + j - 1] * w[at.INVERSE + j] - 1.0)
+    return abs(x) > EVEN or w[at.STEP + j - 2] == 0.0 or w[at.STEP + j - 3] == 0.0
+
+
+@exact
 def invert_odd(stop: int, K: float, w: Array) -> None:
     """The same next to the beginning of a stretch, and where intervals differ: with the differences there are."""
     for j in range(1, stop):
-        s0, s1, s2, s3 = w[at.STEP + j], w[at.STEP + j - 1], w[at.STEP + j - 2], w[at.STEP + j - 3]
+        s0, s1, s2 = w[at.STEP + j], w[at.STEP + j - 1], w[at.STEP + j - 2]
         x = 0.5 * (s1 * w[at.INVERSE + j] - 1.0)
         uneven = abs(x) > EVEN
-        if s0 == 0.0 or not (uneven or s2 == 0.0 or s3 == 0.0):
+        if s0 == 0.0 or not is_odd(j, w):
             continue
         u0, u1, u2 = w[at.EARLY + j], w[at.EARLY + j - 1], w[at.EARLY + j - 2]
         rise = (u0 - u1) * 2.0 * s0 / (s0 + s1) if s1 != 0.0 else 0.0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from piga._kernels import compensate as angle
 from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_lean as lean
+from piga._kernels import compensate_lean_angle as lean_angle
 from piga._kernels import compensate_near as near
 from piga._kernels import compensate_terms as terms
 from piga._kernels import compensate_uncertainty as known
@@ -91,6 +92,13 @@ def compensate_angles(
     Empty ``begins``, ``omega``, ``temperature``, ``u`` and ``flags`` mean: none, not wanted.
     """
     K = p[at.P_K]
+    bare = omega.shape[0] == 0 and orders.size == 0 and (temperature.size == 0 or flags.size == 0)
+    if formula == at.EXACT and bare and lean.is_lean(p, codes[: codes.size if u.size else 0]):
+        lean_angle.compensate_intervals(
+            t, psi, y, z, begins, p, codes[: codes.size if u.size else 0], factor, limits, base_flag, state, w, ax, dv,
+            u, flags,
+        )  # fmt: skip
+        return
     light = not (has_terms or orders.size or u.size or flags.size)
     full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):
@@ -280,8 +288,12 @@ def compensate_rates(
     ``psi`` holds the recorded angle; empty: the angle follows from the rate.
     """
     light = not (has_terms or orders.size or u.size or flags.size)
-    if light and psi.size and omega.shape[0] == 0:
-        lean.compensate_samples(t, rate, y, z, begins, psi, p, state, w, ax, dv)
+    bare = omega.shape[0] == 0 and orders.size == 0 and (temperature.size == 0 or flags.size == 0)
+    if psi.size and bare and lean.is_lean(p, codes[: codes.size if u.size else 0]):
+        lean.compensate_samples(
+            t, rate, y, z, begins, psi, typical, p, codes[: codes.size if u.size else 0], factor, limits, base_flag,
+            state, ax, dv, u, flags,
+        )  # fmt: skip
         return
     full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_terms as terms
-from piga._kernels.jit import exact
+from piga._kernels.jit import exact, inline
 
 Array = NDArray[np.float64]
 
@@ -184,13 +184,28 @@ def find_uncertainty(
 
 @exact
 def widen(tangent: float, w: Array, u: Array) -> None:
-    """Add the variance of the dead zone, falling to nothing where ``|a_x|`` reaches ``NEAR`` times its half-width."""
+    """Add the variance of the dead zone to every row."""
     for j in range(u.size):
-        y, z, a = w[at.MEAN_Y + 1 + j], w[at.MEAN_Z + 1 + j], abs(w[at.FORCE + 1 + j])
-        dead = tangent * math.sqrt(y * y + z * z)
-        if a < NEAR * dead:
-            share = 1.0 if a <= dead else (NEAR * dead - a) / ((NEAR - 1.0) * dead)
-            u[j] = math.sqrt(u[j] * u[j] + dead * dead / 3.0 * share)
+        u[j] = widened(u[j], w[at.FORCE + 1 + j], w[at.MEAN_Y + 1 + j], w[at.MEAN_Z + 1 + j], tangent)
+
+
+@exact
+def widened(u: float, a: float, y: float, z: float, tangent: float) -> float:
+    """Standard uncertainty with the dead zone, falling to nothing where ``|a|`` reaches ``NEAR`` times its half-width."""
+    dead, size = tangent * math.sqrt(y * y + z * z), abs(a)
+    if size >= NEAR * dead:
+        return u
+    share = 1.0 if size <= dead else (NEAR * dead - size) / ((NEAR - 1.0) * dead)
+    return math.sqrt(u * u + dead * dead / 3.0 * share)
+
+
+@inline
+def flag_of(a: float, y: float, z: float, dead: float, low: float, high: float, most: float) -> int:
+    """Validity of a row by its force; ``dead`` squared tangent, ``most`` squared limit of the transverse force."""
+    square, across = a * a, y * y + z * z
+    flag = at.LOCKED if square < dead * across else 0
+    flag |= at.NEAR_CRITICAL if (square >= dead * across) & (square < NEAR * NEAR * dead * across) else 0
+    return flag | (at.OUT_OF_RANGE if (a < low) | (a > high) | (across > most) else 0)
 
 
 @exact
@@ -198,17 +213,13 @@ def find_flags(
     n: int, tangent: float, limits: Array, w: Array, base: int, warm: bool, flags: NDArray[np.int32]
 ) -> None:
     """Validity of every row; ``limits``: a_x low, high, a_t high; temperature low, high above reference."""
-    dead, near, most = tangent * tangent, (NEAR * tangent) ** 2, limits[2] * limits[2]
+    dead, most = tangent * tangent, limits[2] * limits[2]
     low, high, cold, hot = limits[0], limits[1], limits[3], limits[4]
     for j in range(n):
         a, y, z = w[at.FORCE + 1 + j], w[at.MEAN_Y + 1 + j], w[at.MEAN_Z + 1 + j]
-        square, across = a * a, y * y + z * z
-        flag = at.LOCKED if square < dead * across else 0
-        flag |= at.NEAR_CRITICAL if (square >= dead * across) & (square < near * across) else 0
-        flag |= at.OUT_OF_RANGE if (a < low) | (a > high) | (across > most) else 0
         turn = w[at.PSI + 1 + j] - w[at.PSI + j]
-        flag |= at.COARSE if (abs(turn) > 1.0) & (w[at.STEP + 1 + j] != 0.0) else 0
-        flags[j] = base | flag
+        coarse = at.COARSE if (abs(turn) > 1.0) & (w[at.STEP + 1 + j] != 0.0) else 0
+        flags[j] = base | flag_of(a, y, z, dead, low, high, most) | coarse
     if warm:
         for j in range(n):
             warmth = w[at.MEAN_T + 1 + j]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.jit import inline, kernel
 from piga._kernels.motion import advance, unwrapped
-from piga._kernels.motion_records import GOOD
+from piga._kernels.motion_blocks import GOOD
 from piga._kernels.trig import double_arctangent
 
 Array = NDArray[np.float64]

@@ -91,3 +91,50 @@ def merge_rows(columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
             if onward:
                 columns[j, i + 1] += columns[j, i]
             columns[j, i] = 0.0
+
+
+@kernel
+def correct_samples(d: Array, begins: NDArray[np.bool_], flags: NDArray[np.int8], wrong: Array) -> None:
+    """What every reading is too large by: jumps so far, and spikes against their good neighbours.
+
+    ``d`` (n,) are residual increments. A jump (flag 2) is what the residual angle differs by from the last good sample
+    before it; between good samples of a stretch the residual angle without jumps is linear, beyond them constant.
+    """
+    angle = shift = base = level = calm_angle = 0.0
+    good, calm, first = -1, False, 0
+    for i in range(d.size):
+        if begins[i]:
+            _close(wrong, first, good, i, level, base, shift)
+            angle, base, good, calm, first = 0.0, shift, -1, False, i
+        else:
+            angle += d[i]
+        if flags[i] == 1:
+            wrong[i] = angle
+            continue
+        if flags[i] == 0:
+            calm, calm_angle = True, angle
+        elif calm:
+            shift += angle - calm_angle
+        now = angle - (shift - base)
+        if good >= 0:
+            _bridge(wrong, good, i, level, now, base)
+        else:
+            _bridge(wrong, first - 1, i, now, now, base)
+        wrong[i], good, level = shift, i, now
+    _close(wrong, first, good, d.size, level, base, shift)
+
+
+@kernel
+def _bridge(wrong: Array, before: int, after: int, left: float, right: float, base: float) -> None:
+    """Samples between two good ones, whose residual angle ``wrong`` holds: how far they are off the line."""
+    for k in range(before + 1, after):
+        wrong[k] += base - (left + (right - left) * (k - before) / (after - before))
+
+
+@kernel
+def _close(wrong: Array, first: int, good: int, stop: int, level: float, base: float, shift: float) -> None:
+    """The end of a stretch: samples behind its last good one; a stretch without any keeps the jumps so far."""
+    if good >= 0:
+        _bridge(wrong, good, stop, level, level, base)
+    else:
+        wrong[first:stop] = shift

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -16,9 +17,10 @@ from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
+from piga.calibration.drift import include_drift
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
-from piga.calibration.joint import check_items, fit_jointly, joint_contributions
+from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
 from piga.calibration.joint_result import joint_result
 from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
@@ -42,6 +44,7 @@ from piga.errors import CalibrationError, DataError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
+from piga.records.spool import extent
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -94,10 +97,10 @@ def calibrate(
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
     try:
-        fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
+        fit = include_drift(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
-        spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-        refuse_useless(coefficients, largest_size(run.f), float(np.ptp(run.t)), spread)
+        spread = 0.0 if run.temperature is None else _range(run.temperature)
+        refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
     type_a = np.sqrt(np.diag(covariance))
@@ -112,6 +115,12 @@ def calibrate(
     result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
     result = with_remarks(result, fit, groups, per_segment)
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
+
+
+def _range(values: Array) -> float:
+    """Largest less least value."""
+    low, high = extent(values)
+    return high - low
 
 
 def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
@@ -166,6 +175,7 @@ def _assemble(
         residual_max_after=figures["residual_max_after"],
         quality=fit.design.run.quality,
         outliers=fit.outliers,
+        bias_drift=fit.noise.bias_drift,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
@@ -207,8 +217,10 @@ def _joint_calibration(
     budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", found, type_a)]
     for source, change in joint_contributions(fit):
         covariance += np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, found, change))
-    return joint_result(fit, covariance, tuple(budget))
+        shape, degrees = source.distribution, source.degrees_of_freedom
+        known = degrees if math.isfinite(degrees) else None
+        budget.append(budget_row(source.name, "B", shape, source.value, source.unit, found, change, known))
+    return joint_result(fit, covariance, tuple(budget), joint_degrees(fit))
 
 
 def _revolutions_calibration(run: Run, request: Request) -> Calibration:

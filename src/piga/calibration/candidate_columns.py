@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.design import Block, Design
 from piga.calibration.fit import Fit
+from piga.records.spool import extent
 from piga.records.terms import harmonic
 
 Array = NDArray[np.float64]
@@ -24,9 +25,9 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     What turns with the output is left out where the zero of its angle is not known in all segments.
     """
     terms, run = design.request.terms, design.run
-    constant = run.temperature is None or float(np.ptp(run.temperature)) == 0.0
+    low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
-    left_out |= {"k0_T", "k1_T"} if constant else set()
+    left_out |= {"k0_T", "k1_T"} if low == high else set()
     found: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
     if design.request.phase == "shared" or "tan_beta" in terms:
         found += [columns for name, columns in PAIRS if name not in terms]

@@ -5,7 +5,9 @@ alpha/c + ..)``: white only where the angle is dithered by much more than a coun
 follows from the path, which the fit knows to a fraction of a count, with the phase of the saw-tooth
 unknown and uniform in every stretch:
 
-    cov(e_j, e_k) = sum_m c^2/(2 pi^2 m^2) cos(2 pi m (psi_j - psi_k)/c)
+    cov(e_j, e_k) = sum_m c^2/(2 pi^2 m^2) cos(2 pi m (psi_j - psi_k)/c) exp(-2 pi^2 m^2 v_jk/c^2)
+
+with v_jk the variance to which the path from j to k is known: its rate by the estimate, and the random walk.
 
 Each stretch is projected on its slowest cosines (all its information on rates and ripple), where random
 walk, white noise and quantisation have small full covariance matrices; generalised least squares there
@@ -16,18 +18,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.counted_stretches import Stretch, all_stretches, modes_of, stretches_of
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
-from piga.calibration.saw_tooth import HARMONICS, counting_covariance, harmonic_shares
 from piga.calibration.solution import Solution, solve
+from piga.calibration.stretches import (
+    HARMONICS,
+    Stretch,
+    counting_covariances,
+    find_stretches,
+    modes_of,
+    walk_covariance,
+    white_covariance,
+)
 from piga.records.run import Run
 
 if TYPE_CHECKING:
@@ -40,19 +49,23 @@ WHITE = 0.15
 twelfth of it is the counting itself)."""
 WALKS = 0.1
 """Random walk from sample to sample, in squared counts, above which it is dithered too."""
-PASSES = 6
+PASSES = 9
 """Alternations between path, noise levels and estimate."""
-LEVELS = 13
-"""Levels tried, over six decades."""
+TRUSTED = 3
+"""Passes after which the random walk found is let dither the counting: before, what the path misses passes for a
+random walk, and taking its dither for granted ends at no random walk at all."""
+LEVELS = 6
+"""Levels of white noise tried, over three decades."""
 SIGNIFICANT = 0.5
-"""Gain in twice the log-likelihood from which a random walk is taken as real."""
+"""Gain in twice the log-likelihood from which white noise besides the counting is taken as real."""
 SETTLED = 0.03
 """Relative change of the random walk's variance at which the alternation ends."""
-UNSEEN = 0.4
-"""A random walk that coarse counts cannot show counts as this share of its standard uncertainty (the mean of the
-positive half of a normal distribution)."""
-FIRST_SPREAD = 0.5
-"""Uncertainty of the path over a stretch [counts] before there is an estimate to trust."""
+WALKS_TRIED = 13
+"""Random walks tried in each of three rounds, ever closer to the likely ones."""
+UNLIKELY = 18.0
+"""Twice the loss of logarithmic probability beyond which a random walk is looked at no more."""
+SPREADS = (0.5, 0.2)
+"""Uncertainty of the path over a stretch [counts] in the first passes, when there is no estimate to trust."""
 
 
 @dataclass(frozen=True)
@@ -70,26 +83,55 @@ class Stretches:
     segment: NDArray[np.int64]
     count: float
     design: Design
+    parts: list[Stretch] = field(repr=False)
+
+    @classmethod
+    def of(cls, design: Design, modes: int, count: float) -> Stretches:
+        """Rows and covariances of a design, without those of the counting."""
+        parts = find_stretches(design, modes)
+        return cls(
+            np.array([part.rows for part in parts]),
+            np.array([walk_covariance(part) for part in parts]),
+            np.array([white_covariance(part) for part in parts]),
+            np.zeros((HARMONICS + 1, 0, 0, 0)),
+            np.array([part.segment for part in parts]),
+            count,
+            design,
+            parts,
+        )
+
+    def along(self, solution: Solution, groups: tuple[int, ...], noise: Noise, spread: float) -> Stretches:
+        """The same with the covariances of the counting along the path of a solution."""
+        counting = counting_covariances(
+            self.design, self.parts, self.count, solution, groups, noise.walk, spread
+        )
+        return replace(self, counting=counting)
 
     def covariance(self, noise: Noise) -> Array:
         """Covariance of the rows (S, K, K) for noise besides the counting; white noise dithers the harmonics."""
         order = np.arange(1, HARMONICS + 2)
         kept = np.exp(-4.0 * np.pi**2 * order**2 * noise.white / self.count**2)
-        lost = float(harmonic_shares(self.count) @ (1.0 - kept))
+        lost = float(_shares(self.count) @ (1.0 - kept))
         return np.tensordot(kept, self.counting, 1) + noise.walk * self.walk + (noise.white + lost) * self.white
+
+
+def _shares(count: float) -> Array:
+    """Variance of each harmonic of the counting followed, and of all others together [rad^2]."""
+    found = count**2 / (2.0 * np.pi**2 * np.arange(1, HARMONICS + 1) ** 2)
+    return np.append(found, count**2 / 12.0 - found.sum())
 
 
 @dataclass(frozen=True)
 class Counted:
     """Weights found for a coarsely counted record: its stretches, noise besides the counting, contrasts used.
 
-    ``walk_deviation``: (0, standard uncertainty of the random walk's variance [rad^2/s]).
+    ``walks``: random walks [rad^2/s] that the record allows, and their probabilities.
     """
 
     stretches: Stretches
     modes: int
     noise: Noise
-    walk_deviation: tuple[float, float] = (0.0, 0.0)
+    walks: tuple[Array, Array]
 
     def with_walk(self, walk: float) -> Counted:
         """The same with another random walk [rad^2/s]."""
@@ -99,7 +141,7 @@ class Counted:
         """Summaries per segment of a record of the same sampling, with these weights."""
         rows = self.stretches.rows
         if design is not self.stretches.design:
-            rows = np.array([stretch.rows for stretch in stretches_of(design, self.modes)])
+            rows = np.array([stretch.rows for stretch in find_stretches(design, self.modes)])
         factor = np.linalg.cholesky(self.stretches.covariance(self.noise))
         summaries = [Reduction.empty(design.names) for _ in design.run.labels]
         for stretch, segment in zip(np.linalg.solve(factor, rows), self.stretches.segment, strict=True):
@@ -136,25 +178,22 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
     modes = modes_of(design)
     if modes < 3:
         return fit
-    solution, noise, spread = fit.solution, Noise(0.0, 0.0), FIRST_SPREAD
-    kept = all_stretches(design, modes)
+    stretches = Stretches.of(design, modes, count)
+    solution, noise = fit.solution, Noise(0.0, 0.0)
     for index in range(PASSES):
-        stretches = _project(design, modes, count, solution, groups, noise, spread, kept)
+        spread = SPREADS[index] if index < len(SPREADS) else 0.0
+        dither = noise if index >= TRUSTED else Noise(0.0, 0.0)
+        stretches = stretches.along(solution, groups, dither, spread)
         before = noise
-        noise = _levels(stretches, noise.white, solution.values if max(groups) else None, again=index == 1)
-        if index > 1:
+        rows = _rows(stretches, solution.values if max(groups) else None)
+        noise, walks = _levels(rows, stretches, noise.white, again=index == TRUSTED)
+        if index > TRUSTED:
             noise = Noise(noise.white, 0.5 * (noise.walk + before.walk))
-        counted = Counted(stretches, modes, noise)
-        summaries = counted.reduce(design)
-        solution, spread = solve(design, summaries, groups), 0.0
-        if index > 1 and abs(noise.walk - before.walk) <= SETTLED * before.walk:
-            break
-    deviation = _walk_deviation(stretches, noise)
-    counted = replace(counted, walk_deviation=(0.0, deviation))
-    if noise.walk < UNSEEN * deviation:
-        counted = counted.with_walk(UNSEEN * deviation)
+        counted = Counted(stretches, modes, noise, walks)
         summaries = counted.reduce(design)
         solution = solve(design, summaries, groups)
+        if index > TRUSTED and abs(noise.walk - before.walk) <= SETTLED * before.walk:
+            break
     return replace(
         fit,
         noise=Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk),
@@ -165,73 +204,56 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
     )
 
 
-def _project(
-    design: Design,
-    modes: int,
-    count: float,
-    solution: Solution,
-    groups: tuple[int, ...],
-    noise: Noise,
-    spread: float,
-    kept: list[Stretch] | None,
-) -> Stretches:
-    """Rows and covariances of all stretches along the path of an estimate."""
-    rows, walks, whites, countings, segments = [], [], [], [], []
-    for stretch in kept if kept is not None else stretches_of(design, modes):
-        phi, group = stretch.contrasts, groups[stretch.segment]
-        times = stretch.mean(stretch.t)
-        tails = np.cumsum(phi[:, ::-1], axis=1)[:, ::-1][:, 1:]
-        rows.append(stretch.rows)
-        walks.append((tails * np.diff(times)) @ tails.T)
-        whites.append((phi / np.diff(stretch.edges)) @ phi.T)
-        jacobian = solution.jacobians[group]
-        far = stretch.columns[:-1, -1] - stretch.columns[:-1, 0]
-        known = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-        duration = float(stretch.t[-1] - stretch.t[0])
-        sigma = math.sqrt(known) / count + spread
-        wander = math.sqrt(noise.walk * duration / 15.0) / count
-        residual = stretch.columns[-1] - solution.values[stretch.segment] @ stretch.columns[:-1]
-        path = design.run.output[stretch.start : stretch.start + stretch.t.size] - residual
-        countings.append(counting_covariance(stretch, path, count, sigma, wander))
-        segments.append(stretch.segment)
-    return Stretches(
-        np.array(rows),
-        np.array(walks),
-        np.array(whites),
-        np.stack(countings, axis=1),
-        np.array(segments),
-        count,
-        design,
-    )
+def _rows(stretches: Stretches, values: Array | None) -> Array:
+    """Rows ``[x | y]``; with ``values`` (segments, m), taken as they are (several phases), the rest ``[y]`` alone."""
+    if values is None:
+        return stretches.rows
+    modelled = np.einsum("skm,sm->sk", stretches.rows[:, :, :-1], values[stretches.segment])
+    return (stretches.rows[:, :, -1] - modelled)[:, :, None]
 
 
-def _levels(stretches: Stretches, white: float, values: Array | None, *, again: bool) -> Noise:
-    """Noise besides the counting by restricted likelihood: the random walk, ``again`` with the white noise.
-
-    ``values`` (segments, m): column coefficients to take as they are (several phases); None: those that fit.
-    """
-    rows = stretches.rows
-    if values is not None:
-        modelled = np.einsum("skm,sm->sk", rows[:, :, :-1], values[stretches.segment])
-        rows = (rows[:, :, -1] - modelled)[:, :, None]
-    walk = _best_walk(rows, stretches, white)
+def _levels(
+    rows: Array, stretches: Stretches, white: float, *, again: bool
+) -> tuple[Noise, tuple[Array, Array]]:
+    """Noise besides the counting by restricted likelihood: the random walk, ``again`` with the white noise."""
+    walk, walks = _likely_walks(rows, stretches, white)
     if again:
-        levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, LEVELS // 2)
+        levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, LEVELS)
         white = _best(lambda white: _deviance(rows, stretches.covariance(Noise(white, walk))), levels)
-        walk = _best_walk(rows, stretches, white)
-    return Noise(white, walk)
+        walk, walks = _likely_walks(rows, stretches, white)
+    return Noise(white, walk), walks
 
 
-def _best_walk(rows: Array, stretches: Stretches, white: float) -> float:
-    """Random walk of least deviance; the covariances are made diagonal together, once."""
+def _likely_walks(rows: Array, stretches: Stretches, white: float) -> tuple[float, tuple[Array, Array]]:
+    """The random walk to weight by, those that the record allows, and their probabilities.
+
+    Restricted likelihood times Jeffreys' prior (the root of its Fisher information), which gives Student's t
+    where the random walk is all there is. The one to weight by has the mean precision of the slowest contrast.
+    """
     flat, eigen = _diagonal(rows, stretches, white)
-
-    def deviance(walk: float) -> float:
-        size = 1.0 + walk * eigen
-        return float(np.log(size).sum()) + _restricted(flat / np.sqrt(size)[:, None])
-
     strongest = float(np.median(eigen.reshape(len(rows), -1)[:, -1]))
-    return _best(deviance, 10.0 ** np.linspace(-2.0, 5.0, 2 * LEVELS) / strongest)
+    low, high = -3.0, 5.0
+    for _ in range(3):
+        grid = np.linspace(low, high, WALKS_TRIED)
+        levels = 10.0**grid / strongest
+        found = np.array([_log_probability(flat, eigen, level) for level in levels]) + 2.0 * np.log(levels)
+        likely = np.flatnonzero(found > found.max() - UNLIKELY)
+        low, high = grid[max(likely[0] - 1, 0)], grid[min(likely[-1] + 1, grid.size - 1)]
+    weights = np.exp(0.5 * (found - found.max()))
+    weights /= weights.sum()
+    precision = float(weights @ (1.0 / (1.0 + strongest * levels)))
+    return (1.0 / precision - 1.0) / strongest, (levels, weights)
+
+
+def _log_probability(flat: Array, eigen: Array, walk: float) -> float:
+    """Twice the logarithm of restricted likelihood times root of Fisher information, of a random walk."""
+    size = 1.0 + walk * eigen
+    q, r = np.linalg.qr(flat / np.sqrt(size)[:, None])
+    diagonal, share, basis = np.abs(np.diag(r)), eigen / size, q[:, :-1]
+    deviance = float(np.log(size).sum()) + 2.0 * float(np.log(diagonal[:-1]).sum()) + float(diagonal[-1] ** 2)
+    inner = basis.T * share @ basis
+    information = float(share @ share - 2.0 * np.sum((share[:, None] * basis) ** 2) + np.sum(inner**2))
+    return math.log(max(information, 1e-300)) - deviance
 
 
 def _diagonal(rows: Array, stretches: Stretches, white: float) -> tuple[Array, Array]:
@@ -240,17 +262,6 @@ def _diagonal(rows: Array, stretches: Stretches, white: float) -> tuple[Array, A
     values, vectors = np.linalg.eigh(factor @ stretches.walk @ factor.transpose(0, 2, 1))
     turned = vectors.transpose(0, 2, 1) @ (factor @ rows)
     return turned.reshape(-1, rows.shape[2]), np.maximum(values, 0.0).ravel()
-
-
-def _walk_deviation(stretches: Stretches, noise: Noise) -> float:
-    """Standard uncertainty of the random walk's variance: the restricted likelihood's Fisher information."""
-    flat, eigen = _diagonal(stretches.rows, stretches, noise.white)
-    size = 1.0 + noise.walk * eigen
-    share = eigen / size
-    basis = np.linalg.qr(flat[:, :-1] / np.sqrt(size)[:, None])[0]
-    inner = basis.T * share @ basis
-    information = 0.5 * float(share @ share - 2.0 * np.sum((share[:, None] * basis) ** 2) + np.sum(inner**2))
-    return 1.0 / math.sqrt(max(information, 1e-300))
 
 
 def _best(deviance: Callable[[float], float], levels: Array) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,7 @@ from piga.calibration.coefficients import name_coefficients
 from piga.calibration.noise import Noise
 from piga.calibration.solution import solve
 from piga.calibration.weighting import reduce_segments
+from piga.records.spool import spans
 
 if TYPE_CHECKING:
     from piga.calibration.fit import Fit
@@ -64,12 +66,21 @@ def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int
     k/2n))``, k from 1 to n - 1. Each fitted coefficient takes one value out: the most telling ones are
     left out, one for each.
     """
-    slow = []
     sizes, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
-    for size, count in zip(sizes, counts, strict=True):
-        gain = step / (4.0 * np.sin(0.5 * np.pi * np.arange(1, size) / size) ** 2)
-        slow.append(np.tile(gain, count))
-    gain = np.sort(np.concatenate(slow))[: -fitted or None]
+    found, slow = np.zeros((2, 2)), np.zeros(0)
+    for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
+        for part in spans(size - 1):
+            k = np.arange(part.start + 1, part.stop + 1)
+            gain = step / (4.0 * np.sin(0.5 * np.pi * k / size) ** 2)
+            found += count * _information(gain, noise)
+            slow = np.concatenate(
+                [slow, np.repeat(gain[: fitted if part.start == 0 else 0], min(count, fitted))]
+            )
+    return found - _information(np.sort(slow)[slow.size - min(fitted, slow.size) :], noise)
+
+
+def _information(gain: Array, noise: Noise) -> Array:
+    """Of values of variance ``white + walk gain``."""
     variance = noise.white + noise.walk * gain
     rows = np.stack([np.ones(gain.size), gain]) / np.where(variance > 0.0, variance, np.inf)
     return 0.5 * rows @ rows.T
@@ -84,16 +95,17 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     if fit.design.request.angle_rms is not None:
         return np.full(len(names), math.inf)
     if fit.counted is not None:
-        return _satterthwaite(fit, groups, per_segment, (fit.counted.walk_deviation,), rest)
+        return _by_precision(fit, groups, per_segment, *fit.counted.walks, rest)
     starts = np.flatnonzero(fit.design.run.begins)
     lengths = np.diff(np.append(starts, fit.design.run.size))
-    step = float(np.median(np.diff(fit.design.run.t)[~fit.design.run.begins[1:]]))
-    information = level_information(lengths[lengths > 1], step, fit.noise, len(names))
+    information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
+    if fit.noise.walk == 0.0 and fit.noise.drift > 0.0:
+        return _satterthwaite(fit, groups, per_segment, (), rest)
     if fit.noise.walk == 0.0:
         return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
     scale = np.array([fit.noise.white, fit.noise.walk])
     covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    if fit.design.rows > LARGE:
+    if fit.design.rows > LARGE and fit.noise.drift == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))
     values, vectors = np.linalg.eigh(covariance)
@@ -117,9 +129,28 @@ def _satterthwaite(
             abs(level / part) for level, part in ((fit.noise.white, white), (fit.noise.walk, walk)) if part
         ]
         size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
-        moved = variances(Noise(fit.noise.white + size * white, fit.noise.walk + size * walk))
+        moved = variances(
+            replace(fit.noise, white=fit.noise.white + size * white, walk=fit.noise.walk + size * walk)
+        )
         spread += ((moved - now) / size) ** 2
+    if fit.noise.drift > 0.0:
+        moved = variances(replace(fit.noise, drift=(1.0 + STEP) * fit.noise.drift))
+        spread += ((moved - now) * fit.drift_deviation / (STEP * fit.noise.drift)) ** 2
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
+
+
+def _by_precision(
+    fit: Fit, groups: tuple[int, ...], per_segment: bool, walks: Array, weights: Array, rest: float
+) -> Array:
+    """``2 m^2/var`` of the precision 1/v, m its mean, over the random walks that the record allows.
+
+    Exact, Student's t, where the variance is that of the random walk alone.
+    """
+    variances = _variances(fit, groups, per_segment)
+    precision = np.array([1.0 / variances(Noise(fit.noise.white, walk)) for walk in walks])
+    mean = weights @ precision
+    spread = weights @ (precision - mean) ** 2
+    return np.minimum(rest, 2.0 * mean**2 / np.maximum(spread, 1e-300))
 
 
 def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:

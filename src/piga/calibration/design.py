@@ -118,6 +118,10 @@ class Design:
             for item in pending:
                 yield self._take(item, keep)
 
+    def forget(self) -> None:
+        """Give the memory of blocks that are kept back; they are built again when they are asked for."""
+        self._cache.clear()
+
     def _take(self, item: object, keep: bool) -> Block:
         if isinstance(item, Block):
             return item

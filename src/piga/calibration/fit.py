@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.cleaning import leave_out
 from piga.calibration.counted import Counted
 from piga.calibration.design import Design
 from piga.calibration.identifiability import Examination, examine, refuse_if_confounded
@@ -17,7 +18,6 @@ from piga.calibration.outliers import (
     first_noise,
     is_misfit,
     later_noise,
-    leave_out,
     misses_of,
     refuse_if_too_many,
     resolution_of,
@@ -32,6 +32,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Outlier
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
+from piga.records.spool import square_sum
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,8 @@ RATIOS = np.linspace(-9.0, 3.0, 9)
 class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
-    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out.
+    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
+    ``drift_deviation`` is the standard uncertainty of ``noise.drift``.
     """
 
     design: Design
@@ -64,6 +66,7 @@ class Fit:
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
     counted: Counted | None = None
+    drift_deviation: float = 0.0
 
     @property
     def sample_variance(self) -> float:
@@ -88,18 +91,22 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
     fit = plain = _fit(run, request, groups, per_segment)
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
         return fit
+    plain.design.forget()
     raw = Design(run, request, run.scale_factor)
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw, groups))
+    raw.forget()
     flags = find_flags(misses, first_noise(misses), resolution)
     for _ in range(MAX_ROUNDS):
         if not flags.any() or is_misfit(run, misses, flags):
             return plain
         refuse_if_too_many(flags)
         cleaned, found = leave_out(run, misses, flags)
+        fit.design.forget()
         fit = replace(_fit(cleaned, request, groups, per_segment), outliers=found)
         raw = raw.with_phase_of(fit.design)
         misses = misses_of(raw, fit.solution.values)
+        raw.forget()
         again = find_flags(misses, later_noise(misses, fit.noise, flags), resolution)
         if np.array_equal(again, flags):
             break
@@ -194,7 +201,7 @@ def _levels(
     information: Information | None = None,
 ) -> Noise:
     if mode == "samples":
-        variance = float(d @ d) / max(design.rows - parameters, 1)
+        variance = square_sum(d) / max(design.rows - parameters, 1)
         return Noise(0.0, variance * design.run.median_step)
     scale = largest_size(design.run.output)
     return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)

@@ -7,6 +7,7 @@ whose raw data are gone takes part like any other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 
 INNER = 1e-6
 """Relative change of K from which the regressors of runs with base rotation are made anew."""
+SMALL = 0.01
+"""Relative change of the noise of a run for the derivative of the variances."""
 COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
 
@@ -247,6 +250,8 @@ class Source:
     value: float
     unit: str
     moved: dict[int, int]
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
 
 
 def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
@@ -260,7 +265,8 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
         for number, source in enumerate(summary.sources):
             of_site = source.name in COMMON_TO_ALL_STANDS
             key = (source.name, None if of_site else summary.stand, summary.reference_id, source.value)
-            first = found.get(key, Source(source.name, source.value, source.unit, {}))
+            shape = (source.distribution, source.degrees_of_freedom)
+            first = found.get(key, Source(source.name, source.value, source.unit, {}, *shape))
             found[key] = replace(first, moved=first.moved | {index: number})
     for shared in found.values():
         names = ", ".join(summaries[index].name for index in shared.moved)
@@ -277,6 +283,26 @@ def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
         named, _ = _named(fit.wish, fit.summaries, layout, estimate)
         change = np.array([c.value for c in named]) - base
         yield source, np.where(turns, np.angle(np.exp(1j * change)), change)
+
+
+def joint_degrees(fit: JointFit) -> Array:
+    """Degrees of freedom of the Type A variance of every coefficient (JCGM 100, eq. G.2b).
+
+    The variance is a sum of shares of the runs, each as well known as the noise levels of its run: the share of a run is
+    the derivative of the variance by the scale of its noise.
+    """
+    layout, shared = _layout(fit.wish, fit.summaries)
+    now = np.diag(fit.covariance)
+    known = np.zeros(now.size)
+    for index, summary in enumerate(fit.summaries):
+        parts = _parts(layout, shared, fit.summaries)
+        first = fit.first_group(index)
+        for group in range(first, first + len(summary.parts)):
+            parts[group] = parts[group].scaled(1.0 / (1.0 + SMALL))
+        estimate = solve_parts(layout, parts)
+        _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
+        known += ((np.diag(covariance) - now) / SMALL) ** 2 / summary.degrees_of_freedom
+    return now**2 / np.maximum(known, 1e-300)
 
 
 def check_items(items: object) -> list[Run | RunSummary]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.budget import combined
 from piga.calibration.design import Design
 from piga.calibration.identifiability import notes_in_words, notes_on_runs, refuse_useless
 from piga.calibration.joint import JointFit
@@ -27,10 +28,14 @@ from piga.records.calibration import (
 Array = NDArray[np.float64]
 
 
-def joint_result(fit: JointFit, covariance: Array, budget: tuple[dict[str, Any], ...]) -> Calibration:
-    """The calibration, with ``covariance`` of both types in the order of the coefficients."""
-    std = np.sqrt(np.diag(covariance))
-    coefficients = tuple(replace(c, std=float(s)) for c, s in zip(fit.coefficients, std, strict=True))
+def joint_result(
+    fit: JointFit, covariance: Array, budget: tuple[dict[str, Any], ...], degrees: Array
+) -> Calibration:
+    """The calibration, with ``covariance`` of both types in the order of the coefficients.
+
+    ``degrees`` are the degrees of freedom of Type A.
+    """
+    coefficients = combined(fit.coefficients, covariance, budget, degrees)
     _refuse_useless(fit, coefficients)
     kinds = {summary.kind for summary in fit.summaries}
     kind = kinds.pop() if len(kinds) == 1 else "angle"

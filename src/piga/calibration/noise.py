@@ -25,18 +25,20 @@ SAMPLE = 1 << 17
 SIGNIFICANT = 1.5
 """Gain in twice the log-likelihood from which a random walk is taken as real: with it the variance is right on
 average both without a walk and with one of the size that can just be seen."""
-NEGLIGIBLE = 1e-3
-"""Gain up to which a level makes no difference to the weights: it is left as found."""
 REFINEMENTS = 4
 """Passes over the residuals; one less when the ratio is known to a decade."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Variance of the white angle noise ``white`` = r [rad^2] and of the random walk ``walk`` = q [rad^2/s]."""
+    """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s], bias ``drift`` [rad^2/s^3].
+
+    The bias drift is a random walk of the rate.
+    """
 
     white: float
     walk: float
+    drift: float = 0.0
 
     @property
     def angle_rms(self) -> float:
@@ -47,6 +49,11 @@ class Noise:
     def angle_random_walk(self) -> float:
         """Angle random walk [rad/sqrt(s)]."""
         return math.sqrt(self.walk)
+
+    @property
+    def bias_drift(self) -> float:
+        """Random walk of the rate [rad/s/sqrt(s)]."""
+        return math.sqrt(self.drift)
 
     def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:
         """True when both give nearly the same weights: variances of an increment and of a long span agree."""
@@ -91,22 +98,24 @@ def find_noise(
         coarse = near is None and index < passes - 2 and d.size > 4 * SAMPLE
         grid = np.linspace(low, high, LANES)
         log, square = (
-            _sums(d[:SAMPLE], h[:SAMPLE], 10.0**grid / step) if coarse else _sums(d, h, 10.0**grid / step)
+            deviance_sums(d[:SAMPLE], h[:SAMPLE], 10.0**grid / step)
+            if coarse
+            else deviance_sums(d, h, 10.0**grid / step)
         )
         if coarse:
             log, square = log * (d.size / SAMPLE), square * (d.size / SAMPLE)
         objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log
         if information is not None:
             objective = objective + information(grid)
-        best = _minimum(grid, objective)
+        best = least_on_grid(grid, objective)
         size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
         spacing = (high - low) / (LANES - 1)
         low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
     if information is not None:
         grid = np.append(LOWEST, np.full(LANES - 1, best))
-        log, square = _sums(d, h, 10.0**grid / step)
+        log, square = deviance_sums(d, h, 10.0**grid / step)
         objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log + information(grid)
-        if NEGLIGIBLE < objective[0] - objective[1] < SIGNIFICANT:
+        if objective[0] - objective[1] < SIGNIFICANT:
             best, size = LOWEST, float(square[0])
     ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
     white = size / freedom
@@ -114,7 +123,7 @@ def find_noise(
     return Noise(white, ratio * white)
 
 
-def _minimum(grid: Array, objective: Array) -> float:
+def least_on_grid(grid: Array, objective: Array) -> float:
     """Grid point of the least objective, refined by the parabola through its neighbours."""
     at = int(np.argmin(objective))
     if at in (0, grid.size - 1):
@@ -125,7 +134,7 @@ def _minimum(grid: Array, objective: Array) -> float:
     return float(grid[at] + shift * (grid[1] - grid[0]))
 
 
-def _sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
+def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     """Sums of the likelihood over the record, two halves on two threads."""
     middle = d.size // 2
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]

@@ -7,21 +7,21 @@ stretch, a stuck reading is left out as long as it lasts. The reference is taken
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.outliers import scan_samples
+from piga._kernels.outliers import merge_rows, scan_samples
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.solution import solve
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.errors import DataError
-from piga.records.calibration import Event, Outlier
 from piga.records.run import Run
-from piga.records.spool import spans
+from piga.records.spool import arrays_like, spans, steps
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -32,16 +32,14 @@ MOST = 0.4
 """Share of bad samples from which a record is refused."""
 ROWS = 200_000
 """Increments that the robust fit looks at."""
-STUCK = 4
-"""Equal readings in a row, off the path, that count as stuck."""
 NARROW = 0.6
 """Core of the residual increments over their spread from which bad samples are suspected; 1 for normal noise."""
 LEAST = 1e-7
 """Smallest miss [rad, or rad/s] that makes a sample bad: 0.02 arcsec, finer than any readout."""
 PAIRS, SMOOTH = 100, 0.8
 """Neighbouring bad increments, and the share of them that miss to the same side, from which the model is at fault."""
-SHOWN = 6
-"""Times named in an event."""
+SAMPLE = 500_000
+"""Increments that medians are taken of at most."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +51,22 @@ class Misses:
     point: bool
 
     @property
-    def formed(self) -> NDArray[np.bool_]:
-        """Where there is an increment."""
-        return self.h > 0.0
-
-    @property
     def step(self) -> float:
         """Usual interval [s]."""
-        return float(np.median(self.h[self.formed]))
+        return float(np.median(self._thinned(lambda rows: self.h[rows][self.h[rows] > 0.0])))
+
+    def sizes(self, flags: Flags | None = None) -> Array:
+        """Absolute residuals of increments that were formed, thinned to about SAMPLE; with ``flags`` of good ones."""
+
+        def chosen(rows: slice) -> Array:
+            usable = self.h[rows] > 0.0
+            return np.abs(self.d[rows][usable if flags is None else usable & (flags[rows] == 0)])
+
+        return self._thinned(chosen)
+
+    def _thinned(self, part: Callable[[slice], Array]) -> Array:
+        every = max(1, self.d.size // SAMPLE)
+        return np.concatenate([part(rows)[::every].copy() for rows in spans(self.d.size)])
 
 
 def limit(count: int) -> float:
@@ -85,7 +91,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
         formed = interval > 0.0
         white = part if mode == "samples" else whitener.apply_columns(part[None, :], interval)[0]
         for values, kept in ((np.abs(part[formed]), misses), (np.abs(white[formed]), whitened)):
-            kept.append(values[::every])
+            kept.append(values[::every].copy())
         biggest = max(biggest, float(np.abs(part).max()))
         largest = max(largest, float(np.abs(white).max()))
     size, shown = np.concatenate(misses), np.concatenate(whitened)
@@ -172,8 +178,7 @@ def misses_of(design: Design, values: Array) -> Misses:
 
 def first_noise(misses: Misses) -> Noise:
     """Levels for the first look: the core of the increments, half of it angle noise and half random walk."""
-    size = np.abs(misses.d[misses.formed])
-    sigma = float(np.quantile(size, 0.25)) / 0.3186
+    sigma = float(np.quantile(misses.sizes(), 0.25)) / 0.3186
     if misses.point:
         return Noise(0.0, sigma**2)
     return Noise(sigma**2 / 3.0, sigma**2 / (3.0 * misses.step))
@@ -182,27 +187,30 @@ def first_noise(misses: Misses) -> Noise:
 def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
     """Levels of a fit without bad samples, by the core of what it leaves: none left over inflates them."""
     if misses.point:
-        good = misses.d[misses.formed & (flags == 0)]
-        return Noise(0.0, (float(np.median(np.abs(good))) / 0.6745) ** 2)
-    h = np.where(flags == 2, 0.0, np.where(flags == 1, -1.0, misses.h))
-    angle = np.cumsum(misses.d)
-    d = np.zeros(misses.d.size)
-    kept = np.flatnonzero(flags != 1)
-    d[kept[1:]] = np.diff(angle[kept])
-    h[kept[1:]] = np.where(h[kept[1:]] == 0.0, 0.0, np.diff(np.cumsum(np.maximum(misses.h, 0.0))[kept]))
-    d[h <= 0.0] = 0.0
-    whitened = np.abs(Whitener("increments", noise, 1).apply_columns(d[None, :], h)[0][h > 0.0])
-    core = float(np.median(whitened)) / 0.6745 if whitened.size else 1.0
+        good = misses.sizes(flags)
+        return Noise(0.0, (float(np.median(good)) / 0.6745) ** 2)
+    whitener = Whitener("increments", noise, 1)
+    every = max(1, misses.d.size // SAMPLE)
+    whitened = [np.zeros(0)]
+    for rows in spans(misses.d.size):
+        d, h = misses.d[rows].copy()[None, :], misses.h[rows].copy()
+        d[:, flags[rows] == 2], h[flags[rows] == 2] = 0.0, 0.0
+        merge_rows(d, h, flags[rows] == 1)
+        whitened.append(np.abs(whitener.apply_columns(d, h)[0][h > 0.0][::every]))
+    shown = np.concatenate(whitened)
+    core = float(np.median(shown)) / 0.6745 if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)
 
 
 def find_flags(misses: Misses, noise: Noise, resolution: float) -> Flags:
     """0 good, 1 left out, 2 first after a jump, for every sample."""
-    flags = np.zeros(misses.d.size, dtype=np.int8)
+    flags: Flags = arrays_like(misses.d).zeros(misses.d.size, np.int8)
     bound = limit(misses.d.size)
     if misses.point:
-        flags[np.abs(misses.d) > max(bound * float(np.sqrt(noise.walk)), LEAST)] = 1
+        largest = max(bound * float(np.sqrt(noise.walk)), LEAST)
+        for rows in spans(flags.size):
+            flags[rows] = np.abs(misses.d[rows]) > largest
     else:
         floor = max(1.05 * resolution, LEAST)
         scan_samples(misses.d, misses.h, noise.white, noise.walk, bound, floor, flags)
@@ -215,10 +223,15 @@ def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
     A bad reading changes sign from increment to increment or not at all; increments that go on missing to
     the same side while the reading moves are of a motion that the model does not hold.
     """
-    moves = np.concatenate(([False], np.diff(run.output) != 0.0)) & (flags == 1) & misses.formed
-    pairs = moves[1:] & moves[:-1]
-    same = np.sign(misses.d[1:]) == np.sign(misses.d[:-1])
-    return int(pairs.sum()) > PAIRS and float(same[pairs].mean()) > SMOOTH
+    count = alike = 0
+    for part in spans(flags.size):
+        rows = slice(max(part.start - 1, 0), part.stop)
+        moves = (steps(run.output, rows) != 0.0) & (flags[rows] == 1) & (misses.h[rows] > 0.0)
+        pairs = moves[1:] & moves[:-1]
+        sign = np.sign(misses.d[rows])
+        count += int(pairs.sum())
+        alike += int(np.count_nonzero((sign[1:] == sign[:-1]) & pairs))
+    return count > PAIRS and alike > SMOOTH * count
 
 
 def refuse_if_too_many(flags: Flags) -> None:
@@ -229,7 +242,7 @@ def refuse_if_too_many(flags: Flags) -> None:
     DataError
         With the share.
     """
-    share = float(np.mean(flags == 1))
+    share = count_flags(flags, 1) / flags.size
     if share > MOST:
         raise DataError(
             f"{100.0 * share:.0f} % of the samples do not lie on any path that the reference allows; up to "
@@ -238,104 +251,16 @@ def refuse_if_too_many(flags: Flags) -> None:
         )
 
 
+def count_flags(flags: Flags, kind: int) -> int:
+    """Samples of a kind."""
+    return sum(int(np.count_nonzero(flags[part] == kind)) for part in spans(flags.size))
+
+
 def resolution_of(run: Run) -> float:
     """Angle of a count, also where the record does not say so but repeats its readings."""
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
-    size = np.abs(np.diff(run.output))
-    moved = size[size > 0.0]
-    return float(np.quantile(moved, 0.01)) if moved.size and moved.size < 0.95 * size.size else 0.0
-
-
-def leave_out(run: Run, misses: Misses, flags: Flags) -> tuple[Run, tuple[Outlier, ...]]:
-    """The record without bad samples, and what was found.
-
-    Their output becomes what the model predicts (only the coupling's phase uses it); a jump is taken off all
-    later samples.
-    """
-    wrong = misses.d.copy() if misses.point else _corrections(run, misses, flags)
-    if misses.point:
-        wrong[flags == 0] = 0.0
-    left_out = flags == 1
-    begins = run.begins | (flags == 2)
-    for start in np.flatnonzero(run.begins & left_out):
-        rest = np.flatnonzero(~left_out[start:])
-        if rest.size:
-            begins[start + rest[0]] = True
-    found = _findings(run, flags, wrong)
-    quality = run.quality
-    events = (*quality.events, *_events(found))
-    count = int(left_out.sum())
-    cleaned = replace(
-        run,
-        output=run.output - wrong,
-        begins=begins,
-        left_out=left_out,
-        quality=replace(quality, used=quality.used - count, masked=quality.masked + count, events=events),
-    )
-    return cleaned, found
-
-
-def _corrections(run: Run, misses: Misses, flags: Flags) -> Array:
-    """What every reading is too large by: jumps so far, and spikes against their good neighbours."""
-    angle = np.cumsum(misses.d)
-    starts = np.flatnonzero(run.begins)
-    stretch = np.cumsum(run.begins) - 1
-    angle -= angle[starts][stretch]
-    jumps = np.zeros(angle.size)
-    for at in np.flatnonzero(flags == 2):
-        before = np.flatnonzero(flags[starts[stretch[at]] : at] == 0)
-        if before.size:
-            jumps[at] = angle[at] - angle[starts[stretch[at]] + before[-1]]
-    shifted = np.cumsum(jumps)
-    wrong = shifted.copy()
-    ends = np.append(starts[1:], angle.size)
-    for number in np.unique(stretch[flags == 1]):
-        inside = np.arange(starts[number], ends[number])
-        good = inside[flags[inside] != 1]
-        if good.size:
-            own = shifted - shifted[starts[number]]
-            bad = inside[flags[inside] == 1]
-            wanted = np.interp(bad, good, angle[good] - own[good])
-            wrong[bad] = angle[bad] - wanted + shifted[starts[number]]
-    return wrong
-
-
-def _findings(run: Run, flags: Flags, wrong: Array) -> tuple[Outlier, ...]:
-    """Runs of bad samples and jumps, in order of time."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], (flags == 1).astype(np.int8), [0]))))
-    still = np.concatenate(([False], np.diff(run.output) == 0.0))
-    found = []
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        stuck = stop - start >= STUCK and float(still[start:stop].mean()) > 0.5
-        size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
-        found.append((start, "stuck" if stuck else "spike", stop - start, size))
-    steps = {
-        at: float(abs(wrong[at] - _before(wrong, flags, at))) for at in np.flatnonzero(flags == 2).tolist()
-    }
-    found += [(at, "jump", 0, size) for at, size in steps.items() if size > 0.0]
-    found.sort()
-    return tuple(Outlier(kind, float(run.t[at]), int(run.row[at]), n, size) for at, kind, n, size in found)
-
-
-def _before(wrong: Array, flags: Flags, at: int) -> float:
-    """What the last good sample before was too large by."""
-    good = np.flatnonzero(flags[max(0, at - 1000) : at] != 1)
-    return float(wrong[max(0, at - 1000) + good[-1]]) if good.size else 0.0
-
-
-def _events(found: tuple[Outlier, ...]) -> list[Event]:
-    words = {
-        "spike": "samples off the path of the output are left out",
-        "stuck": "samples during which the output stood still are left out",
-        "jump": "no increment is formed across it, and it is taken off what follows",
-    }
-    events = []
-    for kind, text in words.items():
-        those = [outlier for outlier in found if outlier.kind == kind]
-        if those:
-            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[:SHOWN])
-            more = f" and {len(those) - SHOWN} more" if len(those) > SHOWN else ""
-            count = len(those) if kind == "jump" else sum(outlier.samples for outlier in those)
-            events.append(Event(f"outlier-{kind}", count, those[0].row, f"t = {times}{more} s: {text}"))
-    return events
+    every = max(1, run.size // SAMPLE)
+    sizes = np.concatenate([np.abs(steps(run.output, part)[::every]) for part in spans(run.size)])
+    moved = sizes[sizes > 0.0]
+    return float(np.quantile(moved, 0.01)) if moved.size and moved.size < 0.95 * sizes.size else 0.0

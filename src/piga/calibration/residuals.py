@@ -15,7 +15,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.records.calibration import Residuals, SegmentSummary
 from piga.records.signal_checks import largest_size
-from piga.records.spool import arrays_like, means, spans, steps
+from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:
     for part in spans(d.size):
         whitened[part] = whitener.apply_columns(d[None, part], h[part])[0]
     if mode == "samples":
-        size = math.sqrt(float(d @ d) / d.size) or 1.0
+        size = math.sqrt(square_sum(d) / d.size) or 1.0
         for part in spans(d.size):
             whitened[part] /= size
     return whitened
@@ -108,7 +108,7 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
         label=run.labels[int(run.segment[left])],
         rows=right - left,
         duration=duration,
-        mean_a_x=float(run.f[part, 0].mean()),
+        mean_a_x=mean(run.f[part, 0]),
         turns=turned / (2.0 * math.pi),
         rms=_rms(residuals.after[part]),
         rms_before=_rms(residuals.before[part]),
@@ -122,7 +122,7 @@ def _rows_between(first: int, stop: int) -> Iterator[slice]:
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(values @ values / values.size))
+    return math.sqrt(square_sum(values) / values.size)
 
 
 def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[str, float]:
@@ -135,8 +135,9 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
     """
     slopes, expected = [], []
     for left, right in pairwise(design.run.segment_edges()):
-        duration = float(residuals.t[left:right].max() - residuals.t[left:right].min())
-        if right - left < 10 or design.run.begins[left + 1 : right].any() or duration == 0.0:
+        first, last = extent(residuals.t[left:right])
+        duration = last - first
+        if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
             continue
         slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
         expected.append(
@@ -153,7 +154,7 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
 
 def _slope(t: Array, values: Array) -> float:
     """Slope of the straight line through values."""
-    middle, square, product = float(t.mean()), 0.0, 0.0
+    middle, square, product = mean(t), 0.0, 0.0
     for part in spans(t.size):
         centred = t[part] - middle
         square += float(centred @ centred)
@@ -173,10 +174,10 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     n = x.size
     if n < 50:
         return {"samples": n}
-    mean = float(x.mean())
+    middle = mean(x)
     sums = np.zeros(3)
     for part in spans(n):
-        x[part] -= mean
+        x[part] -= middle
         square = x[part] * x[part]
         sums += (float(square.sum()), float(square @ x[part]), float(square @ square))
     variance = float(sums[0]) / n

@@ -12,14 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.counted import refine_counted
+from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
+from piga.calibration.drift import include_drift
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import find_residuals, segment_table
 from piga.calibration.solution import merged
-from piga.calibration.uncertainty import sources
+from piga.calibration.uncertainty import Source, sources
 from piga.calibration.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
@@ -46,6 +49,8 @@ class SourceSummary:
     value: float
     unit: str
     parts: tuple[Reduction, ...]
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -58,8 +63,9 @@ class RunSummary:
         Of the run (unique in a joint calibration), of the instrument, and its nominal K [(rad/s)/(m/s^2)].
     terms, per_run, phase:
         What its run file asks for.
-    noise:
-        Levels found in this run, by which the rows were weighted.
+    noise, degrees_of_freedom:
+        Levels found in this run, by which the rows were weighted, and how well they are known: the least degrees
+        of freedom of its own coefficients.
     inner_scale_factor, turning:
         K inside the regressors; True when they depend on it (a base rotation is recorded).
     labels, parts:
@@ -101,6 +107,7 @@ class RunSummary:
     software: str = ""
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
+    degrees_of_freedom: float = math.inf
 
     @classmethod
     def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
@@ -195,7 +202,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         wish = replace(request, terms=terms)
         groups, per_segment = phase_groups(run, wish)
         try:
-            fit = fit_run(run, wish, groups, per_segment)
+            fit = include_drift(refine_counted(fit_run(run, wish, groups, per_segment), groups), groups)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -235,6 +242,8 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     def parts_of(moved: Run) -> tuple[Reduction, ...]:
         return reduce_groups(Design(moved, wish, inner), fit, groups)
 
+    own_groups, own_per_segment = phase_groups(run, fit.design.request)
+    degrees = float(type_a_degrees(fit, own_groups, own_per_segment).min())
     described = _described(fit)
     return RunSummary(
         name=live.name,
@@ -251,17 +260,24 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         turning=run.base_rate is not None,
         labels=run.labels if per_segment else (None,),
         parts=parts_of(run),
-        sources=tuple(SourceSummary(s.name, s.value, s.unit, parts_of(s.moved)) for s in sources(run)),
+        sources=tuple(_source(s, parts_of(s.moved)) for s in sources(run)),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=uncertainty.reference_id,
         undetermined=live.undetermined,
+        degrees_of_freedom=degrees,
         **described,
+    )
+
+
+def _source(source: Source, parts: tuple[Reduction, ...]) -> SourceSummary:
+    return SourceSummary(
+        source.name, source.value, source.unit, parts, source.distribution, source.degrees_of_freedom
     )
 
 
 def reduce_groups(design: Design, fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
     """One summary per phase group, of rows of unit variance."""
-    summaries = reduce_segments(design, fit.mode, fit.noise)
+    summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.noise)
     parts = [
         merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(max(groups) + 1)
     ]

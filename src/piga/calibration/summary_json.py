@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,8 @@ class _Source(msgspec.Struct, frozen=True):
     value: float
     unit: str
     parts: tuple[_Reduction, ...]
+    distribution: str = "normal"
+    degrees_of_freedom: float | None = None
 
 
 class _Summary(msgspec.Struct, frozen=True):
@@ -64,29 +67,47 @@ class _Summary(msgspec.Struct, frozen=True):
     source: str
     software: str
     created: str
-    noise: tuple[float, float]
+    noise: tuple[float, ...]
     parts: tuple[_Reduction, ...]
     sources: tuple[_Source, ...]
     quality: Quality
     segments: tuple[SegmentSummary, ...]
     outliers: tuple[Outlier, ...] = ()
+    degrees_of_freedom: float | None = None
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
     """Write a summary as JSON, every float with all its digits."""
     document: dict[str, Any] = {"schema": SCHEMA} | {name: getattr(summary, name) for name in _PLAIN}
     document |= {
-        "noise": [summary.noise.white, summary.noise.walk],
+        "noise": [summary.noise.white, summary.noise.walk, summary.noise.drift],
         "parts": [_plain(part) for part in summary.parts],
         "sources": [
-            {"name": s.name, "value": s.value, "unit": s.unit, "parts": [_plain(part) for part in s.parts]}
+            {
+                "name": s.name,
+                "value": s.value,
+                "unit": s.unit,
+                "parts": [_plain(part) for part in s.parts],
+                "distribution": s.distribution,
+                "degrees_of_freedom": _finite(s.degrees_of_freedom),
+            }
             for s in summary.sources
         ],
+        "degrees_of_freedom": _finite(summary.degrees_of_freedom),
         "quality": msgspec.to_builtins(summary.quality),
         "segments": [msgspec.to_builtins(segment) for segment in summary.segments],
         "outliers": [msgspec.to_builtins(outlier) for outlier in summary.outliers],
     }
     path.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(degrees: float) -> float | None:
+    """Degrees of freedom; None where the levels are known."""
+    return degrees if math.isfinite(degrees) else None
+
+
+def _degrees(written: float | None) -> float:
+    return math.inf if written is None else written
 
 
 def _plain(part: Reduction) -> dict[str, Any]:
@@ -115,9 +136,17 @@ def read_summary(path: Path) -> RunSummary:
         noise=Noise(*found.noise),
         parts=_reductions(path, found.parts, len(found.labels)),
         sources=tuple(
-            SourceSummary(s.name, s.value, s.unit, _reductions(path, s.parts, len(found.labels)))
+            SourceSummary(
+                s.name,
+                s.value,
+                s.unit,
+                _reductions(path, s.parts, len(found.labels)),
+                s.distribution,
+                _degrees(s.degrees_of_freedom),
+            )
             for s in found.sources
         ),
+        degrees_of_freedom=_degrees(found.degrees_of_freedom),
         quality=Quality(
             found.quality.rows,
             found.quality.used,

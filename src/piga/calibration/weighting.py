@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
+from piga.calibration.drift_basis import KNOTS, DriftBasis
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.workers import workers
@@ -68,8 +70,11 @@ def weighted_blocks(design: Design, mode: str, noise: Noise) -> Iterator[tuple[B
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     """One summary per segment of the weighted rows.
 
-    The reduction of a block runs beside the whitening of the next.
+    The reduction of a block runs beside the whitening of the next. With a bias drift the segments are not
+    independent: the first summary then holds them all.
     """
+    if noise.drift > 0.0 and mode == "increments":
+        return _reduce_drifting(design, noise)
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
     with workers(design.run.size, 1) as pool:
         jobs = []
@@ -80,6 +85,29 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
                 jobs.pop(0).result()
         for job in jobs:
             job.result()
+    return summaries
+
+
+def drifting_factor(design: Design, noise: Noise) -> Array:
+    """Triangular factor of the weighted rows ``[drift | model | y]``, the drift left free."""
+    basis = DriftBasis.of(design.run)
+    factor = np.zeros((0, KNOTS + len(design.names) + 1))
+    whitener = Whitener("increments", noise, factor.shape[1])
+    for block in design.blocks():
+        drift = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
+        rows = whitener.apply_columns(np.vstack([drift, block.columns]), block.h).T
+        factor = cast("Array", np.linalg.qr(np.vstack([factor, rows]), mode="r"))
+    return factor
+
+
+def _reduce_drifting(design: Design, noise: Noise) -> list[Reduction]:
+    """Summaries with the drift integrated out: what its steps, of known variance, leave to the model."""
+    factor = drifting_factor(design, noise)
+    prior = np.zeros((KNOTS, factor.shape[1]))
+    prior[:, :KNOTS] = np.eye(KNOTS) / np.sqrt(noise.drift * DriftBasis.of(design.run).spacing)
+    rest = cast("Array", np.linalg.qr(np.vstack([factor, prior]), mode="r"))[KNOTS:, KNOTS:]
+    summaries = [Reduction.empty(design.names) for _ in design.run.labels]
+    summaries[0].absorb(np.ascontiguousarray(rest.T), count=design.rows)
     return summaries
 
 

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import note, output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import JsonOption
 
 if TYPE_CHECKING:
     from piga.calibration import RunSummary
     from piga.records import Calibration, Run
 
-RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
 RunFilesArgument = Annotated[
     list[Path],
     typer.Argument(metavar="RUN.toml...", help="Run file; several, or summaries of runs (.json), jointly."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
 
 
 def calibrate(
@@ -166,13 +165,3 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
             write_by_rename(page, lambda path: write_calibration_report(calibration, path))
             return [*written, residuals.result(), page]
         return [*written, residuals.result()]
-
-
-def report_available() -> bool:
-    """True when the report extra is installed; otherwise a note says how to get it."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None:
-        note("piga: no report.html: figures need the extra 'report' (pip install 'piga[report]')")
-        return False
-    return True

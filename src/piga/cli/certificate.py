@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from piga.cli.common import note, output_directory, print_json, say, write_by_rename
+from piga.cli.groups import Group
+from piga.cli.options import JsonOption
 from piga.errors import PigaError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from piga.records.certificate_file import CertificateFile
 
 
-class _IssueByDefault(TyperGroup):
+class _IssueByDefault(Group):
     """``piga certificate CALIBRATION.json ...`` is ``piga certificate issue CALIBRATION.json ...``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -37,7 +38,6 @@ app = typer.Typer(
     "'piga certificate CALIBRATION.json ...' issues.",
 )
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
 PemOption = Annotated[
     Path | None, typer.Option("--certificate", metavar="PEM", help="X.509 certificate of the laboratory.")
 ]

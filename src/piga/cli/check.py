@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.calibrate import JsonOption, RunFileArgument, report_available
-from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import JsonOption, RunFileArgument
 from piga.errors import PigaError
 
 if TYPE_CHECKING:

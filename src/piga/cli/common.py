@@ -80,6 +80,16 @@ def write_by_rename(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
+def report_available() -> bool:
+    """True when the report extra is installed; otherwise a note says how to get it."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        note("piga: no report.html: figures need the extra 'report' (pip install 'piga[report]')")
+        return False
+    return True
+
+
 @contextmanager
 def progress(title: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
     """Progress bar on stderr, shown only on a terminal and after a second; yields ``advance(n)``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ from piga.errors import ArgumentError
 
 if TYPE_CHECKING:
     from piga.compensation import Phase
+    from piga.compensation.file_to_file import FileSummary
     from piga.records import Calibration
 
 STREAM_BYTES = 64 << 20
@@ -72,21 +74,19 @@ def compensate(
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
-    several = len(run) > 1 or str(run[0]) == "-" or _is_triad(run[0])
-    if resume and several:
-        raise ArgumentError("--resume is for one recorded run", remedy="leave it out")
-    if period is not None and str(run[0]) == "-":
-        raise ArgumentError("--rate is for recorded runs", remedy="resample with piga.compensation.Resampler")
-    if str(run[0]) == "-":
-        _live(_one(calibrations), kind, given, arrow, uncertainty, max_age)
+    live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
+    if live or several:
+        _refuse(live, resume=resume, identify_phase=rest, phase=given, rate=period)
+    if live:
+        _live(_one(calibrations), kind, method, given, arrow, uncertainty, max_age)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if several:
         summary = _together(run, calibrations, out, uncertainty, max_age, force, period, method)
     else:
-        options = (method, given, rest, uncertainty, max_age, force, period, resume)
-        summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, *options)
+        options = _Options(method, given, uncertainty, max_age, force, period)
+        summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume)
     if json:
         print_json({"file": str(out)} | summary)
         return
@@ -94,6 +94,25 @@ def compensate(
     for title in ("flags", "repairs"):
         for name, count in summary.get(title, {}).items():
             note(f"{name}: {count} rows")
+
+
+ONE_RECORD = {
+    "resume": ("live", "several", "leave it out"),
+    "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
+    "phase": ("", "several", "give each [[triad.instrument]] its phase"),
+    "rate": ("live", "", "resample with piga.compensation.Resampler"),
+}
+"""Options that a live stream or several instruments do not take, and what to do instead."""
+
+
+def _refuse(live: bool, **options: object) -> None:
+    """Refuse an option that would have no effect."""
+    kind = "live" if live else "several"
+    for name, value in options.items():
+        *refused, remedy = ONE_RECORD[name]
+        if value and kind in refused:
+            where = "a live stream" if live else "several instruments"
+            raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
 
 
 def _is_triad(path: Path) -> bool:
@@ -110,69 +129,103 @@ def _one(calibrations: list[Calibration]) -> Calibration:
     return calibrations[0]
 
 
-def _single(
-    run: Path, calibration: Calibration, source: Path, out: Path, method: str | None, phase: Phase | None, rest: float | None,
-    uncertainty: bool, max_age: float | None, force: bool, period: float | None, resume: bool,
-) -> dict[str, Any]:  # fmt: skip
-    from piga._version import __version__
-    from piga.compensation import Resampler, identify_phase
-    from piga.compensation import compensate as compensate_record
-    from piga.compensation.file_to_file import FileSummary, compensate_file
-    from piga.compensation.parts import Parts, key_of
-    from piga.compensation.writers import format_of, write_table
-    from piga.records import read_run_file
-    from piga.stand import read_run
+@dataclass(frozen=True)
+class _Options:
+    """How a record is compensated; ``period`` [s] of another rate."""
 
-    kind = format_of(out)
-    resampler = None if period is None else Resampler(period)
+    method: str | None
+    phase: Phase | None
+    uncertainty: bool
+    max_age: float | None
+    force: bool
+    period: float | None
+
+    def arguments(self) -> dict[str, Any]:
+        """As the functions of :mod:`piga.compensation` take them."""
+        return {
+            "method": self.method,
+            "phase": self.phase,
+            "uncertainty": self.uncertainty,
+            "max_age_days": self.max_age,
+            "force": self.force,
+        }
+
+
+def _single(
+    run: Path,
+    calibration: Calibration,
+    source: Path,
+    out: Path,
+    options: _Options,
+    rest: float | None,
+    resume: bool,
+) -> dict[str, Any]:
+    """One recorded run; a large one in chunks."""
+    from piga.records import read_run_file
+
     wanted = read_run_file(run).data
     data = run.parent / wanted.file
-    large = (
-        rest is None and wanted.reference is not None and data.exists() and data.stat().st_size > STREAM_BYTES
-    )
-    found = FileSummary()
-    if large:
-        parts = None
-        if resume:
-            said = (method, phase, uncertainty, max_age, force, period, kind, __version__)
-            parts = Parts(out, key_of(said, [run, data, source]))
+    if rest is None and wanted.reference is not None and data.exists() and data.stat().st_size > STREAM_BYTES:
+        found, repairs = _in_chunks(run, data, calibration, source, out, options, resume)
+    else:
+        found, repairs = _whole(run, calibration, out, options, rest)
+    return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
 
-        def write(path: Path) -> None:
-            nonlocal found
-            with progress("compensating") as advance:
-                found = compensate_file(
-                    run, calibration, path, kind, method=method, phase=phase, uncertainty=uncertainty,
-                    max_age_days=max_age, force=force, resampler=resampler, advance=advance, parts=parts,
-                )  # fmt: skip
 
-        write_by_rename(out, write)
-        if parts is not None:
-            parts.remove()
-        return {
-            "rows": found.rows,
-            "velocity_m_s": found.velocity,
-            "flags": found.flags,
-            "repairs": found.repairs,
-        }
+def _in_chunks(
+    run: Path, data: Path, calibration: Calibration, source: Path, out: Path, options: _Options, resume: bool
+) -> tuple[FileSummary, dict[str, int]]:
+    from piga._version import __version__
+    from piga.compensation import Resampler
+    from piga.compensation.file_to_file import FileSummary, compensate_file
+    from piga.compensation.parts import Parts, key_of
+    from piga.compensation.writers import format_of
+
+    kind, found, parts = format_of(out), FileSummary(), None
+    if resume:
+        parts = Parts(out, key_of((*astuple(options), kind, __version__), [run, data, source]))
+    resampler = None if options.period is None else Resampler(options.period)
+
+    def write(path: Path) -> None:
+        nonlocal found
+        with progress("compensating") as advance:
+            found = compensate_file(
+                run,
+                calibration,
+                path,
+                kind,
+                resampler=resampler,
+                advance=advance,
+                parts=parts,
+                **options.arguments(),
+            )
+
+    write_by_rename(out, write)
+    if parts is not None:
+        parts.remove()
+    return found, found.repairs
+
+
+def _whole(
+    run: Path, calibration: Calibration, out: Path, options: _Options, rest: float | None
+) -> tuple[FileSummary, dict[str, int]]:
+    from piga.compensation import Resampler, compensate, identify_phase
+    from piga.compensation.file_to_file import FileSummary
+    from piga.compensation.writers import format_of, write_table
+    from piga.stand import read_run
+
+    kind, found = format_of(out), FileSummary()
     record = read_run(run)
     if rest is not None:
         phase = identify_phase(record, calibration, rest)
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
-    result = compensate_record(
-        record,
-        calibration,
-        method=method,
-        phase=phase,
-        uncertainty=uncertainty,
-        max_age_days=max_age,
-        force=force,
-    )
-    if resampler is not None:
-        result = resampler.push_rows(result)
+        options = replace(options, phase=phase)
+    result = compensate(record, calibration, **options.arguments())
+    if options.period is not None:
+        result = Resampler(options.period).push_rows(result)
     write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
     found.add(result)
-    repairs = {event.kind: event.count for event in record.quality.events}
-    return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
+    return found, {event.kind: event.count for event in record.quality.events}
 
 
 def _together(
@@ -217,6 +270,7 @@ def _together(
 def _live(
     calibration: Calibration,
     kind: str,
+    method: str | None,
     phase: Phase | None,
     arrow: bool,
     uncertainty: bool,
@@ -225,7 +279,9 @@ def _live(
     from piga.compensation import Compensator
     from piga.compensation.live import compensate_arrow, compensate_lines
 
-    stream = Compensator(calibration, kind=kind, phase=phase, uncertainty=uncertainty, max_age_days=max_age)
+    stream = Compensator(
+        calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
+    )
     if arrow:
         compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 
@@ -14,13 +15,18 @@ from piga.cli.check import check, convert
 from piga.cli.common import note
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
+from piga.cli.groups import Group
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
 from piga.errors import EXTRAS, PigaError, missing_package
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+"""The matrices here are small: more threads would only wait for each other, for seconds when the machine is busy."""
+
 app = typer.Typer(
     name="piga",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

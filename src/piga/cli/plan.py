@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from piga.cli.calibrate import JsonOption, report_available
-from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import JsonOption
 
 
 def plan(

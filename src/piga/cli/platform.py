@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.groups import Group
 
 if TYPE_CHECKING:
     from piga.stable_platform.chain import Comparison
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="platform",
+    cls=Group,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

@@ -5,21 +5,35 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.calibrate import JsonOption, RunFileArgument, report_available
-from piga.cli.common import note, output_directory, print_json, progress, say
+from piga.cli.common import output_directory, print_json, progress, report_available, say
+from piga.cli.groups import Group
+from piga.cli.options import JsonOption, RunFileArgument
+from piga.cli.records_output import (
+    difference_document,
+    print_added,
+    print_verification,
+    print_written,
+    record_document,
+    reproduced_document,
+    say_difference,
+    say_head,
+    say_record,
+    say_records,
+    say_reproduced,
+    store_name,
+)
 from piga.errors import PigaError
 
 if TYPE_CHECKING:
-    from piga.evidence import Reproduced
-    from piga.records.store import Record, Store
-    from piga.records.store.verify import Verification
+    from piga.records.store import Store
 
 app = typer.Typer(
     name="records",
+    cls=Group,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Keep calibrations as evidence: append-only, chained, verifiable, recomputable.",
@@ -87,7 +101,7 @@ def add(
                 measured=measured, supersedes=supersedes, report=report and report_available(),
             )  # fmt: skip
     with opened(store, create=True) as kept:
-        _print_added(kept, prepared.keep(kept), as_json=as_json)
+        print_added(kept, prepared.keep(kept), as_json=as_json)
 
 
 def _check_usable(where: str) -> None:
@@ -97,14 +111,6 @@ def _check_usable(where: str) -> None:
     if is_url(where) or Path(where).exists():
         with opened(where, create=True):
             return
-
-
-def _print_added(store: Store, record: Record, *, as_json: bool) -> None:
-    if as_json:
-        print_json({"store": store.name, **_document(record)})
-        return
-    say(f"kept record {record.id}, number {record.number}, instrument {record.document.serial}")
-    say(f"head {record.head}")
 
 
 @app.command("list")
@@ -120,23 +126,11 @@ def list_records(
         records, head = kept.records(serial), kept.head()
     if as_json:
         print_json(
-            {"store": store_name(store), "head": head.sha256, "records": [_document(r) for r in records]}
+            {"store": store_name(store), "head": head.sha256, "records": [record_document(r) for r in records]}
         )
         return
-    old = {record.document.supersedes for record in records}
-    for r in records:
-        amended = "  superseded" if r.id in old else ""
-        say(
-            f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {r.document.serial}  {r.document.operator}{amended}"
-        )
-    _say_head(head.number, head.sha256)
-
-
-def store_name(where: str) -> str:
-    """Store as printed: a password in a URL is not shown."""
-    from piga.records.store.database import is_url, postgresql_database
-
-    return postgresql_database(where).name if is_url(where) else where
+    say_records(records)
+    say_head(head.number, head.sha256)
 
 
 @app.command()
@@ -158,9 +152,11 @@ def show(
             kept.extract(found.id, output_directory(extract))
     if as_json:
         result = None if calibration is None else to_document(calibration)
-        print_json({"store": store_name(store), "head": head.sha256, **_document(found), "calibration": result})
+        print_json(
+            {"store": store_name(store), "head": head.sha256, **record_document(found), "calibration": result}
+        )
         return
-    _say_record(found)
+    say_record(found)
     if calibration is not None:
         from piga.reports.calibration import calibration_text
 
@@ -168,31 +164,7 @@ def show(
         say(calibration_text(calibration))
     if extract is not None:
         say(f"wrote {len(found.document.files)} files to {extract}")
-    _say_head(head.number, head.sha256)
-
-
-def _say_record(record: Record) -> None:
-    document = record.document
-    say(f"record {record.id}, number {record.number}, head {record.head}")
-    facts = [
-        ("instrument", document.serial),
-        ("measured", document.measured or "not said"),
-        ("created", document.created),
-    ]
-    facts += [("operator", document.operator), ("reason", document.reason)]
-    facts += [("supersedes", document.supersedes)] if document.supersedes else []
-    facts += [
-        ("software", f"piga {document.software.get('piga', '?')}, {document.software.get('python', '?')}")
-    ]
-    for name, value in facts:
-        say(f"  {name:<11}{value}")
-    if record.link.taken_over is not None:
-        who = record.link.taken_over
-        say(
-            f"  imported   by {who.operator}: {who.reason}; it was number {document.number} of store {document.store}"
-        )
-    for file in document.files:
-        say(f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}")
+    say_head(head.number, head.sha256)
 
 
 @app.command()
@@ -205,23 +177,10 @@ def diff(
     with opened(store) as kept:
         found, head = difference(kept, first, second), kept.head()
     if as_json:
-        from msgspec import to_builtins
-
-        print_json({
-            "store": store_name(store), "head": head.sha256, "first": found.first.id, "second": found.second.id,
-            "coefficients": [to_builtins(change) | {"ratio": change.ratio} for change in found.coefficients],
-            "facts": {name: list(pair) for name, pair in found.facts.items()},
-        })  # fmt: skip
+        print_json({"store": store_name(store), "head": head.sha256, **difference_document(found)})
         return
-    say(f"{found.first.id} -> {found.second.id}: second less first, uncertainties taken as independent")
-    for c in found.coefficients:
-        if c.difference is None or c.ratio is None:
-            say(f"  {c.key:<14} only in {found.first.id if c.second is None else found.second.id}")
-        else:
-            say(f"  {c.key:<14} {c.difference:+.6e} {c.unit:<8} u {c.std:.2e}   {c.ratio:+.2f} u")
-    for name, (old, new) in found.facts.items():
-        say(f"  {name}: {old} -> {new}")
-    _say_head(head.number, head.sha256)
+    say_difference(found)
+    say_head(head.number, head.sha256)
 
 
 @app.command()
@@ -248,25 +207,9 @@ def verify(
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
     with progress("verifying"):
         found = check(where, head or ())
-    _print_verification(found, as_json=as_json)
+    print_verification(found, as_json=as_json)
     if not found.sound:
         raise typer.Exit(2)
-
-
-def _print_verification(found: Verification, *, as_json: bool) -> None:
-    if as_json:
-        document = {"store": found.name, "sound": found.sound, "records": found.records, "files": found.files}
-        print_json(document | {"head": found.head, "known": found.known, "problems": found.problems})
-        return
-    if found.sound:
-        say(f"{found.name}: sound: {found.records} records and {found.files} files are what they were")
-    for known, number in found.known.items():
-        if number is not None:
-            say(f"known head {known[:16]}... is that after record {number}")
-    for problem in found.problems:
-        note(f"piga: {problem}")
-    if found.head:
-        _say_head(found.records, found.head)
 
 
 @app.command()
@@ -283,7 +226,7 @@ def export(
 
     with opened(store) as kept, progress("exporting"):
         found = export_records(kept, out, record)
-    _print_written(out, found.records, found.head, as_json=as_json)
+    print_written(out, found.records, found.head, as_json=as_json)
 
 
 @app.command("import")
@@ -304,7 +247,7 @@ def import_export(
         print_json({"store": store_name(store), "added": added, "records": head.number, "head": head.sha256})
         return
     say(f"imported {len(added)} records from {archive}")
-    _say_head(head.number, head.sha256)
+    say_head(head.number, head.sha256)
 
 
 @app.command()
@@ -327,47 +270,14 @@ def reproduce(
                 advance(1)
         head = kept.head()
     if as_json:
-        results = [_reproduced_document(one) for one in found]
+        results = [reproduced_document(one) for one in found]
         print_json({"store": store_name(store), "head": head.sha256, "records": results})
     else:
         for one in found:
-            _say_reproduced(one)
-        _say_head(head.number, head.sha256)
+            say_reproduced(one)
+        say_head(head.number, head.sha256)
     if not all(one.reproduced for one in found):
         raise typer.Exit(2)
-
-
-def _reproduced_document(found: Reproduced) -> dict[str, Any]:
-    return {
-        "id": found.record.id,
-        "verdict": found.verdict,
-        "same_platform": found.same_platform,
-        "changed": {name: list(pair) for name, pair in found.changed.items()},
-        "worst": found.comparison.worst,
-        "differences": list(found.comparison.differences),
-    }
-
-
-def _say_reproduced(found: Reproduced) -> None:
-    where = "same software and platform" if found.same_platform else f"then and now: {_changes(found)}"
-    words = {
-        "identical": "identical to the bit",
-        "within tolerance": f"within 1e-12 kappa ({found.comparison.worst:.1g} of what is allowed)",
-        "different": "NOT the same",
-    }
-    say(f"{found.record.id}: {words[found.verdict]}; {where}")
-    if not found.reproduced:
-        for line in found.comparison.differences or ("the numbers differ in their last digits",):
-            note(f"piga: {found.record.id}: {line}")
-
-
-def _changes(found: Reproduced) -> str:
-    changed = {
-        name: pair for name, pair in found.changed.items() if pair[0] is not None and name != "source_sha256"
-    }
-    words = [f"{name} {then} -> {now}" for name, (then, now) in changed.items()]
-    words += ["other numeric source"] if found.changed.get("source_sha256", (None, None))[0] else []
-    return "; ".join(words) or "the software of then was not recorded in full"
 
 
 @app.command()
@@ -381,7 +291,7 @@ def backup(
 
     with opened(store) as kept, progress("copying"):
         found = copy(kept, out)
-    _print_written(out, found.records, found.head, as_json=as_json)
+    print_written(out, found.records, found.head, as_json=as_json)
 
 
 @app.command()
@@ -396,25 +306,4 @@ def restore(
 
     with progress("restoring"):
         found = make(source, store)
-    _print_written(Path(store_name(store)), found.records, found.head, as_json=as_json)
-
-
-def _print_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
-    if as_json:
-        print_json({"file": str(path), "records": records, "head": head})
-        return
-    say(f"wrote {path}, read back and found sound")
-    _say_head(records, head)
-
-
-def _say_head(records: int, head: str) -> None:
-    say(f"{records} record{'' if records == 1 else 's'}, head {head}")
-
-
-def _document(record: Record) -> dict[str, Any]:
-    """A record as JSON values: its place here, then the document as written."""
-    from msgspec import to_builtins
-
-    place = {"number": record.number, "head": record.head, "added": record.link.added}
-    taken_over = None if record.link.taken_over is None else to_builtins(record.link.taken_over)
-    return place | {"taken_over": taken_over, "record": to_builtins(record.document), "id": record.id}
+    print_written(Path(store_name(store)), found.records, found.head, as_json=as_json)

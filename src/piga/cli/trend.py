@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import JsonOption
 from piga.errors import PigaError
 
 if TYPE_CHECKING:
@@ -52,9 +53,7 @@ def trend(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Write trend.json and trend.html.")
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")
-    ] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Show stability, drift per year, control limits and a forecast of each coefficient, with alarms in words."""
     from piga.calibration.trend import find_trend
@@ -76,8 +75,6 @@ def trend(
 
 def _written(out: Path, document: dict[str, Any], found: Trend, date: dt.datetime) -> list[Path]:
     """trend.json, and trend.html where the report extra is installed."""
-    from piga.cli.calibrate import report_available
-
     folder = output_directory(out)
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     paths = [write_by_rename(folder / "trend.json", lambda path: path.write_text(text, encoding="utf-8"))]

@@ -54,8 +54,7 @@ class Compensator:
         Nominal interval [s], to tell gaps and for the noise of a rate sample that begins a stretch (nan
         without); None: gaps are told by the first interval of the stream.
     uncertainty, flags, limits, max_age_days:
-        As for :func:`piga.compensate`. Without uncertainty and flags, samples of angle and rate take one
-        pass over the memory; ``ax`` and ``dv`` are the same to the bit.
+        As for :func:`piga.compensate`. ``ax`` and ``dv`` are the same to the bit with and without.
     state:
         State of an earlier compensator, to go on where it stopped.
 

@@ -162,7 +162,7 @@ def _code(name: str) -> int:
 def _covariance_factor(
     calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None
 ) -> tuple[NDArray[np.int64], Array]:
-    """Codes of the uncertain coefficients and a triangular factor of their covariance in SI."""
+    """Codes of the uncertain coefficients, falling, and a triangular factor of their covariance in SI."""
     index = {c.key: i for i, c in enumerate(calibration.coefficients)}
     count = len(used)
     matrix = np.zeros((count, count))
@@ -185,7 +185,8 @@ def _covariance_factor(
     keep = values > 1e-12
     root = (vectors[:, keep] * np.sqrt(values[keep])) * (size * units[spread])[:, None]
     codes = np.array([_code(c.name) for c, some in zip(used, spread, strict=True) if some], dtype=np.int64)
-    return codes, np.ascontiguousarray(np.linalg.qr(root.T, mode="r"))
+    order = np.argsort(-codes)
+    return codes[order], np.ascontiguousarray(np.linalg.qr(root[order].T, mode="r"))
 
 
 def check_method(method: str | None, calibration: Calibration) -> str:

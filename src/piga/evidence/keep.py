@@ -14,7 +14,7 @@ from piga.records.store.blobs import digest_of
 from piga.records.store.software import software_identity
 
 if TYPE_CHECKING:
-    from piga.records.store.store import Position
+    from piga.records.store.record import Position
 
 _ID, _NUMBER, _STORE, _AFTER = (f"\u27e6record {name}\u27e7" for name in ("id", "number", "store", "after"))
 

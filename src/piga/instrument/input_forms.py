@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
-from piga._kernels.motion_records import GOOD
-from piga._kernels.motion_records import propagate_increments as run_increments
+from piga._kernels.motion_blocks import GOOD
+from piga._kernels.motion_increments import propagate_increments as run_increments
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import Instrument

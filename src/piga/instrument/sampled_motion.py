@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.motion import TWO_PI, split_turns
-from piga._kernels.motion_records import GOOD, finish_samples, prepare_samples, propagate_samples
+from piga._kernels.motion_blocks import GOOD
+from piga._kernels.motion_samples import finish_samples, prepare_samples, propagate_samples
 from piga._kernels.transfer import BLOCK, PREFIX
 from piga._kernels.trig import double_arctangent
 from piga.errors import ArgumentError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.motion_records import GOOD
+from piga._kernels.motion_blocks import GOOD
 from piga._kernels.motion_sensitivity import PARAMETERS, propagate_sensitivities
 from piga.instrument.checks import explain, float_array
 from piga.instrument.parameters import Instrument

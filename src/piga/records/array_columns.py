@@ -90,7 +90,7 @@ def as_label(values: Iterable[object]) -> Label:
 
 
 def label_text(value: object) -> str:
-    """A label as text."""
+    """A segment label from any cell: bytes decoded, whole numbers without a point, nothing for None and nan."""
     if value is None:
         return ""
     if isinstance(value, bytes):

@@ -112,14 +112,17 @@ class Assembly:
         usable = raw.arrays.empty(raw.count, np.bool_)
         for part in spans(raw.count):
             usable[part] = raw.segment[part] >= 0
+        limits = self.run_file.data.range or {}
         with ThreadPoolExecutor(2) as pool:
             extremes = list(pool.map(Extremes.of, raw.numbers.values()))
             for found in extremes:
                 found.mask(usable)
             self._check_masked(usable)
-            stuck = pool.map(stuck_extremes, raw.numbers, raw.numbers.values(), extremes, repeat(raw.rows))
+            declared = [limits.get(name, (-np.inf, np.inf)) for name in raw.numbers]
+            stuck = pool.map(
+                stuck_extremes, raw.numbers, raw.numbers.values(), extremes, repeat(raw.rows), declared
+            )
             self.events += chain.from_iterable(stuck)
-        limits = self.run_file.data.range or {}
         if limits:
             self.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
             self._check_masked(usable)

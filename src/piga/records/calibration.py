@@ -210,6 +210,7 @@ class Calibration:
     history: dict[str, Array] | None = None
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
+    bias_drift: float = 0.0
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:

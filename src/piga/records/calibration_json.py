@@ -5,16 +5,25 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.errors import CalibrationError, UnitError
+from piga.records.calibration import (
+    Calibration,
+    Coefficient,
+    Outlier,
+    Provenance,
+    Quality,
+    RunRecord,
+    SegmentSummary,
+)
 from piga.units import conversion_factor, from_si
 
-if TYPE_CHECKING:
-    from piga.records.calibration import Calibration, Coefficient, Quality
+Array = NDArray[np.float64]
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
@@ -60,6 +69,7 @@ class _Covariance(msgspec.Struct, frozen=True):
 class _Noise(msgspec.Struct, frozen=True):
     angle_rms: _Quantity
     angle_random_walk: _Quantity
+    bias_drift: _Quantity | None = None
 
 
 class _Residual(msgspec.Struct, frozen=True):
@@ -69,61 +79,9 @@ class _Residual(msgspec.Struct, frozen=True):
     max_after: _Quantity
 
 
-class _Event(msgspec.Struct, frozen=True):
-    kind: str
-    count: int
-    first_row: int | None = None
-    detail: str = ""
-
-
-class _Quality(msgspec.Struct, frozen=True):
-    rows: int
-    used: int
-    masked: int
-    events: tuple[_Event, ...] = ()
-
-
 class _Identifiability(msgspec.Struct, frozen=True):
     condition: float | None
     notes: tuple[str, ...] = ()
-
-
-class _Segment(msgspec.Struct, frozen=True):
-    label: str
-    rows: int
-    duration: float
-    mean_a_x: float
-    turns: float
-    rms: float
-    rms_before: float
-    max_after: float
-
-
-class _Run(msgspec.Struct, frozen=True):
-    name: str
-    source: str
-    stand: str | None
-    phase: str
-    raw: bool
-    rows: int
-    angle_rms: float
-    angle_random_walk: float
-    residual_rms: float
-    residual_rms_before: float
-    residual_max_before: float
-    residual_max_after: float
-    quality: _Quality
-    undetermined: tuple[str, ...] = ()
-    input_sha256: dict[str, str] = {}
-
-
-class _Outlier(msgspec.Struct, frozen=True):
-    kind: str
-    time: float
-    row: int
-    samples: int
-    size: float
-    run: str | None = None
 
 
 class _Provenance(msgspec.Struct, frozen=True):
@@ -141,57 +99,25 @@ class _Document(msgspec.Struct, frozen=True):
     covariance: _Covariance
     noise: _Noise
     residual: _Residual
-    quality: _Quality
+    quality: Quality
     identifiability: _Identifiability
     provenance: _Provenance
     uncertainty_budget: tuple[dict[str, Any], ...] = ()
     degrees_of_freedom: float = math.inf
     diagnostics: dict[str, Any] = {}
-    segments: tuple[_Segment, ...] = ()
-    runs: tuple[_Run, ...] = ()
-    outliers: tuple[_Outlier, ...] = ()
+    segments: tuple[SegmentSummary, ...] = ()
+    runs: tuple[RunRecord, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
     """The record as plain JSON values (file units; see ``interface.md``)."""
     c = calibration
-    unit = "rad/s" if c.diagnostics.get("residual_kind") == "rate" else "rad"
-
-    def angle(value: float) -> dict[str, Any]:
-        return {"value": value, "unit": unit}
-
     document: dict[str, Any] = {
         "schema": SCHEMA,
-        "instrument": {
-            "serial": c.serial,
-            "scale_factor_nominal": {"value": from_si(c.scale_factor_nominal, "rad/s/g"), "unit": "rad/s/g"},
-        },
-        "model": {
-            "terms": list(c.terms),
-            "phase": c.phase,
-            "phase_source": c.phase_source,
-            "method": c.method,
-            "temperature_reference": {"value": c.temperature_reference, "unit": "K"},
-            "time_reference": {"value": c.time_reference, "unit": "s"},
-        },
-        "coefficients": [
-            {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
-            | ({"segment": k.segment} if k.name == "phi" else {})
-            | ({} if k.run is None else {"run": k.run})
-            | _expanded(k)
-            for k in c.coefficients
-        ],
-        "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
-        "noise": {
-            "angle_rms": {"value": c.angle_rms, "unit": "rad"},
-            "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
-        },
-        "residual": {
-            "rms": angle(c.residual_rms),
-            "rms_before": angle(c.residual_rms_before),
-            "max_before": angle(c.residual_max_before),
-            "max_after": angle(c.residual_max_after),
-        },
+        **_subject(c),
+        **_estimates(c),
+        "residual": _residual(c),
         "degrees_of_freedom": c.degrees_of_freedom,
         "quality": msgspec.to_builtins(c.quality),
         "identifiability": {
@@ -208,6 +134,55 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     if c.outliers:
         document["outliers"] = [msgspec.to_builtins(outlier) for outlier in c.outliers[:MOST_OUTLIERS]]
     return document
+
+
+def _subject(c: Calibration) -> dict[str, Any]:
+    """What was calibrated, and by which model."""
+    return {
+        "instrument": {
+            "serial": c.serial,
+            "scale_factor_nominal": {"value": from_si(c.scale_factor_nominal, "rad/s/g"), "unit": "rad/s/g"},
+        },
+        "model": {
+            "terms": list(c.terms),
+            "phase": c.phase,
+            "phase_source": c.phase_source,
+            "method": c.method,
+            "temperature_reference": {"value": c.temperature_reference, "unit": "K"},
+            "time_reference": {"value": c.time_reference, "unit": "s"},
+        },
+    }
+
+
+def _estimates(c: Calibration) -> dict[str, Any]:
+    """Coefficients, their covariance and the noise levels."""
+    return {
+        "coefficients": [
+            {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
+            | ({"segment": k.segment} if k.name == "phi" else {})
+            | ({} if k.run is None else {"run": k.run})
+            | _expanded(k)
+            for k in c.coefficients
+        ],
+        "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
+        "noise": {
+            "angle_rms": {"value": c.angle_rms, "unit": "rad"},
+            "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
+            "bias_drift": {"value": c.bias_drift, "unit": "rad/s/sqrt(s)"},
+        },
+    }
+
+
+def _residual(c: Calibration) -> dict[str, Any]:
+    """Residual figures, of angles or of rates."""
+    unit = "rad/s" if c.diagnostics.get("residual_kind") == "rate" else "rad"
+    figures = {
+        "rms": c.residual_rms,
+        "rms_before": c.residual_rms_before,
+        "max_before": c.residual_max_before,
+        "max_after": c.residual_max_after,
+    }
+    return {name: {"value": value, "unit": unit} for name, value in figures.items()}
 
 
 def _expanded(coefficient: Coefficient) -> dict[str, Any]:
@@ -258,23 +233,9 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     CalibrationError
         As :func:`read_calibration`.
     """
-    from piga.records.calibration import (
-        Calibration,
-        Outlier,
-        Provenance,
-        RunRecord,
-        SegmentSummary,
-    )
-
     document = _decode(raw, path)
-    try:
-        matrix = np.array(document.covariance.matrix, dtype=float)
-    except ValueError:
-        raise CalibrationError(
-            f"{path}: the covariance is not a full square matrix", remedy="calibrate again"
-        ) from None
-    _check(path, document, matrix)
-    hashes = document.provenance.input_sha256
+    matrix = _matrix(path, document)
+    condition = document.identifiability.condition
     return Calibration(
         serial=document.instrument.serial,
         scale_factor_nominal=_in_si(document.instrument.scale_factor_nominal, "rad/s/(m/s^2)", path),
@@ -287,48 +248,37 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         degrees_of_freedom=document.degrees_of_freedom,
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
         angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
+        bias_drift=0.0 if document.noise.bias_drift is None else document.noise.bias_drift.value,
         residual_rms=document.residual.rms.value,
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,
         residual_max_after=document.residual.max_after.value,
-        quality=_quality(document.quality),
-        condition=math.inf
-        if document.identifiability.condition is None
-        else document.identifiability.condition,
+        quality=document.quality,
+        condition=math.inf if condition is None else condition,
         notes=document.identifiability.notes,
         budget=document.uncertainty_budget,
         diagnostics=document.diagnostics,
-        segments=tuple(SegmentSummary(**msgspec.structs.asdict(s)) for s in document.segments),
-        provenance=Provenance(
-            {"input": hashes} if isinstance(hashes, str) else hashes,
-            document.provenance.software,
-            document.provenance.created,
-            document.provenance.options,
-        ),
+        segments=document.segments,
+        provenance=_provenance(document.provenance),
         temperature_reference=_in_si(document.model.temperature_reference, "K", path),
         time_reference=_in_si(document.model.time_reference, "s", path),
-        runs=tuple(
-            RunRecord(**{**msgspec.structs.asdict(run), "quality": _quality(run.quality)})
-            for run in document.runs
-        ),
-        outliers=tuple(Outlier(**msgspec.structs.asdict(outlier)) for outlier in document.outliers),
+        runs=document.runs,
+        outliers=document.outliers,
     )
 
 
-def _coefficient(found: _Coefficient) -> Coefficient:
-    from piga.records.calibration import Coefficient
+def _provenance(found: _Provenance) -> Provenance:
+    """Where the numbers come from; the first version named one input, by its hash alone."""
+    hashes = found.input_sha256
+    named = {"input": hashes} if isinstance(hashes, str) else hashes
+    return Provenance(named, found.software, found.created, found.options)
 
+
+def _coefficient(found: _Coefficient) -> Coefficient:
     nu = math.inf if found.degrees_of_freedom is None else found.degrees_of_freedom
     return Coefficient(
         found.name, found.value, found.std, found.unit, found.segment, found.run, nu, found.interval
     )
-
-
-def _quality(found: _Quality) -> Quality:
-    from piga.records.calibration import Event, Quality
-
-    events = tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.events)
-    return Quality(found.rows, found.used, found.masked, events)
 
 
 def _decode(raw: bytes, path: Path) -> _Document:
@@ -357,10 +307,14 @@ def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
         raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
-def _check(path: Path, document: _Document, matrix: Any) -> None:
-    """The parts must fit: names and units known, covariance square, symmetric and in the order of the names."""
-    from piga.records.calibration import Coefficient
+def _matrix(path: Path, document: _Document) -> Array:
+    """The covariance, once the parts fit: names and units known, square, symmetric, in the order of the names."""
     from piga.records.terms import check_name, unit_of
+
+    try:
+        matrix = np.array(document.covariance.matrix, dtype=float)
+    except ValueError:
+        matrix = np.empty(0)
 
     keys = tuple(
         Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run).key for c in document.coefficients
@@ -386,3 +340,4 @@ def _check(path: Path, document: _Document, matrix: Any) -> None:
     spread = np.abs(matrix - matrix.T).max() if matrix.size else 0.0
     if spread > 1e-9 * np.abs(matrix).max():
         raise CalibrationError(f"{path}: the covariance is not symmetric", remedy="calibrate again")
+    return matrix

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-WHOLE = 1 << 22
+WHOLE = 1 << 21
 """Up to this many numbers are sorted at once."""
 _BITS = (21, 21, 22)
 

@@ -71,8 +71,6 @@ def _open(path: Path) -> Iterator[Any]:
     try:
         with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20) as source:
             yield source
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file", remedy="[data] file is relative to the run file") from None
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         message = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(f"{path}: not a readable Parquet file ({message})", remedy="export it again") from None

@@ -119,17 +119,21 @@ class Extremes:
         self.bad.clear()
 
 
-def stuck_extremes(name: str, values: Array, found: Extremes, rows: NDArray[np.int64]) -> list[Event]:
+def stuck_extremes(
+    name: str, values: Array, found: Extremes, rows: NDArray[np.int64], declared: tuple[float, float]
+) -> list[Event]:
     """Runs of the largest or smallest value of a column that otherwise moves all the time.
 
     A slow reading rests at its turning points and at its end as long as it takes to move by one step: such a
-    plateau is expected and not reported.
+    plateau is expected and not reported; nor is one at or beyond the ``declared`` limits, which is counted as saturated.
     """
     if found.size < 4 * STUCK or found.changes < 0.5 * found.size:
         return []
     events = []
     for word, bounds, best in (("largest", found.highs, np.nanmax), ("smallest", found.lows, np.nanmin)):
         extreme, run = float(best(bounds)), LongestRun()
+        if not declared[0] < extreme < declared[1]:
+            continue
         for part, bound in zip(spans(values.size), bounds, strict=True):
             if bound == extreme:
                 run.see(values[part] == extreme, part.start)
@@ -148,10 +152,9 @@ def cut_off(values: Array, start: int, length: int, extreme: float) -> float:
     """
     reach = min(length, SHOULDER)
     sides = values[max(start - reach, 0) : start][::-1], values[start + length : start + length + reach]
-    seen = np.concatenate(sides)
     moves = np.abs(np.diff(np.concatenate((sides[0][::-1], [extreme], sides[1]))))
     step = float(np.min(moves, where=moves > 0.0, initial=np.inf))
-    if not seen.size or not np.isfinite(step):
+    if not np.isfinite(step):
         return 0.0
     tops = [0.0]
     for side in sides:

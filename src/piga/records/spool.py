@@ -60,6 +60,22 @@ def means(values: NDArray, part: slice) -> NDArray:
     return middle if part.start > 0 else np.concatenate((around[:1], middle))
 
 
+def extent(values: NDArray) -> tuple[float, float]:
+    """Least and largest value."""
+    ends = [(values[part].min(), values[part].max()) for part in spans(values.shape[0])]
+    return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
+
+
+def mean(values: NDArray) -> float:
+    """Mean value."""
+    return math.fsum(float(values[part].sum()) for part in spans(values.size)) / values.size
+
+
+def square_sum(values: NDArray) -> float:
+    """Sum of the squares."""
+    return math.fsum(float(values[part] @ values[part]) for part in spans(values.size))
+
+
 def gathered(values: NDArray, rows: NDArray[np.int64]) -> NDArray:
     """``values[rows]`` for rows far apart, in order; the pages they lie on are given back on the way."""
     found = []

@@ -59,7 +59,7 @@ def from_error(error: PigaError) -> list[Suggestion]:
     if sheets:
         titles = re.findall(r"'([^']*)'", sheets.group(1))
         found += [Suggestion("data", f"sheet = '{title}'", "one of the sheets") for title in titles]
-    if "the output jumps" in error.message:
+    if "the output jumps" in error.message or "it was reset there" in error.message:
         found += [
             Suggestion("instrument", f"counter_bits = {bits}", "if the counter wraps at that width")
             for bits in (16, 24, 32)

@@ -28,6 +28,10 @@ PIECE_BYTES = 16 << 20
 """Bytes read at a time."""
 MAX_LINE = 16 << 20
 """Longest line [bytes]."""
+MAX_HEAD = 1 << 20
+"""Bytes within which header, units and first data row must lie."""
+FIRST_ROWS = 3
+"""Header, units and first data row."""
 LINE_FEED = ord("\n")
 LINE_END = re.compile(rb"\r\n|\n|\r")
 
@@ -53,14 +57,15 @@ class TextSource:
     encoding:
         How the file is written: by its mark, strict UTF-8, GB18030, or as declared.
     head:
-        The first complete lines as UTF-8, :data:`~piga.records.text_format.SNIFF_BYTES` at most.
+        The first complete lines as UTF-8, of :data:`~piga.records.text_format.SNIFF_BYTES` at most, of
+        :data:`MAX_HEAD` when the first three need more.
     cut:
         After the last piece: the last line had no line end and was left out.
 
     Raises
     ------
     DataError
-        If the file is missing, empty, damaged, or no text in its encoding.
+        If the file is missing, empty, damaged, or no text in its encoding, or its first lines are too long.
     """
 
     def __init__(
@@ -79,17 +84,34 @@ class TextSource:
             self._blocks = self._decoded(self._blocks)
         self._first = _gather(self._blocks, SNIFF_BYTES).removeprefix(b"\xef\xbb\xbf")
         self._refuse_utf16()
-        head = self._first[:SNIFF_BYTES]
-        self._only_cr = b"\n" not in head
-        if self._only_cr:
-            head = head.replace(b"\r", b"\n")
-        end = max(head.rfind(b"\n"), head.rfind(b"\r")) + 1
-        self.head = head[:end] if end or len(self._first) > SNIFF_BYTES else head
+        self.head = self._complete_lines(SNIFF_BYTES)
+        if len(self._first) >= SNIFF_BYTES and _rows(self.head) < FIRST_ROWS:
+            self._first += _gather(self._blocks, MAX_HEAD + 1 - len(self._first))
+            self.head = self._complete_lines(MAX_HEAD)
+            self._refuse_long_head()
 
     def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
         """Complete lines in order and how many, without the first ``skip``; read ahead on another thread."""
         found = ((piece, _line_feeds(piece)) for piece in self._pieces(skip))
         return found if self.path.stat().st_size < self._piece else ahead(found)
+
+    def _complete_lines(self, most: int) -> bytes:
+        """The complete lines of the first ``most`` bytes; all of a shorter file that has no line end."""
+        head = self._first[:most]
+        self._only_cr = b"\n" not in head
+        if self._only_cr:
+            head = head.replace(b"\r", b"\n")
+        end = max(head.rfind(b"\n"), head.rfind(b"\r")) + 1
+        return head[:end] if end or len(self._first) > most else head
+
+    def _refuse_long_head(self) -> None:
+        if len(self._first) > MAX_HEAD and _rows(self.head) < FIRST_ROWS:
+            row = sum(1 for _ in LINE_END.finditer(self.head)) + 1
+            raise DataError(
+                f"{self.path}: row {row}: a line too long, or too many comments: header, units and first data row must lie "
+                f"within the first {MAX_HEAD >> 20} MiB",
+                remedy="check that this is the log; export it again",
+            )
 
     def header_bytes(self, skip: int) -> int:
         """Bytes of the first ``skip`` lines."""
@@ -216,6 +238,12 @@ def _shortable(block: Bytes) -> bytearray:
 def _line_feeds(piece: Bytes) -> int:
     """Counted by NumPy, which lets the other threads work meanwhile."""
     return int(np.count_nonzero(np.frombuffer(piece, np.uint8) == LINE_FEED))
+
+
+def _rows(head: bytes) -> int:
+    """Lines that are neither empty nor comments."""
+    lines = (line.strip() for line in LINE_END.split(head))
+    return sum(1 for line in lines if line and not line.startswith(b"#"))
 
 
 def _gather(blocks: Iterator[Bytes], least: int) -> bytes:

@@ -39,7 +39,9 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
         assert part.residuals is not None  # noqa: S101 - made from residuals
         figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
         angles = residual_angles(part)
-        allan = None if cal.runs else allan_figure(angles, (cal.angle_rms, cal.angle_random_walk))
+        allan = (
+            None if cal.runs else allan_figure(angles, (cal.angle_rms, cal.angle_random_walk), cal.bias_drift)
+        )
         figures += [allan] if allan else []
         spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
         turned = ripple(angles, scale_factor(cal))

@@ -6,8 +6,8 @@ from piga.records.calibration import Calibration
 from piga.reports.calibration_budget import budget_text
 from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
 from piga.reports.calibration_tables import residual_quantity
-from piga.reports.numbers import friendly, rounded, short
-from piga.units import ARCSEC
+from piga.reports.numbers import friendly, printed, rounded, short
+from piga.units import ARCSEC, G0
 
 
 def calibration_text(cal: Calibration) -> str:
@@ -26,6 +26,14 @@ def calibration_text(cal: Calibration) -> str:
             *[f"note: {note}" for note in cal.notes],
         ]
     )
+
+
+def drift_found(cal: Calibration) -> str:
+    """Random walk of the rate, or that there is none to be seen."""
+    if cal.bias_drift == 0.0:
+        return "none seen"
+    shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
 
 
 def _text_table(cal: Calibration) -> list[str]:
@@ -54,6 +62,11 @@ def _text_figures(cal: Calibration) -> list[str]:
         ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
         ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
         ("noise of the angle", noise),
+        *(
+            [("bias drift", drift_found(cal).replace("µ", "u").replace("√s", "sqrt(s)"))]
+            if cal.bias_drift > 0.0
+            else []
+        ),
         ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
         ("condition number", short(cal.condition)),
     ]

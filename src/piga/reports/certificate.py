@@ -92,7 +92,7 @@ def certificate_html(
 
 
 def write_certificate(html: str, path: Path) -> Path:
-    """Write the certificate."""
+    """Write the page in UTF-8, line ends as they are on every system; returns ``path``."""
     path.write_bytes(html.encode("utf-8"))
     return path
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -158,47 +158,7 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
 
 
 def _alignment_table(run: Run, aligned: Alignment) -> Table:
-    from piga.frames import matrix_to_rotation_vector
-
-    true = matrix_to_rotation_vector(run.truth.triad_start.T)
-    rows: list[tuple[str | Cell, ...]] = []
-    for k, axis in enumerate("xyz"):
-        off = (aligned.triad_vector[k] - true[k]) / ARCSEC
-        rows.append(
-            (
-                f"triad attitude {axis}",
-                f"{aligned.triad_vector[k] / ARCSEC:.3f}",
-                f"{aligned.std[k] / ARCSEC:.2g}",
-                "arcsec",
-                f"{off:+.3f}",
-            )
-        )
-    for k, axis in enumerate("xyz"):
-        scale = np.radians(1.0) / 3600.0
-        rows.append(
-            (
-                f"triad drift {axis}",
-                f"{aligned.drift[k] / scale:.2e}",
-                f"{aligned.std[3 + k] / scale:.1e}",
-                "deg/h",
-                "–",
-            )
-        )
-    motion = run.scenario.motion
-    for k, (name, put_in) in enumerate(
-        (("roll", motion.roll), ("pitch", motion.pitch), ("heading", motion.heading))
-    ):
-        value = float(np.degrees(aligned.base_angles[k]))
-        off = float(np.remainder(value - np.degrees(put_in) + 180.0, 360.0) - 180.0)
-        rows.append(
-            (
-                f"base {name}",
-                fixed(value, 5),
-                f"{np.degrees(aligned.base_stds[k]):.1e}",
-                "deg",
-                f"{off:+.1e}",
-            )
-        )
+    rows = (*_triad_attitude_rows(run, aligned), *_triad_drift_rows(aligned), *_base_rows(run, aligned))
     columns = (
         Column("quantity", align="text"),
         Column("value"),
@@ -208,6 +168,32 @@ def _alignment_table(run: Run, aligned: Alignment) -> Table:
     )
     return Table(
         columns,
-        tuple(rows),
+        rows,
         notes=("Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec.",),
     )
+
+
+def _triad_attitude_rows(run: Run, aligned: Alignment) -> Iterator[tuple[str, ...]]:
+    from piga.frames import matrix_to_rotation_vector
+
+    true = matrix_to_rotation_vector(run.truth.triad_start.T)
+    for k, axis in enumerate("xyz"):
+        value, std = aligned.triad_vector[k] / ARCSEC, aligned.std[k] / ARCSEC
+        off = (aligned.triad_vector[k] - true[k]) / ARCSEC
+        yield f"triad attitude {axis}", f"{value:.3f}", f"{std:.2g}", "arcsec", f"{off:+.3f}"
+
+
+def _triad_drift_rows(aligned: Alignment) -> Iterator[tuple[str, ...]]:
+    degree_per_hour = np.radians(1.0) / 3600.0
+    for k, axis in enumerate("xyz"):
+        value, std = aligned.drift[k] / degree_per_hour, aligned.std[3 + k] / degree_per_hour
+        yield f"triad drift {axis}", f"{value:.2e}", f"{std:.1e}", "deg/h", "–"
+
+
+def _base_rows(run: Run, aligned: Alignment) -> Iterator[tuple[str, ...]]:
+    motion = run.scenario.motion
+    put_in = {"roll": motion.roll, "pitch": motion.pitch, "heading": motion.heading}
+    for k, (name, true) in enumerate(put_in.items()):
+        value, std = float(np.degrees(aligned.base_angles[k])), np.degrees(aligned.base_stds[k])
+        off = float(np.remainder(value - np.degrees(true) + 180.0, 360.0) - 180.0)
+        yield f"base {name}", fixed(value, 5), f"{std:.1e}", "deg", f"{off:+.1e}"

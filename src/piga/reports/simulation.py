@@ -91,7 +91,7 @@ def _output_section(figures: dict[str, Figure]) -> Section:
     lead = Text(
         "The lab sees the counts only. The lower panel is the truth that a calibration has to find.", lead=True
     )
-    return Section("The output", "the-output", (lead, *_blocks(figures, "output")))
+    return Section("The output", "the-output", (lead, *_blocks(figures, "output", "locking")))
 
 
 def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:

@@ -11,6 +11,7 @@ from piga.instrument.twin_linear import analyse_loop, loop_poles, open_loop, ste
 from piga.instrument.twin_parameters import TwinParameters
 from piga.reports.decimate import thin
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.locking import locking_figure
 from piga.stand.simulate import SimulatedTest
 from piga.units import ARCSEC, G0
 
@@ -23,6 +24,8 @@ _MICRO_G = 1e-6 * G0
 def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
     """All figures of a simulated test, in reading order."""
     figures = [stand_figure(test), output_figure(test)]
+    if test.specimen.instrument.tan_beta:
+        figures.append(lock_zone_figure(test))
     change = test.profile.force - test.profile.reference
     if np.any(change):
         figures.insert(1, imperfection_figure(test))
@@ -65,6 +68,12 @@ def imperfection_figure(test: SimulatedTest) -> Figure:
     panel = Panel(Axis("time", unit), Axis("true less reference", "ug"), _components(t, change))
     caption = "What the imperfections change: the instrument feels it, the log does not show it."
     return Figure("imperfections", "Imperfections of the stand", (panel,), caption)
+
+
+def lock_zone_figure(test: SimulatedTest) -> Figure:
+    """Mean rate against specific force at the largest transverse force that is recorded."""
+    across = np.hypot(*test.profile.force[test.profile.recorded, 1:].T)
+    return locking_figure(test.specimen.instrument, (float(across.max()),))
 
 
 def output_figure(test: SimulatedTest) -> Figure:

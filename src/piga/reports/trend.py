@@ -34,7 +34,7 @@ def write_trend_report(found: Trend, path: Path, *, at: dt.datetime | None = Non
 
 
 def trend_page(found: Trend, *, at: dt.datetime | None = None) -> Page:
-    """The page of a trend."""
+    """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
     ahead = None if at is None else found.years(at)
     span = found.years(found.times[-1])
     blocks: list[Block] = [Notice("problem", alarm) for alarm in found.alarms]

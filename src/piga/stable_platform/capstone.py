@@ -12,6 +12,7 @@ stationary phase one passage leaves a velocity error of up to ``a_t tan(beta) sq
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -165,6 +166,15 @@ def _outcome(run: Run, reading: Reading, preparation: Preparation) -> Outcome:
     )
 
 
+def passage_velocity(half_width: float, scale_factor: float, slope: float) -> float:
+    """Most that one passage leaves [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
+
+    ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/platform.md
+    section 10.
+    """
+    return half_width * math.sqrt(2.0 * math.pi / (scale_factor * slope))
+
+
 def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
     """The first passage of any instrument through its locked zone, with half an hour either side."""
     inside = locked(sensors, run.truth.force)
@@ -196,5 +206,5 @@ def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
         width,
         inside[part][1:, instrument],
         1.0 / (sensors.scale_factor * width),
-        width * float(np.sqrt(2.0 * np.pi / (sensors.scale_factor * slope))),
+        passage_velocity(width, sensors.scale_factor, slope),
     )

@@ -13,7 +13,7 @@ StillMetres = ("0 m", "10 s")
 
 
 class SiteFile(Struct, forbid_unknown_fields=True, frozen=True):
-    """``[site]``."""
+    """``[site]``: where the base stands or starts."""
 
     latitude: Quantity
     longitude: Quantity = "0 deg"
@@ -21,7 +21,7 @@ class SiteFile(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class RunTable(Struct, forbid_unknown_fields=True, frozen=True):
-    """``[run]``."""
+    """``[run]``: length, interval between readouts, seed of all noise."""
 
     duration: Quantity
     step: Quantity = "1 s"
@@ -64,7 +64,7 @@ class GyroFile(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class RedundancyFile(Struct, forbid_unknown_fields=True, frozen=True):
-    """``[redundancy]``."""
+    """``[redundancy]``: by how much the equatorial momentum is off orthogonal at the start."""
 
     initial: Quantity = "0 deg"
 
@@ -104,7 +104,7 @@ class SensorsFile(Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class CompensationFile(Struct, forbid_unknown_fields=True, frozen=True):
-    """``[compensation]``."""
+    """``[compensation]``: the models compared, and where what they know comes from."""
 
     models: tuple[Literal["none", "A", "B", "C"], ...] = ("none", "A", "B", "C")
     misalignment: Literal["identified", "true"] = "identified"

@@ -114,11 +114,6 @@ NONE = Imperfections()
 """A perfect stand: what the lab's reference describes."""
 
 
-def imperfection_units() -> dict[str, str]:
-    """Unit of each imperfection in scenario files and budgets."""
-    return {entry.name: str(entry.metadata["unit"]) for entry in fields(Imperfections)}
-
-
 def _scalar(value: Any, unit: str, what: str) -> float:
     return to_si(value, unit, what=what)
 

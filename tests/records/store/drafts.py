@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from piga.records.store import Draft, DraftFile, Store, open_store
-from piga.records.store.store import Position
+from piga.records.store.record import Position
 
 
 def content(key: str, size: int) -> bytes:

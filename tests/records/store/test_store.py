@@ -19,7 +19,7 @@ from piga.records.store import store as store_module
 from piga.records.store.blobs import PART
 from piga.records.store.difference import difference
 from piga.records.store.documents import encode, sha256
-from piga.records.store.store import safe_name
+from piga.records.store.file_names import safe_name
 from piga.records.store.transfer import backup, export_records, import_records, restore
 from piga.records.store.verify import verify
 from tests.records.store import station

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from piga.errors import StoreError
 
 if TYPE_CHECKING:
-    from piga.records.store.store import Draft, DraftFile, Head, Record, Store
+    from piga.records.store.record import Draft, DraftFile, Head, Record
+    from piga.records.store.store import Store
 
 __all__ = ["Draft", "DraftFile", "Head", "Record", "Store", "open_store"]
 
@@ -43,7 +44,7 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
 
 def __getattr__(name: str) -> object:
     if name in __all__:
-        from piga.records.store import store
+        from piga.records.store import record, store
 
-        return getattr(store, name)
+        return getattr(store if name == "Store" else record, name)
     raise AttributeError(f"module 'piga.records.store' has no attribute '{name}'")

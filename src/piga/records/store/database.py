@@ -122,11 +122,11 @@ def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
     writable = _writable(path)
     if writable:
         remove_leftovers(path)
-    if not path.exists() and create:
+    if not _exists(path) and create:
         try:
             write_durably(path, lambda part: part.write_bytes(new_sqlite(identity)), replace=False)
         except StoreError:
-            if not path.exists():
+            if not _exists(path):
                 raise
         writable = True
     _check_file(path)
@@ -140,7 +140,15 @@ def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
 
 
 def _writable(path: Path) -> bool:
-    return os.access(path if path.exists() else path.parent, os.W_OK) and os.access(path.parent, os.W_OK)
+    return os.access(path if _exists(path) else path.parent, os.W_OK) and os.access(path.parent, os.W_OK)
+
+
+def _exists(path: Path) -> bool:
+    """False also for a name that no file can have."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
 
 
 def _check_file(path: Path) -> None:

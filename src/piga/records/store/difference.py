@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from piga.records.store.store import Record, Store
+from piga.records.store.record import Record
+from piga.records.store.store import Store
 
 
 @dataclass(frozen=True)

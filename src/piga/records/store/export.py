@@ -15,13 +15,15 @@ import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from piga._version import __version__
 from piga.errors import StoreError
 from piga.records.store.blobs import PART, read_blob
+from piga.records.store.chain import read_entries, read_identity, stored_sizes
 from piga.records.store.documents import RECORD, RecordDocument, decode, sha256
-from piga.records.store.store import Entry, Store, read_entries, read_identity, stored_sizes
+from piga.records.store.record import Entry
+from piga.records.store.store import Store
 
 SCHEMA = "piga.export/1"
 SEAL = b"piga.export sha256:"
@@ -123,15 +125,20 @@ def _member(name: str, kind: int) -> zipfile.ZipInfo:
 
 def _seal(path: Path) -> None:
     """Put the SHA-256 of everything before the comment into the comment."""
-    length = path.stat().st_size - len(SEAL) - 64
     with path.open("r+b") as stream:
-        digest = hashlib.sha256()
-        while length > 0:
-            part = stream.read(min(PART, length))
-            digest.update(part)
-            length -= len(part)
+        digest = _sealed_digest(stream, path)
         stream.seek(len(SEAL), 1)
-        stream.write(digest.hexdigest().encode())
+        stream.write(digest.encode())
+
+
+def _sealed_digest(stream: BinaryIO, path: Path) -> str:
+    """SHA-256 of everything before the comment; the stream stands behind it then."""
+    digest, length = hashlib.sha256(), path.stat().st_size - len(SEAL) - 64
+    while length > 0:
+        part = stream.read(min(PART, length))
+        digest.update(part)
+        length -= len(part)
+    return digest.hexdigest()
 
 
 def is_export(path: Path) -> bool:
@@ -206,15 +213,10 @@ class Export:
         return self._parts(f"files/{name}")
 
     def _check_seal(self, path: Path) -> None:
-        length = path.stat().st_size - len(SEAL) - 64
         with path.open("rb") as stream:
-            digest = hashlib.sha256()
-            while length > 0:
-                part = stream.read(min(PART, length))
-                digest.update(part)
-                length -= len(part)
+            digest = _sealed_digest(stream, path)
             comment = stream.read()
-        if comment != SEAL + digest.hexdigest().encode():
+        if comment != SEAL + digest.encode():
             raise self._damaged("its SHA-256 is not the one in its seal")
 
     def _checked_members(self) -> dict[str, zipfile.ZipInfo]:
@@ -264,12 +266,8 @@ class Export:
     def _parts(self, name: str) -> Iterator[bytes]:
         member = self._member(name)
         try:
-            with self.zip.open(member) as stream:
-                left = member.file_size
+            with self.zip.open(member) as stream:  # gives no more than the size that was checked
                 while part := stream.read(PART):
-                    left -= len(part)
-                    if left < 0:
-                        raise self._damaged(f"member '{name}' is longer than it says")
                     yield part
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
             raise self._damaged(f"member '{name}': {error}") from None

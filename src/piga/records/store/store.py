@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from datetime import datetime
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -15,6 +14,7 @@ import sqlalchemy as sa
 from piga.errors import ArgumentError, PigaWarning, StoreError
 from piga.records.calibration import Calibration
 from piga.records.store import blobs
+from piga.records.store.chain import read_head, read_identity
 from piga.records.store.database import Database
 from piga.records.store.documents import (
     IDENTITY,
@@ -29,92 +29,18 @@ from piga.records.store.documents import (
     decode,
     encode,
     is_id,
-    moment,
     new_id,
     now,
     sha256,
 )
-from piga.records.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
+from piga.records.store.file_names import safe_name, write_new
+from piga.records.store.record import Draft, Entry, Head, Position, Record
+from piga.records.store.tables import ENTRY, HEAD
 
 MAX_FILES = 1000
 
-
-@dataclass(frozen=True)
-class Head:
-    """Where a chain stands: number of records, and the hash that vouches for all of them."""
-
-    number: int
-    sha256: str
-
-
-@dataclass(frozen=True)
-class Position:
-    """The place that a new record takes: its name, number, store, and the head before it."""
-
-    id: str
-    number: int
-    store: str
-    after: str
-
-
-@dataclass(frozen=True)
-class DraftFile:
-    """A file to store: its role (run, data, calibration, report, ...), name, and where its bytes are."""
-
-    role: str
-    name: str
-    source: Path | bytes
-
-    def parts(self) -> Iterator[bytes]:
-        """The bytes in parts."""
-        return iter((self.source,)) if isinstance(self.source, bytes) else blobs.parts_of(self.source)
-
-
-@dataclass(frozen=True)
-class Draft:
-    """A record before it is written; ``measured`` is the time of the test, in ISO form."""
-
-    serial: str
-    operator: str
-    reason: str
-    files: tuple[DraftFile, ...]
-    request: dict[str, Any] = field(default_factory=dict)
-    software: dict[str, str] = field(default_factory=dict)
-    measured: str | None = None
-    supersedes: str | None = None
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A link with its record as the bytes that are hashed; ``document`` is None in an export without it."""
-
-    number: int
-    link: bytes
-    document: bytes | None
-
-
-@dataclass(frozen=True)
-class Record:
-    """A record of the store: its place in the chain and what was written."""
-
-    number: int
-    head: str
-    link: Link
-    document: RecordDocument
-
-    @property
-    def id(self) -> str:
-        """Name of the record; the same in every store."""
-        return self.document.id
-
-    @property
-    def measured(self) -> datetime:
-        """When the test was made; when that was not said, when the record was made."""
-        return moment(self.document.measured or self.document.created)
-
-    def file(self, role: str) -> StoredFile | None:
-        """The first file of a role."""
-        return next((found for found in self.document.files if found.role == role), None)
+INPUT_ROLES = ("run", "data", "sidecar", "stand")
+"""Roles of the files that a calibration is computed from."""
 
 
 class Store:
@@ -224,7 +150,7 @@ class Store:
             for file in kept:
                 path = folder / safe_name(file.name)
                 run = path if file.role == "run" else run
-                _write_new(path, blobs.read_blob(connection, file.sha256))
+                write_new(path, blobs.read_blob(connection, file.sha256))
         return run
 
     def append(self, make: Callable[[Position], Draft]) -> Record:
@@ -353,78 +279,3 @@ class Store:
         link = decode(blobs.as_bytes(row.link, what), Link, LINK, what)
         document = decode(blobs.as_bytes(row.document, what), RecordDocument, RECORD, what)
         return Record(row.number, row.head, link, document)
-
-
-INPUT_ROLES = ("run", "data", "sidecar", "stand")
-"""Roles of the files that a calibration is computed from."""
-
-
-def read_identity(connection: sa.Connection) -> bytes:
-    """The identity document."""
-    return blobs.as_bytes(connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
-
-
-def read_head(connection: sa.Connection) -> Head:
-    """Number and hash of the last entry."""
-    row = connection.execute(sa.select(HEAD)).one()
-    if not isinstance(row.number, int) or not isinstance(row.head, str):
-        raise StoreError("the head is damaged in the store", remedy="restore a backup")
-    return Head(row.number, row.head)
-
-
-def read_entries(connection: sa.Connection) -> Iterator[Entry]:
-    """The chain in order, one entry at a time."""
-    number = 0
-    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number)
-    while row := connection.execute(wanted.where(ENTRY.c.number > number).limit(1)).one_or_none():
-        number, what = row.number, f"record {row.number}"
-        yield Entry(number, blobs.as_bytes(row.link, what), blobs.as_bytes(row.document, what))
-
-
-def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:
-    """Size of each stored file, and of what it takes in the store [bytes]."""
-    taken = sa.select(CHUNK.c.sha256, sa.func.sum(sa.func.length(CHUNK.c.data)).label("taken")).group_by(
-        CHUNK.c.sha256
-    )
-    packed = {row.sha256: int(row.taken) for row in connection.execute(taken)}
-    return {row.sha256: (row.size, packed.get(row.sha256, 0)) for row in connection.execute(sa.select(BLOB))}
-
-
-def safe_name(name: str) -> PurePosixPath:
-    """A file name of a record as a path below some folder.
-
-    Raises
-    ------
-    StoreError
-        If it is absolute, leads upwards, or holds what some file system takes for more than a name.
-    """
-    parts = name.split("/")
-    bad = any(
-        part in ("", ".", "..")
-        or part.endswith((".", " "))
-        or any(c in '\\:*?"<>|' or ord(c) < 32 for c in part)
-        for part in parts
-    )
-    if bad or len(name) > 500 or any(part.split(".")[0].upper() in _RESERVED for part in parts):
-        raise StoreError(
-            f"file name '{name}' cannot be stored",
-            remedy="use letters, digits and plain folders, relative to the run",
-        )
-    return PurePosixPath(name)
-
-
-_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
-
-
-def _write_new(path: Path, parts: Iterator[bytes]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("xb") as stream:
-            for part in parts:
-                stream.write(part)
-    except FileExistsError:
-        raise StoreError(f"{path}: exists already", remedy="extract into an empty folder") from None
-    except OSError as error:
-        raise StoreError(
-            f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
-        ) from None

@@ -34,7 +34,8 @@ from piga.records.store.documents import (
 )
 from piga.records.store.durable import write_durably
 from piga.records.store.export import Export, is_export, write_members
-from piga.records.store.store import Entry, Store
+from piga.records.store.record import Entry
+from piga.records.store.store import Store
 from piga.records.store.tables import ENTRY
 from piga.records.store.verify import Source, StoreSource, Verification, check_chain, verify
 

@@ -14,6 +14,7 @@ import sqlalchemy as sa
 
 from piga.errors import PigaError, StoreError
 from piga.records.store.blobs import digest_of, read_blob
+from piga.records.store.chain import read_entries, read_head, read_identity
 from piga.records.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA, is_url, new_sqlite, open_database
 from piga.records.store.documents import (
     IDENTITY,
@@ -28,7 +29,8 @@ from piga.records.store.documents import (
     sha256,
 )
 from piga.records.store.export import Export, is_export
-from piga.records.store.store import Entry, Head, Store, read_entries, read_head, read_identity
+from piga.records.store.record import Entry, Head
+from piga.records.store.store import Store
 from piga.records.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
 
 MAX_PROBLEMS = 100

@@ -231,59 +231,23 @@ def compensation() -> Chapter:
 
 
 def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, ...]:
+    limit = "printed as 'under 0.002 g': an upper limit, anything from zero up to it agrees"
+    curve = "read from the published curve as about 0.0015 g, which is below 0.002 g: reading accuracy 0.0005 g"
+    rounding = (
+        "noiseless data and an exact model: rounding of the rate (1e-16 of 2 g) and of the calibration is left"
+    )
+    predicted = "largest error after, phase predicted from the input"
+    measured = "largest error after, phase from the output, phi = 0.802 rad as printed"
+    exact = "largest error after, measured angle and linear estimator"
+    before, model, formula, own = (largest[k] for k in "bmfe")
+    digit = "printed to one digit: half of the next"
+    ours = source + ", our exact form"
     return (
-        Case(
-            "compensation.before",
-            source,
-            "largest error before",
-            "g",
-            0.05,
-            largest["b"],
-            0.005,
-            "printed to one digit: half of the next",
-        ),
-        Case(
-            "compensation.model-limit",
-            source,
-            "largest error after, phase predicted from the input",
-            "g",
-            0.002,
-            largest["m"],
-            0.002,
-            "printed as 'under 0.002 g': an upper limit, anything from zero up to it agrees",
-            limit=True,
-        ),
-        Case(
-            "compensation.model",
-            source,
-            "largest error after, phase predicted from the input",
-            "g",
-            0.0015,
-            largest["m"],
-            0.0005,
-            "read from the published curve as about 0.0015 g, which is below 0.002 g: reading accuracy 0.0005 g",
-        ),
-        Case(
-            "compensation.formula",
-            source,
-            "largest error after, phase from the output, phi = 0.802 rad as printed",
-            "g",
-            0.002,
-            largest["f"],
-            0.002,
-            "printed as 'under 0.002 g': an upper limit, anything from zero up to it agrees",
-            limit=True,
-        ),
-        Case(
-            "compensation.exact",
-            source + ", our exact form",
-            "largest error after, measured angle and linear estimator",
-            "g",
-            0.0,
-            largest["e"],
-            1e-12,
-            "noiseless data and an exact model: rounding of the rate (1e-16 of 2 g) and of the calibration is left",
-        ),
+        Case("compensation.before", source, "largest error before", "g", 0.05, before, 0.005, digit),
+        Case("compensation.model-limit", source, predicted, "g", 0.002, model, 0.002, limit, limit=True),
+        Case("compensation.model", source, predicted, "g", 0.0015, model, 0.0005, curve),
+        Case("compensation.formula", source, measured, "g", 0.002, formula, 0.002, limit, limit=True),
+        Case("compensation.exact", ours, exact, "g", 0.0, own, 1e-12, rounding),
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.instrument import propagate_function, published_closed_form
 from piga.instrument.published import Case as FormNumber
@@ -161,6 +161,16 @@ def run() -> Chapter:
     return Chapter("time-varying", "The run with a_Y = 5 a_x", source, text, cases, (_run_figure(error),))
 
 
+def _against_true(a_x: Array, indicated: Array, ends: ArrayLike, title: str) -> Panel:
+    """Indicated against true acceleration, with the ideal line between its ends."""
+    ideal = np.asarray(ends, dtype=float)
+    series = (
+        Series(ideal, ideal, "ideal", role="reference", dashed=True),
+        Series(a_x, indicated, "indicated", role="before"),
+    )
+    return Panel(Axis("true acceleration a_x", "g"), Axis("indicated acceleration", "g"), series, title)
+
+
 def _run_figure(error: Array) -> Figure:
     log = record("ramp")
     drawn = slice(None, None, _EVERY)
@@ -170,24 +180,8 @@ def _run_figure(error: Array) -> Figure:
     revolutions = model_phase(log)[drawn] / (2.0 * np.pi)
     close = a_x > RAMP_TOP - 0.25
     panels = (
-        Panel(
-            Axis("true acceleration a_x", "g"),
-            Axis("indicated acceleration", "g"),
-            (
-                Series([0.0, RAMP_TOP], [0.0, RAMP_TOP], "ideal", role="reference", dashed=True),
-                Series(a_x, indicated, "indicated", role="before"),
-            ),
-            "Indicated against true",
-        ),
-        Panel(
-            Axis("true acceleration a_x", "g"),
-            Axis("indicated acceleration", "g"),
-            (
-                Series(a_x[close][[0, -1]], a_x[close][[0, -1]], "ideal", role="reference", dashed=True),
-                Series(a_x[close], indicated[close], "indicated", role="before"),
-            ),
-            "The last quarter of a g",
-        ),
+        _against_true(a_x, indicated, (0.0, RAMP_TOP), "Indicated against true"),
+        _against_true(a_x[close], indicated[close], a_x[close][[0, -1]], "The last quarter of a g"),
         Panel(
             Axis("true acceleration a_x", "g"),
             Axis("error", "g"),

@@ -1,4 +1,4 @@
-"""Figures of the motion: what the cross-coupling does to the output rate."""
+"""The figure of the lock zone: what transverse specific force does to the mean output rate."""
 
 from __future__ import annotations
 

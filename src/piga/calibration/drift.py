@@ -1,0 +1,161 @@
+"""Bias drift: a random walk of the rate, found by restricted likelihood and taken into the covariance.
+
+The rate walks over the whole record, so that positions are no longer independent. Its few columns
+(:class:`~piga.calibration.drift_basis.DriftBasis`) are whitened and reduced with those of the model; projected on what
+the model leaves, the steps of the walk and white noise of one are all there is, and the likelihood of their variance is
+a sum over eigenvalues (own derivation, docs/theory). In long records a quick look at the means of the residual angle
+over a few bins of every stretch comes first: one without drift pays nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.whitening import LANES
+from piga.calibration.drift_basis import KNOTS, DriftBasis
+from piga.calibration.fit import SMALL, Fit
+from piga.calibration.noise import Noise, deviance_sums, least_on_grid
+from piga.calibration.solution import solve
+from piga.calibration.weighting import drifting_factor, reduce_segments
+
+Array = NDArray[np.float64]
+
+SUSPECTED = 0.3
+"""Gain in twice the log-likelihood, the other levels as found, from which a drift is looked for with all of them."""
+SIGNIFICANT = 2.0
+"""Gain from which a drift is taken as real."""
+BELOW, ABOVE = 0.7, 0.35
+"""Decades below and above the random walk found without a drift in which it is looked for with one."""
+LEVELS = 41
+"""Levels tried, over eight decades."""
+BINS, MOST_BINS = 16, 2048
+"""Bins of a stretch at the quick look, and of all stretches together."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Variance of the steps of the rate between knots [rad^2/s^2], its standard uncertainty, gain of likelihood."""
+
+    variance: float
+    deviation: float
+    gain: float
+
+
+def include_drift(fit: Fit, groups: tuple[int, ...]) -> Fit:
+    """The same fit with a bias drift in its covariance, where the record shows one.
+
+    Left out with several phases, coarse counts, given noise levels and methods other than whitened least
+    squares in one go.
+    """
+    request = fit.design.request
+    able = fit.mode == "increments" and request.method == "information" and fit.counted is None
+    if not able or max(groups) > 0 or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
+        return fit
+    if fit.design.rows > SMALL and quick_look(fit).gain < SUSPECTED:
+        return fit
+    if likely_steps(drifting_factor(fit.design, fit.noise)).gain < SUSPECTED:
+        return fit
+    noise, gain = _levels_together(fit)
+    if gain < SIGNIFICANT:
+        return fit
+    basis = DriftBasis.of(fit.design.run)
+    steps = likely_steps(drifting_factor(fit.design, noise))
+    noise = replace(noise, drift=steps.variance / basis.spacing)
+    summaries = reduce_segments(fit.design, fit.mode, noise)
+    solution = solve(fit.design, summaries, groups)
+    return replace(
+        fit,
+        noise=noise,
+        summaries=summaries,
+        solution=solution,
+        covariance=solution.covariance,
+        drift_deviation=steps.deviation / basis.spacing,
+    )
+
+
+def _levels_together(fit: Fit) -> tuple[Noise, float]:
+    """White noise and random walk beside a drift, and the gain by it: restricted likelihood of all three.
+
+    On a grid of ``log10(q h/r)``, concentrated over the scale, the drift at its best for each.
+    """
+    step, freedom = fit.design.run.median_step, fit.design.rows - len(fit.design.names)
+    centre = math.log10(max(fit.noise.walk * step / fit.noise.white, 1e-9))
+    grid = np.linspace(centre - BELOW, centre + ABOVE, LANES)
+    logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
+    table = []
+    for ratio, logarithm in zip(grid, logarithms, strict=True):
+        factor = drifting_factor(fit.design, Noise(1.0, 10.0**ratio / step))
+        values, square, rest, model = _projected(factor)
+        levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0])
+        size = 1.0 + levels[:, None] * values
+        total = rest + (square / size).sum(axis=1)
+        deviance = freedom * np.log(total) + logarithm + model + np.log(size).sum(axis=1)
+        at = int(np.argmin(deviance))
+        table.append((float(deviance[0]), float(deviance[at]), float(total[at])))
+    without, best, total = np.array(table).T
+    ratio = least_on_grid(grid, best)
+    white = float(np.interp(ratio, grid, total)) / freedom
+    return Noise(white, white * 10.0**ratio / step), float(without.min() - best.min())
+
+
+def quick_look(fit: Fit) -> Steps:
+    """Drift in the means of the residual angle over a few bins of every stretch, the model taken as it is."""
+    run, basis = fit.design.run, DriftBasis.of(fit.design.run)
+    starts = np.flatnonzero(run.begins)
+    bins = int(np.clip(MOST_BINS // starts.size, 2, BINS))
+    rows = [
+        _whitened_means(fit, basis, int(left), int(right), bins)
+        for left, right in pairwise(np.append(starts, run.size))
+        if right - left >= 2 * bins
+    ]
+    if sum(len(part) for part in rows) <= KNOTS:
+        return Steps(0.0, 0.0, 0.0)
+    return likely_steps(cast("Array", np.linalg.qr(np.concatenate(rows), mode="r")))
+
+
+def _whitened_means(fit: Fit, basis: DriftBasis, left: int, right: int, bins: int) -> Array:
+    """Differences of neighbouring bin means as independent rows ``[drift | residual]`` (bins - 1, KNOTS + 1)."""
+    edges = np.linspace(0, right - left, bins + 1).astype(np.int64)
+    sizes = np.diff(edges)
+    t = np.asarray(fit.design.run.t[left:right])
+    angle = np.cumsum(fit.d[left:right])
+    means = np.add.reduceat(np.stack([t - t[0], angle]), edges[:-1], axis=1) / sizes
+    widths = sizes * (t[-1] - t[0]) / t.size
+    covariance = fit.noise.walk * (np.minimum.outer(means[0], means[0]) - np.diag(widths) / 6.0)
+    covariance += np.diag(fit.noise.white / sizes)
+    difference = np.diff(np.eye(bins), axis=0)
+    rows = np.diff(np.vstack([basis.angle(means[0] + t[0]), means[1]]), axis=1).T
+    return np.linalg.solve(np.linalg.cholesky(difference @ covariance @ difference.T), rows)
+
+
+def likely_steps(factor: Array) -> Steps:
+    """Likely variance of the steps from a triangular factor of ``[drift | model | y]`` rows of unit variance."""
+    values, square, _, _ = _projected(factor)
+    levels = 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0]
+    size = 1.0 + levels[:, None] * values
+    gains = (square - square / size - np.log(size)).sum(axis=1)
+    at = int(np.argmax(gains))
+    information = 0.5 * float(np.sum((values / size[at]) ** 2))
+    return Steps(float(levels[at]), 1.0 / math.sqrt(information), float(gains[at]))
+
+
+def _projected(factor: Array) -> tuple[Array, Array, float, float]:
+    """Eigenvalues of the drift with the model projected out, squares of what is seen of each, the rest, ``log|X'X|``.
+
+    There ``y = B s + e``; eigenvectors of ``B B'`` have variance ``1 + v lambda``.
+    """
+    size = factor.shape[1] - 1
+    model = size - KNOTS
+    order = [*range(KNOTS, size), *range(KNOTS), size]
+    turned = cast("Array", np.linalg.qr(factor[:, order], mode="r"))
+    block, y = turned[model:size, model:size], turned[model:size, -1]
+    vectors, values, _ = np.linalg.svd(block)
+    rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
+    diagonal = np.abs(np.diag(turned)[:model])
+    return values**2, (vectors.T @ y) ** 2, rest, 2.0 * float(np.log(diagonal).sum())

@@ -1,0 +1,224 @@
+"""Results of a Digital Calibration Certificate: method, conditions, coefficients one by one and jointly.
+
+Coefficients stand in it twice: one by one with expanded uncertainty for any reader of certificates, and as one
+vector with its covariance matrix (a multivariate uncertainty) for those who compute with them. ``g`` is
+converted exactly; numbers carry all their digits, and ``significantDigit`` says which of them count.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterable
+from decimal import Decimal
+from typing import TYPE_CHECKING
+
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration_json import calibration_to_bytes
+from piga.records.certificate_file import CertificateFile, ConditionTable, quantity_text
+from piga.records.dcc_reader import JOINT, RECORD, label_of
+from piga.records.dsi_units import dsi_unit, power_of_g, to_dsi
+from piga.records.terms import meaning_of
+from piga.reports.certificate_statements import verdicts
+from piga.reports.dcc_elements import dcc, given, rich, si, software, text
+from piga.reports.numbers import coverage_factor
+from piga.units import parse_unit
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+PROBABILITY = 0.95
+
+
+def measurement_result(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None
+) -> etree._Element:
+    """How it was measured, under what conditions, and what came out."""
+    results = []
+    if before is not None:
+        results.append(_coefficients("Coefficients before adjustment", before, {}, "basic_beforeAdjustment"))
+    after = "" if before is None else " after adjustment"
+    marks = {verdict.key: verdict.dcc for verdict in verdicts(data, calibration)}
+    results.append(_coefficients(f"Coefficients{after}", calibration, marks, "basic_measuredValue"))
+    results.append(_joint(calibration))
+    results.append(_record(calibration))
+    return dcc(
+        "measurementResult",
+        [
+            text("name", f"Calibration of {calibration.serial}"),
+            _methods(data),
+            dcc("usedSoftware", [software()]),
+            _equipment(data),
+            dcc("influenceConditions", [_condition(condition) for condition in data.environment]),
+            dcc("results", results),
+        ],
+    )
+
+
+def _methods(data: CertificateFile) -> etree._Element:
+    documents = [given("norm", document) for document in data.method.documents]
+    description = f"{data.method.description} Additions, deviations and exclusions: {data.method.deviations}."
+    method = [text("name", data.method.name), rich("description", description), *documents]
+    uncertainty = [
+        text("name", "Measurement uncertainty"),
+        rich(
+            "description",
+            "Expanded uncertainties are standard uncertainties times the coverage factor of Student's t for "
+            "a coverage probability of 95 %.",
+        ),
+        dcc("norm", "JCGM 100:2008"),
+    ]
+    return dcc("usedMethods", [dcc("usedMethod", method), dcc("usedMethod", uncertainty, "basic_uncertainty")])
+
+
+def _equipment(data: CertificateFile) -> etree._Element:
+    found = []
+    for standard in data.traceability.standard:
+        shown = "; ".join(part for part in (standard.realises, standard.certificate) if part)
+        identification = [
+            dcc("issuer", "calibrationLaboratory"),
+            given("value", standard.identification or standard.name),
+        ]
+        parts = [
+            text("name", standard.name),
+            rich("description", shown),
+            dcc("identifications", [dcc("identification", identification)]),
+        ]
+        found.append(dcc("measuringEquipment", parts, "basic_normalUsed"))
+    return dcc("measuringEquipments", found)
+
+
+def _condition(condition: ConditionTable) -> etree._Element:
+    number, unit = quantity_text(condition.value)
+    value = _si_decimal(number, unit, offset=True)
+    uncertain: list[etree._Element] = []
+    if condition.uncertainty:
+        spread, spread_unit = quantity_text(condition.uncertainty)
+        uncertain = [_univariate(_si_decimal(spread, spread_unit), "2")]
+    real = si("real", [si("value", value), si("unit", dsi_unit(unit)), *uncertain])
+    quantity = dcc("quantity", [text("name", condition.name), real])
+    kind = {"air temperature": "basic_temperature", "relative humidity": "basic_humidityRelative"}
+    return dcc(
+        "influenceCondition",
+        [text("name", condition.name), dcc("data", [quantity])],
+        kind.get(condition.name.lower(), ""),
+    )
+
+
+def _si_decimal(number: float, unit: str, *, offset: bool = False) -> str:
+    """SI text of a number that a person wrote, without binary artefacts: 20.1 degC is 293.25 K."""
+    parsed = parse_unit(unit)
+    value = Decimal(repr(number)) * Decimal(repr(parsed.factor))
+    return str(value + Decimal("273.15") if offset and parsed.text == "degC" else value)
+
+
+def _univariate(value: str, factor: str) -> etree._Element:
+    expanded = [
+        si("valueExpandedMU", value),
+        si("coverageFactor", factor),
+        si("coverageProbability", str(PROBABILITY)),
+        si("distribution", "normal" if factor == "2" else "t"),
+    ]
+    return si("measurementUncertaintyUnivariate", [si("expandedMU", expanded)])
+
+
+def _coefficients(title: str, calibration: Calibration, marks: dict[str, str], ref_type: str) -> etree._Element:
+    factor = coverage_factor(calibration.degrees_of_freedom, PROBABILITY)
+    quantities = [_quantity(c, factor, marks.get(c.key, "")) for c in calibration.coefficients]
+    return dcc("result", [text("name", title), dcc("data", [dcc("list", quantities)])], ref_type)
+
+
+def _quantity(coefficient: Coefficient, factor: float, mark: str) -> etree._Element:
+    power = power_of_g(coefficient.unit)
+    expanded = to_dsi(factor * coefficient.std, power)
+    real = [
+        si("label", coefficient.key),
+        si("value", to_dsi(coefficient.value, power)),
+        si("unit", dsi_unit(coefficient.unit)),
+        si("significantDigit", str(Decimal(expanded).adjusted() - 1)),
+        _univariate(expanded, f"{factor:.6f}"),
+    ]
+    words = meaning_of(coefficient.name)
+    where = "" if coefficient.segment is None else f", segment {coefficient.segment}"
+    meta = None
+    if mark:
+        declared = [text("declaration", "Conformity of this coefficient"), dcc("conformity", mark)]
+        meta = dcc("measurementMetaData", [dcc("metaData", declared, "basic_conformity")])
+    return dcc("quantity", [text("name", f"{words[:1].upper()}{words[1:]}{where}"), si("real", real), meta])
+
+
+def _joint(calibration: Calibration) -> etree._Element:
+    """All coefficients as a vector with its covariance matrix."""
+    units = [c.unit for c in calibration.coefficients]
+    powers = [power_of_g(unit) for unit in units]
+    columns = [
+        si(
+            "columnXMLList",
+            [
+                si(
+                    "covarianceXMLList",
+                    [
+                        si(
+                            "valueXMLList",
+                            _words(to_dsi(v, p + powers[j]) for v, p in zip(column, powers, strict=True)),
+                        ),
+                        si("unitXMLList", _words(dsi_unit(unit, units[j]) for unit in units)),
+                    ],
+                )
+            ],
+        )
+        for j, column in enumerate(calibration.covariance.T.tolist())
+    ]
+    spread = _words(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
+    region = [
+        si("covarianceMatrixXMLList", columns),
+        si("coverageFactorXMLList", f"{joint_factor(len(units), calibration.degrees_of_freedom):.6f}"),
+        si("coverageProbabilityXMLList", str(PROBABILITY)),
+    ]
+    vector = [
+        si("labelXMLList", _words(label_of(c.key) for c in calibration.coefficients)),
+        si(
+            "valueXMLList",
+            _words(to_dsi(c.value, p) for c, p in zip(calibration.coefficients, powers, strict=True)),
+        ),
+        si("unitXMLList", _words(dsi_unit(unit) for unit in units)),
+        si(
+            "measurementUncertaintyUnivariateXMLList",
+            [si("standardMUXMLList", [si("valueStandardMUXMLList", spread)])],
+        ),
+        si("measurementUncertaintyMultivariateXMLList", [si("ellipsoidalRegionMUXMLList", region)]),
+    ]
+    quantity = dcc(
+        "quantity", [text("name", "Coefficients and covariance"), si("realListXMLList", vector)], JOINT
+    )
+    return dcc("result", [text("name", "Joint result with covariance"), dcc("data", [quantity])])
+
+
+def _words(parts: Iterable[str]) -> str:
+    return " ".join(parts)
+
+
+def joint_factor(count: int, degrees_of_freedom: float) -> float:
+    """Coverage factor of the joint ellipsoid, ``sqrt(n F(n, nu))`` for 95 % (JCGM 102, 6.5.2 with Hotelling's T^2)."""
+    from scipy.special import chdtri, fdtri
+
+    if math.isinf(degrees_of_freedom) or degrees_of_freedom > 1e9:
+        return math.sqrt(float(chdtri(count, 1.0 - PROBABILITY)))
+    return math.sqrt(count * float(fdtri(count, degrees_of_freedom, PROBABILITY)))
+
+
+def _record(calibration: Calibration) -> etree._Element:
+    """The whole record as an attachment: what it takes to read the certificate back into a calibration."""
+    attached = dcc(
+        "byteData",
+        [
+            text(
+                "name", "Calibration record of piga with budget, residual figures, data quality and provenance"
+            ),
+            dcc("fileName", "calibration.json"),
+            dcc("mimeType", "application/json"),
+            dcc("dataBase64", base64.b64encode(calibration_to_bytes(calibration)).decode("ascii")),
+        ],
+        RECORD,
+    )
+    return dcc("result", [text("name", "Calibration record"), dcc("data", [attached])])

@@ -1,0 +1,119 @@
+"""Bias drift: found in simulated records of known drift, used in the covariance, shown; none where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.allan import allan_deviation, drift_line
+from piga.calibration.drift import include_drift, quick_look
+from piga.calibration.fit import Fit, fit_run, phase_groups
+from piga.calibration.noise import Noise
+from piga.calibration.request import make_request
+from piga.calibration.solution import solve
+from piga.calibration.summary import RunSummary
+from piga.calibration.weighting import reduce_segments
+from piga.units import G0, to_si
+from tests.calibration.scenarios import SCALE, SCENARIOS, Scenario
+
+pytestmark = pytest.mark.only_compiled
+
+DRIFT = SCENARIOS["drift"]
+assert isinstance(DRIFT, Scenario)
+
+
+def fitted(scenario: Scenario, seed: int) -> tuple[Fit, tuple[int, ...]]:
+    run = scenario.record(np.random.default_rng([seed, 77]))
+    request = make_request(run, scenario.terms, None, None, None)
+    groups, per_segment = phase_groups(run, request)
+    return fit_run(run, request, groups, per_segment), groups
+
+
+def test_known_drift_is_found_on_average() -> None:
+    """Twelve records, each of some ten degrees of freedom: the mean of the variances within four deviations."""
+    found = []
+    for seed in range(12):
+        fit, groups = fitted(DRIFT, seed)
+        noise = include_drift(fit, groups).noise
+        found.append([noise.drift / DRIFT.drift**2, noise.walk / DRIFT.walk**2])
+    drift, walk = np.mean(found, axis=0)
+    assert drift == pytest.approx(1.0, abs=0.55)
+    assert walk == pytest.approx(1.0, abs=0.2)
+    assert min(row[0] for row in found) > 0.0
+
+
+def test_covariance_is_that_of_the_dense_matrix() -> None:
+    """With the true levels: variances of the whole, dense covariance of all increments (Cramer-Rao bound)."""
+    fit, groups = fitted(DRIFT, 3)
+    noise = Noise(DRIFT.white**2, DRIFT.walk**2, DRIFT.drift**2)
+    solution = solve(fit.design, reduce_segments(fit.design, fit.mode, noise), groups)
+    without = solve(fit.design, reduce_segments(fit.design, fit.mode, replace(noise, drift=0.0)), groups)
+    bound = DRIFT.bound(fit.design.run)
+    at = fit.design.names.index("scale_factor")
+    unit = to_si("1 rad/s/g", "rad/s/g")
+    amplitude = 1 + at - 2  # tan_beta is one amplitude where p and q were two columns
+    std = np.sqrt(solution.covariance[amplitude, amplitude]) / unit
+    assert std == pytest.approx(np.sqrt(bound[0, 0]), rel=0.03)
+    assert np.sqrt(without.covariance[amplitude, amplitude]) / unit < 0.8 * std
+
+
+def test_intervals_are_wider_and_the_result_says_so(tmp_path: Path) -> None:
+    run = DRIFT.record(np.random.default_rng(4))
+    found = DRIFT.calibrate(run)
+    fit, _ = fitted(DRIFT, 4)
+    assert found.bias_drift == pytest.approx(DRIFT.drift, rel=0.6)
+    assert (np.abs(DRIFT.errors(found)) < 4.0 * np.array([c.std for c in found.coefficients])).all()
+    assert found["scale_factor"].degrees_of_freedom < 60.0
+    assert fit.noise.drift == 0.0
+    found.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").bias_drift == found.bias_drift
+    RunSummary.of(run, DRIFT.terms).to_json(tmp_path / "s.json")
+    merged = piga.calibrate([RunSummary.from_json(tmp_path / "s.json")], DRIFT.terms)
+    for one, other in zip(found.coefficients, merged.coefficients, strict=True):
+        assert other.value == pytest.approx(one.value, rel=1e-6)
+        assert other.std == pytest.approx(one.std, rel=1e-3)
+
+
+def test_no_drift_is_seen_where_there_is_none() -> None:
+    """Of 20 records at most 6 (8 in 100 are expected): more would be far too many."""
+    still = replace(DRIFT, drift=0.0)
+    seen = 0
+    for seed in range(20):
+        fit, groups = fitted(still, seed)
+        seen += include_drift(fit, groups).noise.drift > 0.0
+    assert seen <= 6
+
+
+def test_quick_look_sees_what_a_long_record_shows() -> None:
+    """The means over bins are enough to suspect a plain drift, and see nothing without."""
+    assert quick_look(fitted(replace(DRIFT, drift=5e-6), 1)[0]).gain > 10.0
+    gains = [quick_look(fitted(replace(DRIFT, drift=0.0), seed)[0]).gain for seed in range(6)]
+    assert np.median(gains) < 0.3
+
+
+def test_allan_deviation_rises_along_the_drift_found() -> None:
+    """One long position: at long averaging times the Allan deviation is that of the drift that is found."""
+    one = Scenario(
+        "one", np.array([[0.8, 0.1, 0.6]]), seconds=4000.0, rate=2.0, white=1e-5, walk=1e-5, drift=2e-6,
+        tan_beta=0.0, truth={"k0": 1e-3}, terms=("k0",),
+    )  # fmt: skip
+    run = replace(one.record(np.random.default_rng(2)), scale_factor=SCALE / G0)
+    found = piga.calibrate(run, ["k0"])
+    assert found.residuals is not None
+    begins = np.zeros(found.residuals.t.size, dtype=bool)
+    begins[0] = True
+    allan = allan_deviation(
+        found.residuals.after,
+        found.residuals.t,
+        begins,
+        white=found.angle_rms**2,
+        walk=found.angle_random_walk**2,
+    )
+    far = (allan.tau > 100.0) & (allan.tau < 500.0)
+    assert found.bias_drift == pytest.approx(one.drift, rel=0.4)
+    ratio = allan.deviation[far] / drift_line(allan.tau[far], found.bias_drift)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.3)

@@ -1,0 +1,125 @@
+"""Planning on tests small enough to be interpreted: against closed forms, and every output of the command."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from piga.calibration.plan_export import plan_document, scenario_text
+from piga.calibration.planning import Plan, plan_test
+from piga.cli.main import app
+from piga.reports.planning import plan_text
+from piga.stand import read_scenario
+from tests.calibration.planning_cases import request
+
+pytestmark = pytest.mark.compiled
+WALK = 1e-5
+TINY = {"rate": 1, "positions": "0:360:90 deg", "duration": 150, "terms": '"scale_factor", "k0"', "walk": WALK}
+SMALL = {"rate": 1, "positions": "0:360:60 deg", "duration": 301, "terms": '"scale_factor", "k0"', "walk": WALK}
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    wishes = 'wanted = { k0 = "2 ug" }\nmove = "1 s"\nmargin = 700.0\nlongest_dwell = "400 s"'
+    return plan_test(request(tmp_path_factory.mktemp("plan"), **SMALL, plan=wishes))
+
+
+def test_up_and_down_with_the_uncertainty_of_the_closed_form(plan: Plan) -> None:
+    """A walk q over the dwell T leaves the mean rate with q / sqrt(T): K and k0 from two of them at +-g."""
+    assert {visit.candidate.label for visit in plan.best.visits} == {"0 deg", "180 deg"}
+    dwells = [visit.dwell for visit in plan.best.visits]
+    assert len(dwells) == 2
+    assert dwells[0] == pytest.approx(dwells[1], rel=0.03)
+    assert plan.best.duration <= 301.0 + 1e-9
+    mean = (
+        WALK / math.sqrt(0.5 * plan.best.recorded) / math.sqrt(2.0)
+    )  # of half the sum, and half the difference
+    gravity = plan.best.coefficients[0].value  # K [rad/s/g]; at +-1 g the local gravity is within 0.3 % of it
+    assert plan.best.std("scale_factor") == pytest.approx(mean, rel=0.01)
+    assert plan.best.std("k0") == pytest.approx(mean / gravity, rel=0.01)
+    assert 0.9 < plan.efficiency <= 1.0
+    assert plan.largest_derivative == pytest.approx(2.0, abs=1e-4)
+    assert plan.reference.std("k0") >= plan.best.std("k0")
+
+
+def test_the_cheapest_test_that_is_good_enough(plan: Plan) -> None:
+    assert plan.cheapest is not None
+    assert plan.cheapest.plan is not None
+    assert plan.cheapest.plan.std("k0") <= 2e-6
+    assert plan.cheapest.bound <= plan.cheapest.plan.duration < plan.best.duration
+
+
+def test_what_lies_near_the_lock_zone_is_left_out(plan: Plan) -> None:
+    assert {item.candidate.label for item in plan.excluded} == {"60 deg", "120 deg", "240 deg", "300 deg"}
+    assert all(item.reason.startswith("within 700 times the lock zone") for item in plan.excluded)
+
+
+def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
+    document = plan_document(plan, None)
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["cheapest"]["duration_s"] == plan.cheapest.plan.duration  # type: ignore[union-attr]
+    planned = document["planned"]["standard_uncertainty"]["k0"]
+    assert planned == {"type_a": plan.best.std("k0"), "combined": plan.best.combined("k0"), "unit": "g"}
+    text = plan_text(plan, None)
+    assert "left out 60 deg: within 700 times the lock zone" in text
+    (tmp_path / "s.toml").write_text(scenario_text(plan), encoding="utf-8")
+    segments = read_scenario(tmp_path / "s.toml").stand.segments()
+    assert [s.duration for s in segments if s.recorded] == [visit.dwell for visit in plan.best.visits]
+
+
+def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
+    wish = request(
+        tmp_path,
+        **TINY,
+        plan='wanted = { scale_factor = "1e-9 rad/s/g" }',
+        more='[uncertainty]\nreference_scale = "1 ppm"',
+    )
+    plan = plan_test(wish)
+    assert plan.cheapest is not None
+    assert plan.cheapest.plan is None
+    assert "the stand alone adds" in plan.cheapest.refusal
+    both = math.hypot(plan.best.std("scale_factor"), 0.8884e-6)
+    assert plan.best.combined("scale_factor") == pytest.approx(both, rel=1e-3)
+    assert plan.best.combined("k9") == plan.best.std("k9") == math.inf
+    assert plan_document(plan, None)["cheapest"]["refusal"] == plan.cheapest.refusal
+
+
+@pytest.mark.parametrize("criterion", ["A", "c", "wanted"])
+def test_other_criteria_are_no_worse_than_the_standard_test(tmp_path: Path, criterion: str) -> None:
+    extra = 'combination = { k0 = 1.0 }\nwanted = { k0 = "1 ug", scale_factor = "1e-6 rad/s/g" }'
+    wish = request(tmp_path, **TINY, plan=f'criterion = "{criterion}"\n{extra}')
+    plan = plan_test(wish)
+    own = plan.best
+    sizes = {
+        "A": lambda p: (
+            p.std("k0") ** 2 / own.std("k0") ** 2 + p.std("scale_factor") ** 2 / own.std("scale_factor") ** 2
+        ),
+        "c": lambda p: p.std("k0"),
+        "wanted": lambda p: max(p.std("k0") / 1e-6, p.std("scale_factor") / 1e-6),
+    }
+    found = [other for other in plan.standard if not other.refusal]
+    assert found
+    for other in found:
+        assert sizes[criterion](own) <= 1.02 * sizes[criterion](other)
+
+
+def test_dwells_of_whole_turns(tmp_path: Path) -> None:
+    plan = plan_test(request(tmp_path, **TINY | {"rate": 4, "duration": 100}, whole="true"))
+    turns = [visit.dwell / visit.candidate.revolution for visit in plan.best.visits]
+    for visit, turn in zip(plan.best.visits, turns, strict=True):
+        assert abs(turn - round(turn)) * visit.candidate.revolution <= 0.25 + 1e-9
+
+
+def test_the_command_writes_the_plan(tmp_path: Path) -> None:
+    path = request(tmp_path, **TINY).path
+    done = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "out"), "--json"])
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["schema"] == "piga.plan/1"
+    assert json.loads((tmp_path / "out" / "plan.json").read_text()) == document
+    assert read_scenario(tmp_path / "out" / "scenario.toml").stand.segments()
+    assert "</html>" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

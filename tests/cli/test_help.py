@@ -1,0 +1,58 @@
+"""Help of every command: it comes without anything heavy being loaded; ``python -m piga`` is the same program."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from piga.cli.main import app
+
+HEAVY = {"numpy", "numba", "scipy", "pyarrow", "matplotlib", "jinja2", "sqlalchemy", "lxml", "pydantic", "rich"}
+EACH = f"""
+import sys
+from piga.cli.main import main
+for words in {{commands}}:
+    sys.argv = ["piga", *words, "--help"]
+    try:
+        main()
+    except SystemExit as done:
+        assert done.code == 0, words
+    loaded = {HEAVY} & set(sys.modules)
+    assert not loaded, (words, loaded)
+"""
+
+
+def commands(group: TyperGroup, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Words of the group and of every command in it."""
+    found = [before]
+    for name, command in group.commands.items():
+        words = (*before, name)
+        found += commands(command, words) if isinstance(command, TyperGroup) else [words]
+    return found
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
+
+
+def test_help_of_every_command_loads_nothing_heavy() -> None:
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    every = commands(group)
+    assert {("calibrate",), ("records", "trend"), ("certificate", "issue")} <= set(every)
+    done = run("-c", EACH.replace("{commands}", repr(every)))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Usage: ") == len(every)
+
+
+@pytest.mark.parametrize(("arguments", "code", "words"), [(["--version"], 0, "piga "), (["chekc"], 2, "chekc")])
+def test_the_module_runs_as_the_program_does(arguments: list[str], code: int, words: str) -> None:
+    as_module = run("-m", "piga", *arguments)
+    as_program = run("-c", "from piga.cli.main import main; main()", *arguments)
+    assert as_module.returncode == as_program.returncode == code
+    assert words in as_module.stdout + as_module.stderr
+    assert as_module.stdout == as_program.stdout

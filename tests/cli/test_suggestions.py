@@ -1,0 +1,180 @@
+"""Every line that ``piga check --fix-suggestions`` prints is taken into the run file, and settles what was open."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import piga
+from piga.cli.main import app
+from tests.records.containers import columns, write_xlsx
+from tests.records.files import events, lines, psi_steps, write_log, write_run
+
+RUN = """\
+[instrument]
+serial = "T-1"
+scale_factor = "0.8884 rad/s/g"
+counts_per_revolution = 72000
+[data]
+file = "run.csv"
+time = { column = "t", unit = "s" }
+output = { column = "n", kind = "counts" }
+reference = { columns = ["fx", "fy", "fz"], unit = "g" }
+[model]
+terms = ["scale_factor", "k0"]
+"""
+
+
+def suggested(path: Path) -> list[tuple[str, str]]:
+    """Table and line of each suggestion."""
+    done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
+    found = [line.split("    # in [") for line in done.stdout.splitlines() if "    # in [" in line]
+    return [(table.removesuffix("]"), line) for line, table in found]
+
+
+def with_line(path: Path, table: str, line: str) -> Path:
+    """A run file beside ``path`` with one more line in a table."""
+    changed = path.with_name("changed.toml")
+    changed.write_text(path.read_text().replace(f"[{table}]\n", f"[{table}]\n{line}\n", 1))
+    return changed
+
+
+def test_a_sheet_of_several(tmp_path: Path) -> None:
+    book = write_xlsx(tmp_path / "run.xlsx", columns(), title="log 2")
+    book.create_sheet("notes")
+    book.save(tmp_path / "run.xlsx")
+    path = write_run(tmp_path, "run.xlsx")
+    found = suggested(path)
+    assert found == [("data", "sheet = 'log 2'"), ("data", "sheet = 'notes'")]
+    assert piga.read_run(with_line(path, *found[0])).size == 40
+
+
+@pytest.mark.parametrize(("bits", "begin", "which"), [(16, 0, 0), (24, (1 << 24) - 9000, 1)])
+def test_the_width_of_a_counter_that_folds(tmp_path: Path, bits: int, begin: int, which: int) -> None:
+    cells = (row.split(",", maxsplit=2) for row in lines(60, rate=2.0))
+    folded = [f"{t},{(int(n) + begin) % (1 << bits)},{rest}" for t, n, rest in cells]
+    write_log(tmp_path, folded)
+    path = write_run(tmp_path)
+    found = suggested(path)
+    assert found == [("instrument", f"counter_bits = {bits}") for bits in (16, 24, 32)]
+    run = piga.read_run(with_line(path, *found[which]))
+    assert events(run) == {"counter-roll-over": 4 if bits == 16 else 1}
+    np.testing.assert_allclose(psi_steps(run), 0.5 * 10179.0 * 2.0 * math.pi / 72000.0, atol=1e-4)
+
+
+def saturated(sign: float) -> list[str]:
+    """Counts of a record whose component fy runs into the end of its range."""
+    t = np.arange(400) / 20.0
+    fy = sign * np.minimum(0.3 * np.sin(t / 3.0) + 0.001 * np.sin(40.0 * t), 0.25)
+    fx = np.cos(fy)
+    n = np.round(np.cumsum(10179.0 / 20.0 * fx))
+    return [f"{a:.4f},{b:.0f},{c:.9f},{d:.6f},0.0" for a, b, c, d in zip(t, n, fx, fy, strict=True)]
+
+
+@pytest.mark.parametrize(("sign", "limits"), [(1.0, "[-1e300, 0.25]"), (-1.0, "[-0.25, 1e300]")])
+def test_the_range_of_a_column_that_saturates(tmp_path: Path, sign: float, limits: str) -> None:
+    write_log(tmp_path, saturated(sign))
+    path = write_run(tmp_path)
+    assert "stuck-value" in events(piga.read_run(path))
+    found = suggested(path)
+    assert found == [("data", f"range = {{ 'fy' = {limits} }}")]
+    after = piga.read_run(with_line(path, *found[0]))
+    assert "stuck-value" not in events(after)
+    assert events(after)["saturated"] > 8
+
+
+def test_a_phase_that_is_lost(tmp_path: Path) -> None:
+    rows = [f"{row},A" for row in lines(30)] + [f"{row},B" for row in lines(30)]
+    rows[30:] = [f"{float(row.split(',')[0]) + 5.0:.4f},{row.split(',', 1)[1]}" for row in rows[30:]]
+    write_log(tmp_path, rows, header="t,n,fx,fy,fz,seg")
+    path = write_run(tmp_path, instrument="counter_bits = 24", data='segment = "seg"')
+    run = piga.read_run(path)
+    assert "phase-lost" in events(run)
+    assert len(set(run.phase_group)) == 2
+    assert ("model", "phase = 'per-segment'") in suggested(path)
+    assert events(piga.read_run(with_line(path, "model", "phase = 'per-segment'"))) == events(run)
+
+
+def test_an_encoding_that_was_found(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_bytes(
+        "\n".join(["t,n,fx,fy,fz,备注", *(f"{row},好" for row in lines()), ""]).encode("gb18030")
+    )
+    path = write_run(tmp_path)
+    found = suggested(path)
+    assert found == [("data", "encoding = 'gb18030'")]
+    np.testing.assert_array_equal(piga.read_run(with_line(path, *found[0])).output, piga.read_run(path).output)
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        ("t,counts,fx,fy,fz", "column = 'counts'"),
+        ("t,脉冲数,fx,fy,fz", "column = '脉冲数'"),
+        ("t,ｎ [1],fx,fy,fz", "column = 'ｎ'"),
+    ],
+)
+def test_another_name_of_the_same_quantity(tmp_path: Path, header: str, line: str) -> None:
+    write_log(tmp_path, lines(), header=header)
+    assert suggested(write_run(tmp_path)) == [("data", line)]
+
+
+def test_a_name_that_is_nearly_right(tmp_path: Path) -> None:
+    write_log(tmp_path, lines(), header="t,n,f_xx,fy,fz")
+    path = write_run(tmp_path)
+    path.write_text(path.read_text().replace('"fx"', '"f_x"'))
+    assert suggested(path) == [("data", "column = 'f_xx'")]
+
+
+def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
+    write_log(tmp_path, lines(), header="t,what,fx,fy,fz")
+    path = write_run(tmp_path)
+    done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
+    assert "# no run-file line would change what was found" in done.stdout
+    write_log(tmp_path, lines())
+    done = CliRunner().invoke(app, ["check", str(path), "--fix-suggestions"])
+    assert "# no run-file line would change what was found" in done.stdout
+
+
+def test_a_unit_that_is_probably_another(tmp_path: Path) -> None:
+    write_log(tmp_path, [row.replace("1.0,0.1,0.0", "9.80665,0.1,0.0") for row in lines()])
+    assert set(suggested(write_run(tmp_path))) == {("data", "unit = '...'")}
+
+
+def clean_table(text: str) -> str:
+    return text[text.index("[data]") :]
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_convert_keeps_base_rate_and_temperature(tmp_path: Path, kind: str) -> None:
+    t = np.arange(200) / 20.0
+    output = 0.8884 * t if kind == "angle" else np.full(200, 0.8884)
+    unit = "rad" if kind == "angle" else "rad/s"
+    rows = [
+        f"{a:.4f},{b:.12g},1.0,0.0,0.0,0.001,0.002,0.003,{20.0 + 0.01 * a:.4f}"
+        for a, b in zip(t, output, strict=True)
+    ]
+    write_log(tmp_path, rows, header="t,n,fx,fy,fz,wx,wy,wz,temp")
+    text = RUN.replace('kind = "counts"', f'kind = "{kind}", unit = "{unit}"').replace(
+        "[model]",
+        'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/s" }\ntemperature = { column = "temp", unit = "degC" }\n[model]',
+    )
+    (tmp_path / "run.toml").write_text(text)
+    done = CliRunner().invoke(
+        app,
+        ["convert", str(tmp_path / "run.toml"), "--out", str(tmp_path / "clean.parquet")],
+        catch_exceptions=False,
+    )
+    (tmp_path / "clean.toml").write_text(
+        text.split("[data]")[0] + clean_table(done.stdout) + "\n[model]" + text.split("[model]")[1]
+    )
+    before, after = piga.read_run(tmp_path / "run.toml"), piga.read_run(tmp_path / "clean.toml")
+    assert before.kind == after.kind == kind
+    assert before.base_rate is not None
+    assert math.isclose(before.base_rate[0, 2], math.radians(0.003))
+    for name in ("t", "output", "f", "base_rate", "temperature"):
+        np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
+    np.testing.assert_allclose(psi_steps(after), psi_steps(before), atol=0.0)

@@ -1,0 +1,361 @@
+"""What cannot be compensated as asked is refused with what to do; the edges of what can be are computed right."""
+
+from __future__ import annotations
+
+import datetime as dt
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+
+import piga
+from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_triad
+from piga.compensation.flags import MEANING, describe
+from piga.compensation.live import compensate_arrow, compensate_lines
+from piga.compensation.published_set import PublishedSet
+from piga.compensation.triad_file import read_triad
+from piga.compensation.validity import age_in_days
+from piga.units import G0
+
+from .test_command import CAL, command, write
+from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+T = 0.01 * np.arange(60)
+F = constant_force(T, 1.0, 3.0, 0.5)
+
+
+# --- one instrument
+
+
+@pytest.mark.parametrize(
+    ("chunk", "message"),
+    [
+        ({"t": T, "output": T[:5], "f": F}, r"chunk\['output'\]: shape \(5,\) instead of \(60,\)"),
+        ({"t": T, "output": T, "f": F[:, :2]}, r"chunk\['f'\]: shape \(60, 2\) instead of \(60, 3\)"),
+        ({"t": T, "output": T, "f": F, "base_rate": F[:9]}, r"chunk\['base_rate'\]: shape \(9, 3\)"),
+        ({"t": T, "output": T}, "chunk: lacks 'f'"),
+        ({"t": T, "output": T, "f": F, "speed": T}, "chunk: has the unknown key 'speed'"),
+    ],
+)
+def test_chunks_that_do_not_fit(chunk: dict[str, np.ndarray], message: str) -> None:
+    with pytest.raises(piga.ArgumentError, match=message) as caught:
+        piga.Compensator(calibration_of(CAL)).push(chunk)
+    assert caught.value.remedy
+
+
+def test_a_stream_of_another_kind_or_without_its_temperature() -> None:
+    with pytest.raises(piga.ArgumentError, match="kind: 'counts' is neither 'angle' nor 'rate'"):
+        piga.Compensator(calibration_of(CAL), kind="counts")
+    warm = calibration_of({**CAL, "k0_T": 1e-5})
+    with pytest.raises(piga.ArgumentError, match="no 'temperature' for the calibration's temperature terms"):
+        piga.Compensator(warm).push({"t": T, "output": T, "f": F})
+    with pytest.raises(piga.CalibrationError, match="the record has no temperature"):
+        piga.compensate(run_of(T, F, phi=0.3), warm)
+
+
+def test_nothing_and_single_samples() -> None:
+    """An empty chunk changes nothing; time that stands begins a stretch even before an interval is known."""
+    run, cal = run_of(T, F, phi=0.3), calibration_of(CAL)
+    whole = piga.compensate(run, cal)
+    stream = piga.Compensator(cal)
+    assert stream.push({"t": T[:0], "output": T[:0], "f": F[:0]}).size == 0
+    found = [
+        stream.push({"t": t, "output": psi, "f": f}) for t, psi, f in zip(run.t, run.output, run.f, strict=True)
+    ]
+    assert np.concatenate([part.ax for part in found]).tobytes() == whole.ax.tobytes()
+    again = piga.Compensator(cal)
+    again.push({"t": 1.0, "output": 0.0, "f": F[0]})
+    stood = again.push({"t": 1.0, "output": 0.1, "f": F[0]})
+    assert stood.flagged("no_increment").all()
+    assert np.isnan(stood.ax).all()
+
+
+def test_calibrations_that_do_not_say_enough() -> None:
+    run = run_of(T, F, phi=0.3)
+    with pytest.raises(piga.CalibrationError, match="the calibration has tan_beta but no phi"):
+        piga.compensate(run, calibration_of({"tan_beta": TAN_BETA}))
+    given = piga.compensate(run, calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA}), phase=Phase(0.3))
+    assert np.abs(given.ax[1:] - G0).max() < 1e-9
+    assert np.abs(piga.compensate(run, calibration_of({"scale_factor": K_G})).ax[1:] - G0).max() > 1e-4
+    with pytest.raises(piga.CalibrationError, match=r"method: 'best' is not known(?s:.*)exact, published"):
+        piga.compensate(run, calibration_of(CAL), method="best")
+    many = {**CAL} | {f"{name}{order}": 1e-6 for order in range(2, 24) for name in "sc"}
+    with pytest.raises(piga.CalibrationError, match="uncertain coefficients; 40 at most"):
+        piga.compensate(run, calibration_of(many, dict.fromkeys(many, 1e-7)))
+    joint = calibration_of(CAL, serial="A")
+    own = [replace(c, run="east") if c.name == "k0" else c for c in joint.coefficients]
+    record = piga.records.calibration.RunRecord(
+        "east", "east.csv", None, "shared", True, 9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, joint.quality
+    )
+    joint = replace(joint, coefficients=tuple(own), runs=(record,))
+    with pytest.raises(piga.CalibrationError, match=r"k0 differs between the runs(?s:.*)for_run\('east'\)"):
+        piga.compensate(run, joint)
+    assert np.isfinite(piga.compensate(run, joint.for_run("east")).ax[1:]).all()
+
+
+def test_age() -> None:
+    """A date without a zone is taken as UTC; one that cannot be read is too old for any limit."""
+    now = dt.datetime(2026, 1, 11, tzinfo=dt.UTC)
+    for created, days in (("2026-01-01T00:00:00Z", 10.0), ("2026-01-01T12:00:00", 9.5), ("last week", None)):
+        cal = calibration_of(CAL, created=created)
+        assert age_in_days(cal, now) == days
+        run = run_of(T, F, phi=0.3)
+        assert piga.compensate(run, cal, max_age_days=1e5).flagged("age")[1:].all() == (days is None)
+        assert piga.compensate(run, cal, max_age_days=0.5).flagged("age")[1:].all()
+        assert not piga.compensate(run, cal).flagged("age").any()
+
+
+def test_flags_in_words() -> None:
+    assert set(FLAGS) == set(MEANING)
+    assert describe(0) == ()
+    assert describe(FLAGS["locked"] | FLAGS["coarse"]) == ("locked", "coarse")
+
+
+def test_results_as_files(tmp_path: Path) -> None:
+    found = piga.compensate(run_of(T, F, phi=0.3), calibration_of(CAL, {"k0": 1e-6}))
+    found.to_parquet(tmp_path / "a.parquet")
+    found.to_csv(tmp_path / "a.csv")
+    parquet, csv = pa.parquet.read_table(tmp_path / "a.parquet"), pa.csv.read_csv(tmp_path / "a.csv")
+    for index, name in enumerate(("t", "ax", "dv", "u_ax", "flags")):
+        np.testing.assert_array_equal(parquet.column(name).to_numpy(), getattr(found, name))
+        np.testing.assert_array_equal(csv.column(index).to_numpy().astype(float), getattr(found, name))
+
+
+# --- the phase
+
+
+def test_a_phase_that_cannot_be_found() -> None:
+    with pytest.raises(piga.CalibrationError, match="no cross-coupling: there is no phase to find"):
+        piga.compensation.PhaseFinder(calibration_of({"scale_factor": K_G, "k0": 1e-3}))
+    t = 0.01 * np.arange(3000)
+    cal = calibration_of(CAL, angle_rms=1e-6)
+    still = run_of(t[:100], constant_force(t[:100], 1.0, 3.0), phi=0.3)
+    with pytest.raises(piga.CalibrationError, match=r"the output does not turn once in the first 0\.5 s"):
+        piga.compensation.identify_phase(still, cal, 0.5)
+    alone = run_of(t, constant_force(t, 1.0, 0.0), phi=0.3)
+    with pytest.raises(piga.CalibrationError, match=r"does not turn once|more transverse specific force"):
+        piga.compensation.identify_phase(alone, cal, 30.0)
+    weak = run_of(t, constant_force(t, 1.0, 1e-3), phi=0.3)
+    noisy = calibration_of(CAL, angle_rms=1e-4)
+    with pytest.raises(piga.CalibrationError, match=r"known to .* rad only after 30 s(?s:.*)more transverse"):
+        piga.compensation.identify_phase(weak, noisy, 30.0)
+
+
+def test_the_phase_of_a_record_of_rates_up_to_its_first_gap() -> None:
+    """Behind the gap another phase begins: it must not be looked at."""
+    t = 0.01 * np.arange(3000)
+    f = constant_force(t, 1.0, 3.0)
+    first, second = run_of(t, f, phi=0.3, kind="rate"), run_of(t, f, phi=2.0, kind="rate")
+    record = piga.Run.from_arrays(
+        np.concatenate((t, t + 100.0)), np.concatenate((first.output, second.output)), np.concatenate((f, f)),
+        scale_factor=K_G / G0, kind="rate", segment=np.repeat([0, 1], t.size),
+    )  # fmt: skip
+    cal = calibration_of(CAL, angle_rms=1e-6)
+    found = piga.compensation.identify_phase(record, cal, 1000.0)
+    assert abs(found.value - 0.3) < 1e-3
+    by_angle = piga.compensation.identify_phase(run_of(t, f, phi=0.3), cal, 30.0)
+    assert abs(found.value - by_angle.value) < 1e-3
+
+
+# --- sets
+
+
+def mounted(**values: float) -> list[Mounted]:
+    return [Mounted(calibration_of({**CAL, **values}), np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
+
+
+PSI = np.tile(0.9 * T, (3, 1))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"output": PSI[:2]}, r"output: shape \(2, 60\) instead of \(3, 60\)"),
+        ({"output": PSI, "rate": PSI}, "a set of angles does not take it"),
+        ({"output": PSI, "base_rate": np.zeros((3, 60, 2))}, r"base_rate: shape"),
+        ({"output": PSI, "temperature": np.zeros((2, 60))}, r"temperature: shape"),
+        ({"output": np.where(np.arange(60) == 7, np.nan, PSI)}, r"output\[0, 7\] is not finite"),
+    ],
+)
+def test_samples_of_a_set_that_do_not_fit(given: dict[str, np.ndarray], message: str) -> None:
+    stream = SetCompensator(mounted())
+    before = stream.push(T[:1] - 0.01, PSI[:, :1]).size
+    with pytest.raises(piga.ArgumentError, match=message):
+        stream.push(T, **given)  # type: ignore[arg-type]
+    assert stream.push(T, PSI).size == T.size
+    assert before == 1
+
+
+def test_one_sample_of_a_set_at_a_time() -> None:
+    whole = SetCompensator(mounted()).push(T, PSI)
+    stream = SetCompensator(mounted())
+    parts = [stream.push(t, PSI[:, k]) for k, t in enumerate(T[:12])]
+    assert np.concatenate([part.f for part in parts]).tobytes() == whole.f[:12].tobytes()
+
+
+def test_temperature_of_a_set() -> None:
+    warm = [replace(item, calibration=calibration_of({**CAL, "k0_T": 1e-4})) for item in mounted()]
+    with pytest.raises(piga.ArgumentError, match="temperature: a calibration has temperature terms"):
+        SetCompensator(warm).push(T, PSI)
+    cold = SetCompensator(warm).push(T, PSI, temperature=np.full((3, 60), 293.15)).f
+    hot = SetCompensator(warm).push(T, PSI, temperature=np.full((3, 60), 303.15)).f
+    plain = SetCompensator(mounted()).push(T, PSI).f
+    assert np.abs(cold[1:] - plain[1:]).max() < 1e-12
+    change = 10.0 * 1e-4 * G0
+    assert np.abs((plain - hot)[1:] - change).max() < 2.0 * TAN_BETA * change  # each couples into the others
+
+
+@pytest.mark.parametrize(
+    ("axes", "message"),
+    [
+        (np.eye(2), r"axes of instrument 1: shape \(2, 2\)"),
+        (np.full((3, 3), np.nan), "axes of instrument 1"),
+        (np.diag([1.0, 1.0, -1.0]), "no right-handed set"),
+        (np.eye(3) * 1.001, "no right-handed set"),
+    ],
+)
+def test_axes_that_are_none(axes: np.ndarray, message: str) -> None:
+    items = mounted()
+    items[1] = replace(items[1], axes=axes)
+    with pytest.raises(piga.ArgumentError, match=message):
+        SetCompensator(items)
+
+
+def test_sets_of_records_that_do_not_fit() -> None:
+    records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3) for i in range(3)]
+    with pytest.raises(piga.ArgumentError, match=r"method: 'best' is not known"):
+        compensate_triad(records, mounted(), method="best")
+    with pytest.raises(piga.ArgumentError, match="a set of 2 instruments"):
+        compensate_triad(records[:2], mounted()[:2])
+    other = run_of(T, F, phi=0.3, kind="rate")
+    with pytest.raises(piga.DataError, match="holds rate, 0: angle"):
+        compensate_triad([*records[:2], other], mounted())
+    with pytest.raises(piga.DataError, match=r"row 61: the times are not those of record 0"):
+        compensate_triad(
+            [*records[:2], run_of(np.append(T, 0.6), np.append(F, F[:1], axis=0), phi=0.3)], mounted()
+        )
+
+
+def test_base_rate_of_some_instruments_of_a_set() -> None:
+    """Those without one are taken as at rest in their base."""
+    rate = np.tile([1e-4, 2e-3, -1e-3], (T.size, 1))
+    records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3, base_rate=rate if i == 1 else None) for i in range(3)]
+    plain = [Mounted(calibration_of({**CAL, "k0": 0.0}), np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
+    found = compensate_triad(records, plain)
+    assert np.abs(found.f[1:] - F[1:]).max() < 1e-9 * G0
+
+
+def test_nothing_for_a_published_set() -> None:
+    stream = PublishedSet(mounted())
+    assert stream.push(T[:0], PSI[:, :0]).size == 0
+    assert stream.push(T, PSI).size == 60
+
+
+def test_triad_files_that_are_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    item = (
+        '[[triad.instrument]]\nrun = "run.toml"\ncalibration = "run.json"\naxes = [[1,0,0],[0,1,0],[0,0,1]]\n'
+    )
+    path = tmp_path / "triad.toml"
+    write(tmp_path)
+    path.write_text(2 * item)
+    with pytest.raises(piga.RunFileError, match=r"\[\[triad\.instrument\]\] stands 2 times"):
+        read_triad(path)
+    path.write_text(3 * item)
+    code, _, text = command(monkeypatch, capsys, path, "--out", tmp_path / "o.parquet")
+    assert code == 2
+    assert "the input axes lie in one plane" in text
+    path.write_text(3 * item.replace("run.json", "none.json"))
+    with pytest.raises(piga.CalibrationError, match=r"none\.json: cannot be read"):
+        read_triad(path)
+    path.write_text(3 * (item + 'phase = "2 g"\n'))
+    with pytest.raises(piga.PigaError, match="phase"):
+        read_triad(path)
+    path.write_text(3 * (item + 'phase = "90 deg"\n'))
+    assert read_triad(path)[1][0].phase == Phase(np.pi / 2.0)
+    path.write_text("[triad\n")
+    code, _, text = command(
+        monkeypatch, capsys, path, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet"
+    )
+    assert code == 2
+    assert "not valid TOML" in text
+
+
+# --- streams through a pipe
+
+
+def test_base_rate_and_temperature_through_a_pipe() -> None:
+    rate, warm = np.tile([1e-4, 2e-3, -1e-3], (T.size, 1)), 293.15 + 5.0 * T
+    run = run_of(T, F, phi=0.3, base_rate=rate, temperature=warm)
+    cal = calibration_of({**CAL, "k0_T": 1e-4})
+    names = "t, output, fx, fy, fz, wx, wy, wz, temperature"
+    rows = np.column_stack((run.t, run.output, F, rate, warm)).tolist()
+    text = "\n\n".join([names, *(",".join(map(repr, row)) for row in rows)])
+    answer = io.StringIO()
+    assert compensate_lines(io.StringIO(text), answer, piga.Compensator(cal)) == T.size
+    ax = np.array([line.split(",")[1] for line in answer.getvalue().splitlines()[1:]], dtype=float)
+    assert ax.tobytes() == piga.compensate(run, cal).ax.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [("t,output,fx,fy", "no column 'fz'"), ("t,output,fx,fy,fz,speed", "the unknown column 'speed'")],
+)
+def test_columns_of_a_pipe(header: str, message: str) -> None:
+    stream = piga.Compensator(calibration_of(CAL))
+    with pytest.raises(piga.DataError, match=f"standard input: {message}"):
+        compensate_lines(io.StringIO(header + "\n"), io.StringIO(), stream)
+    table = pa.table({name: [1.0] for name in header.split(",")})
+    sent = io.BytesIO()
+    with pa.ipc.new_stream(sent, table.schema) as writer:
+        writer.write_table(table)
+    sent.seek(0)
+    with pytest.raises(piga.DataError, match=f"standard input: {message}"):
+        compensate_arrow(sent, io.BytesIO(), stream)
+
+
+def test_no_arrow_stream_and_an_empty_one() -> None:
+    stream = piga.Compensator(calibration_of(CAL))
+    with pytest.raises(piga.DataError, match="standard input: no Arrow stream"):
+        compensate_arrow(io.BytesIO(b"t,output,fx,fy,fz\n"), io.BytesIO(), stream)
+    schema = pa.schema([(name, pa.float64()) for name in ("t", "output", "fx", "fy", "fz")])
+    sent, got = io.BytesIO(), io.BytesIO()
+    pa.ipc.new_stream(sent, schema).close()
+    sent.seek(0)
+    assert compensate_arrow(sent, got, stream) == 0
+    assert got.getvalue() == b""
+
+
+# --- resampling, and the command
+
+
+def test_periods_that_are_none() -> None:
+    for period in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(piga.ArgumentError, match=r"period: .* is not positive"):
+            Resampler(period)
+    new = Resampler(0.03)
+    assert new.waiting.size == 0
+    _, given = new.push(T[:8], np.ones(8))
+    np.testing.assert_allclose(given, [4.0, 3.0])  # the first sample's goes out with the three behind it
+    np.testing.assert_allclose(new.waiting, [1.0])
+
+
+def test_words_of_the_command_that_do_not_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, cal = write(tmp_path), tmp_path / "run.json"
+    for words, message in (
+        ((run, "--calibration", cal, "--out", tmp_path / "o.txt"), "files of kind '.txt' are not written"),
+        ((run, "--calibration", cal, "--calibration", cal, "--out", tmp_path / "o.csv"), "is given 2 times"),
+        ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 runs with 1 calibrations"),
+    ):
+        code, _, text = command(monkeypatch, capsys, *words)
+        assert code == 2
+        assert message in text
+    assert not list(tmp_path.glob("o.*"))

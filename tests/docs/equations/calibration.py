@@ -1,0 +1,152 @@
+"""Equations of docs/theory/calibration.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+import piga
+from piga._kernels.counting import saw_tooth_covariance
+from piga._kernels.regressors import coupling_columns
+from piga._kernels.whitening import innovation_weights, whiten
+from piga.calibration.leverage import all_but_one, leverages
+from piga.calibration.missing_terms import tested
+from piga.calibration.noise import find_noise
+from piga.calibration.reduction import Reduction
+from piga.instrument.parameters import ErrorModel
+from piga.units import G0
+from tests.compensation.twin_data import TAN_BETA, instrument
+
+from .registry import PHI, K, Pair, equation
+
+
+@equation("calibration-linear")
+def _linear() -> Iterator[Pair]:
+    psi, (a_Y, a_Z) = 1.234, (3.0, -2.0)
+    p, q = TAN_BETA * np.cos(PHI), TAN_BETA * np.sin(PHI)
+    sine, cosine = np.empty(1), np.empty(1)
+    still = np.full(2, psi), np.full(2, a_Y), np.full(2, a_Z)
+    coupling_columns(*still, np.ones(1), np.zeros(1), 1.0, cosine, sine)
+    literal = np.hypot(a_Y, a_Z) * TAN_BETA * np.sin(psi + PHI - np.arctan2(a_Z, a_Y))
+    yield literal, p * sine[0] + q * cosine[0], 1e-16
+
+
+@equation("calibration-increment")
+def _increment() -> Iterator[Pair]:
+    """Integrals by Simpson's rule over a finely sampled motion with bias and quadratic term."""
+    t = np.linspace(0.0, 0.5, 2001)
+    f = G0 * np.column_stack([0.8 + 0.4 * t, 4 + 0 * t, 1 - t])
+    k0, k2 = 2e-3 * G0, 1e-4 / G0
+    psi = piga.propagate(instrument(PHI), t, f, error_model=ErrorModel(k0=k0, k2=k2)) - PHI
+    weights = np.full(t.size, 2.0)
+    weights[1::2], weights[0], weights[-1] = 4.0, 1.0, 1.0
+    p, q = TAN_BETA * np.cos(PHI), TAN_BETA * np.sin(PHI)
+    s, c = np.sin(psi), np.cos(psi)
+    A, P, Q, A2 = (
+        (weights * column).sum() * (t[1] - t[0]) / 3
+        for column in (f[:, 0], f[:, 1] * s - f[:, 2] * c, f[:, 1] * c + f[:, 2] * s, f[:, 0] ** 2)
+    )
+    yield K * A + K * p * P + K * q * Q + K * k0 * 0.5 + K * k2 * A2, psi[-1], 1e-12
+
+
+@equation("calibration-whitening")
+def _whitening() -> Iterator[Pair]:
+    random = np.random.default_rng(3)
+    d, h, r, q_w = random.standard_normal(20), random.uniform(0.5, 1.5, 20), 0.7, 0.2
+    literal, v, i = [], 0.0, 0.0
+    for n in range(d.size):
+        v_next = q_w * h[n] + 2 * r - (r**2 / v if n else 0.0)
+        i = d[n] + (r / v * i if n else 0.0)
+        v = v_next
+        literal.append(i / np.sqrt(v))
+    carry, scale, out = np.empty(20), np.empty(20), np.empty((1, 20))
+    innovation_weights(h, r, q_w, 0.0, carry, scale)
+    whiten(d[None], carry, scale, np.zeros(1), out)
+    yield literal, out[0], 1e-14
+
+
+@equation("calibration-counting")
+def _counting() -> Iterator[Pair]:
+    """Sum over the harmonics, pair by pair, for three readings on a path known to u, with a random walk."""
+    psi, t, c, q_w, u = np.array([0.0, 0.7, 2.4]), np.array([0.0, 1.0, 2.5]), 0.9, 2e-3, 0.02
+    m = np.arange(1.0, 61.0)
+    literal = np.empty((3, 3))
+    for j in range(3):
+        for k in range(3):
+            v = q_w * abs(t[j] - t[k]) + u**2 * (t[j] - t[k]) ** 2
+            wave = np.cos(2 * np.pi * m * (psi[j] - psi[k]) / c) * np.exp(-2 * np.pi**2 * m**2 * v / c**2)
+            literal[j, k] = np.sum(c**2 / (2 * np.pi**2 * m**2) * wave)
+    phase = 2 * np.pi * np.outer(m, psi) / c
+    found = np.zeros((9, 3, 3))
+    power = c**2 / (2 * np.pi**2 * m**2)
+    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, u**2 / c**2, found)
+    yield literal, found.sum(axis=0), 1e-6
+
+
+@equation("calibration-added-variable")
+def _added_variable() -> Iterator[Pair]:
+    """Fall of the sum of squares and estimate of a candidate, from normal equations and from the library."""
+    random = np.random.default_rng(12)
+    X, x = random.standard_normal((60, 3)), random.standard_normal(60)
+    y = X @ [1.0, -2.0, 0.5] + 0.3 * x + random.standard_normal(60)
+
+    def without_model(v: np.ndarray) -> np.ndarray:
+        return v - X @ np.linalg.solve(X.T @ X, X.T @ v)
+
+    e, rest = without_model(y), without_model(x)
+    fall, estimate = (rest @ e) ** 2 / (rest @ rest), (rest @ e) / (rest @ rest)
+    rows = np.column_stack([X, x, y])
+    pieces = [np.linalg.qr(rows[at : at + 12], mode="r") for at in range(0, 60, 12)]
+    found = tested(pieces, ["k2"], ("k2",), 60)
+    yield fall / (e @ e), found.fall, 1e-12
+    yield estimate, found.columns[0], 1e-12
+
+
+@equation("calibration-leverage")
+def _leverage() -> Iterator[Pair]:
+    """Leverage of segments and variance without one, from information matrices and from the library."""
+    random = np.random.default_rng(13)
+    rows = [random.standard_normal((7, 4)) for _ in range(4)]
+    information = [part[:, :3].T @ part[:, :3] for part in rows]
+    total = sum(information)
+    parts = []
+    for part in rows:
+        parts.append(Reduction.empty(("a", "b", "c")))
+        parts[-1].add(part[:, :3], part[:, 3])
+    yield [np.trace(A @ np.linalg.inv(total)) for A in information], leverages(parts), 1e-12
+    left = [np.diag(rest.solve()[1]) for rest in all_but_one(parts)]
+    literal = [np.diag(np.linalg.inv(total - A)) for A in information]
+    yield 1 - np.diag(np.linalg.inv(total)) / literal, 1 - np.diag(np.linalg.inv(total)) / left, 1e-11
+
+
+@equation("calibration-likelihood")
+def _likelihood() -> Iterator[Pair]:
+    """The ratio at which the dense likelihood is least is the one that the library finds."""
+    random = np.random.default_rng(11)
+    n, m, h = 300, 2, 0.05
+    X = np.column_stack([np.full(n, h), np.sin(np.arange(n) / 40.0)])
+    noise = 1e-3 * np.diff(random.standard_normal(n + 1)) + 3e-3 * np.sqrt(h) * random.standard_normal(n)
+    residual = noise - X @ np.linalg.lstsq(X, noise, rcond=None)[0]
+
+    def covariance(kappa: float) -> np.ndarray:
+        return (kappa * h + 2) * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+
+    def information(log_ratio: float) -> float:
+        return np.linalg.slogdet(X.T @ np.linalg.solve(covariance(10.0**log_ratio / h), X))[1]
+
+    def objective(log_ratio: float) -> float:
+        V = covariance(10.0**log_ratio / h)
+        S = residual @ np.linalg.solve(V, residual)
+        return (n - m) * np.log(S) + np.linalg.slogdet(V)[1] + information(log_ratio)
+
+    literal = minimize_scalar(objective, bounds=(-2.0, 2.0), method="bounded", options={"xatol": 1e-6}).x
+    found = find_noise(
+        residual,
+        np.full(n, h),
+        m,
+        0.0,
+        information=lambda grid: np.array([information(float(g)) for g in grid]),
+    )
+    yield literal, np.log10(found.walk * h / found.white), 2e-2

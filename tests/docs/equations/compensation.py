@@ -1,0 +1,113 @@
+"""Equations of docs/theory/compensation.md."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import brentq
+
+import piga
+from piga._kernels.compensate import solve_far, solve_small
+from piga.units import G0
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, instrument, run_of
+
+from .registry import F0, FORCE, LOCKED, PHI, K, Pair, T, equation, rates
+
+
+def _interval(f: np.ndarray, h: float) -> tuple[float, float, float, float]:
+    """``delta``, ``alpha_m``, ``Y``, ``Z`` of an interval of constant force."""
+    end = float(piga.closed_form(instrument(PHI), h, *f)[0])
+    _, y, z = rates(f)
+    return (end - PHI) / 2, (end + PHI) / 2, y * h, z * h
+
+
+@equation("inverse-interval")
+def _inverse() -> Iterator[Pair]:
+    for f, h in ((F0, 0.05), (F0, 2.0), (LOCKED, 0.5)):
+        delta, middle, Y, Z = _interval(f, h)
+        coupling = Y * np.sin(middle) - Z * np.cos(middle)
+
+        def misfit(
+            A: float, delta: float = delta, square: float = Y * Y + Z * Z, coupling: float = coupling
+        ) -> float:
+            q = np.sqrt(complex((A**2 - square) / 4))
+            return A * np.cos(delta) - (2 * (q / np.tan(q)).real * np.sin(delta) - coupling)
+
+        exact = K * f[0] * h
+        literal = brentq(misfit, exact - 1e-2, exact + 1e-2, xtol=1e-16)
+        yield literal, 2 * delta + solve_far(delta, Y * Y + Z * Z, coupling), 1e-13
+        yield literal, exact, 1e-13
+
+
+@equation("inverse-small")
+def _inverse_small() -> Iterator[Pair]:
+    delta, middle, Y, Z = _interval(F0, 0.05)
+    coupling = Y * np.sin(middle) - Z * np.cos(middle)
+    e, _ = solve_small(delta, Y * Y + Z * Z, coupling)
+    d = delta**2
+    w = d + delta * e + (e**2 - Y**2 - Z**2) / 4
+
+    def c(x: float) -> float:
+        return np.sqrt(x) / np.tan(np.sqrt(x))
+
+    yield e * np.cos(delta) - 2 * np.sin(delta) * (c(w) - c(d)) + coupling, 0.0, 1e-16
+
+
+@equation("interval-mean")
+def _interval_mean() -> Iterator[Pair]:
+    """The coupling of a constant force along the exact motion; its mean is what the angle turns beside u_x."""
+    h = 0.05
+    u, y, z = rates(F0)
+    ends = [float(piga.closed_form(instrument(PHI), t, *F0)[0]) for t in (0.0, h)]
+
+    def derivatives(alpha: float) -> tuple[float, float, float]:
+        g, slope = y * np.sin(alpha) - z * np.cos(alpha), y * np.cos(alpha) + z * np.sin(alpha)
+        rate = u + g
+        first = slope * rate
+        second = -g * rate**2 + slope * first
+        third = -slope * rate**3 - 3 * g * rate * first + slope * second
+        return g, first, third
+
+    (g0, first0, third0), (g1, first1, third1) = (derivatives(alpha) for alpha in ends)
+    literal = (g0 + g1) / 2 + h / 12 * (first0 - first1) - h**3 / 720 * (third0 - third1)
+    yield literal, (ends[1] - ends[0]) / h - u, 1e-13
+
+
+@equation("inverse-axis")
+def _inverse_axis() -> Iterator[Pair]:
+    """To the second order of the coupling; the library is exact."""
+    h = 0.05
+    run = run_of(np.array([0.0, h, 2 * h]), np.vstack([F0] * 3), phi=PHI)
+    calibration = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
+    delta, middle, _, _ = _interval(F0, h)
+    g = np.sin(delta) / delta
+    known = 2 * delta / (K * h)
+    literal = known - g * TAN_BETA * (F0[1] * np.sin(middle) - F0[2] * np.cos(middle))
+    yield literal, piga.compensate(run, calibration).ax[1], (np.hypot(F0[1], F0[2]) * TAN_BETA) ** 2 * K * h
+
+
+@equation("inverse-uncertainty")
+def _uncertainty() -> Iterator[Pair]:
+    r, q, u_k0, u_tan = 2e-6, 1e-6, 3e-6, 2e-7
+    values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, "k0": 0.0}
+    calibration = calibration_of(values, {"k0": u_k0, "tan_beta": u_tan}, angle_rms=r, angle_random_walk=q)
+    h = 0.01
+    run = run_of(np.array([0.0, h, 2 * h]), np.vstack([F0] * 3), phi=PHI)
+    _, middle, _, _ = _interval(F0, h)
+    J = np.array([G0, F0[1] * np.sin(middle) - F0[2] * np.cos(middle)])
+    Sigma = np.diag([u_k0**2, u_tan**2])
+    literal = np.sqrt(J @ Sigma @ J + (2 * r**2 / h + q**2) / (h * K**2))
+    yield literal, piga.compensate(run, calibration).u_ax[1], 1e-4 * literal
+
+
+@equation("inverse-published")
+def _published() -> Iterator[Pair]:
+    run = run_of(T, FORCE, phi=PHI)
+    calibration = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI}, phase_source="input")
+    found = piga.compensate(run, calibration).ax[1:]
+    turned = np.concatenate([[0.0], np.cumsum(np.diff(run.output))])
+    phase = 0.5 * (turned[1:] + turned[:-1]) + PHI
+    rate, (_, a_Y, a_Z) = np.diff(run.output) / np.diff(T), 0.5 * (FORCE[1:] + FORCE[:-1]).T
+    literal = rate / K - np.hypot(a_Y, a_Z) * TAN_BETA * np.sin(phase - np.arctan2(a_Z, a_Y))
+    yield literal, found, 1e-11

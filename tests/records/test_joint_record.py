@@ -1,0 +1,102 @@
+"""A joint calibration as a record: what is written is read back, and each run is seen by itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from piga.errors import CalibrationError
+from piga.records import calibration_json
+from piga.records.calibration import Calibration, Coefficient, Outlier, Quality, Residuals, RunRecord
+from piga.records.residuals_parquet import write_residuals
+from tests.reports.example import calibration
+
+
+def run_record(name: str, phase: str, rms: float) -> RunRecord:
+    return RunRecord(
+        name, f"{name}.csv", "dividing-head", phase, True, 600, rms, 0.5 * rms, rms, 2.0 * rms, 5.0 * rms, 3.0 * rms,
+        Quality(600, 598, 2), input_sha256={f"{name}.csv": "0" * 64},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def joint() -> Calibration:
+    """Two runs with a common scale factor and a bias of their own."""
+    return replace(
+        calibration(with_residuals=False),
+        coefficients=(
+            Coefficient("scale_factor", 0.8885, 1e-6, "rad/s/g", interval=(0.888497, 0.888505)),
+            Coefficient("k0", 1.6e-3, 1e-6, "g", run="east", degrees_of_freedom=11.0),
+            Coefficient("k0", 1.7e-3, 2e-6, "g", run="west"),
+            Coefficient("phi", 0.4, 1e-3, "rad", segment="up", run="west"),
+        ),
+        covariance=np.diag([1e-12, 1e-12, 4e-12, 1e-6]) + 1e-14,
+        runs=(run_record("east", "shared", 1e-5), run_record("west", "per-segment", 2e-5)),
+        outliers=(Outlier("spike", 12.5, 251, 1, 3e-4, "east"), Outlier("jump", 30.0, 600, 4, -2e-4)),
+    )
+
+
+def test_back_from_the_file(joint: Calibration, tmp_path: Path) -> None:
+    joint.to_json(tmp_path / "c.json")
+    found = Calibration.from_json(tmp_path / "c.json")
+    assert found.coefficients == joint.coefficients
+    assert found.runs == joint.runs
+    assert found.outliers == joint.outliers
+    np.testing.assert_array_equal(found.covariance, joint.covariance)
+    found.to_json(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "c.json").read_bytes()
+
+
+def test_one_run_of_it(joint: Calibration) -> None:
+    west = joint.for_run("west")
+    assert [c.key for c in west.coefficients] == ["scale_factor", "k0", "phi[up]"]
+    assert west["k0"].value == 1.7e-3
+    assert (west.phase, west.angle_rms, west.runs) == ("per-segment", 2e-5, ())
+    np.testing.assert_array_equal(west.covariance, joint.covariance[np.ix_([0, 2, 3], [0, 2, 3])])
+    assert joint.for_run("east")["k0"].value == 1.6e-3
+    with pytest.raises(CalibrationError, match=r"no run 'south'(?s:.*)runs: east, west"):
+        joint.for_run("south")
+    with pytest.raises(CalibrationError, match="none: it is a calibration of one run"):
+        west.for_run("west")
+    with pytest.raises(KeyError, match=r"no coefficient 'k0'; there are: scale_factor, k0\[east\]"):
+        _ = joint["k0"]
+
+
+def test_intervals_and_factors(joint: Calibration) -> None:
+    by_interval, by_student, normal = joint.coefficients[:3]
+    assert by_interval.limits == (0.888497, 0.888505)
+    assert math.isclose(by_interval.expanded, 4e-6, rel_tol=1e-9)
+    assert math.isclose(by_student.coverage_factor, 2.200985160, rel_tol=1e-9)  # Student, 11 degrees, 97.5 %
+    assert math.isclose(normal.coverage_factor, 1.959963985, rel_tol=1e-9)
+    low, high = normal.limits
+    assert math.isclose(high - low, 2.0 * 1.959963985 * 2e-6, rel_tol=1e-6)
+    assert math.isclose(high + low, 2.0 * 1.7e-3, rel_tol=1e-12)
+
+
+def test_residuals_name_their_run(joint: Calibration, tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="holds no residuals"):
+        write_residuals(joint, tmp_path / "r.parquet")
+    assert not (tmp_path / "r.parquet").exists()
+    numbers = np.arange(4.0)
+    found = Residuals(
+        np.arange(4), numbers, numbers, numbers, numbers, numbers, numbers,
+        np.zeros(4, np.int32), np.array([0, 0, 1, 1], np.int32),
+    )  # fmt: skip
+    write_residuals(replace(joint, residuals=found), tmp_path / "r.parquet")
+    table = pq.read_table(tmp_path / "r.parquet")
+    assert table.column("run").to_pylist() == ["east", "east", "west", "west"]
+    assert table.schema.field("before").metadata == {b"unit": b"rad"}
+
+
+def test_a_file_too_large_to_be_one(
+    joint: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    joint.to_json(tmp_path / "c.json")
+    monkeypatch.setattr(calibration_json, "MAX_BYTES", 1000)
+    with pytest.raises(CalibrationError, match=r"c\.json: larger than 1000 bytes"):
+        Calibration.from_json(tmp_path / "c.json")

@@ -1,0 +1,157 @@
+"""Lines longer than any log's are named as such; wide files, long comments and files of one line kind are read."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piga
+from piga.records.text_reader import TextStream
+from piga.records.text_source import MAX_HEAD
+from tests.records.files import events, lines, write_run
+
+HEADER = b"t,n,fx,fy,fz\n"
+ROWS = ("\n".join(lines()) + "\n").encode()
+LONG = b"1" * (3 << 20)
+
+
+def read(folder: Path, content: bytes, name: str = "run.csv", **options: str) -> piga.Run:
+    (folder / name).write_bytes(content)
+    return piga.read_run(write_run(folder, name, **options))
+
+
+@pytest.mark.parametrize(
+    ("content", "row"),
+    [
+        (HEADER + LONG + b"\n", 2),
+        (HEADER + LONG, 2),
+        (HEADER + LONG + b"\n" + ROWS, 2),
+        (HEADER + b"s,1,g,g,g\n" + LONG + b"\n", 3),
+        (LONG + b"\n" + ROWS, 1),
+        (LONG, 1),
+        (b"# made by a logger\n\n" + HEADER + LONG + b"\n", 4),
+        (b"# noise\n" * (MAX_HEAD // 8) + HEADER + ROWS, MAX_HEAD // 8 + 1),
+        ((HEADER + LONG + b"\n" + ROWS).decode().encode("utf-16"), 2),
+        ((HEADER + LONG + b"\n" + ROWS).replace(b"\n", b"\r"), 2),
+    ],
+)
+@pytest.mark.parametrize("piece", [None, 1000])
+def test_first_lines_that_are_too_long(tmp_path: Path, content: bytes, row: int, piece: int | None) -> None:
+    (tmp_path / "run.csv").write_bytes(content)
+    if piece is not None and len(content) > 4 << 20:
+        pytest.skip("thousands of pieces take seconds")
+    with pytest.raises(
+        piga.DataError, match=rf"run\.csv: row {row}: a line too long, or too many comments"
+    ) as caught:
+        TextStream(tmp_path / "run.csv", ("t", "n"), None, piece=piece)
+    assert "first 1 MiB" in str(caught.value)
+    assert caught.value.remedy
+
+
+def test_a_packed_file_with_a_long_line(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).integers(48, 58, 3 << 20, dtype=np.uint8).tobytes()
+    with pytest.raises(piga.DataError, match=r"row 2: a line too long"):
+        read(tmp_path, gzip.compress(HEADER + noise + b"\n"), "run.csv.gz")
+
+
+@pytest.mark.parametrize("size", [3 << 20, 5 << 20])
+def test_a_long_line_further_on_is_named_by_its_row(tmp_path: Path, size: int) -> None:
+    content = HEADER + ROWS + b"1" * size + b"\n" + ROWS
+    with pytest.raises(piga.DataError, match="row 42 has 1 cells, the header has 5"):
+        read(tmp_path, content)
+    masked = read(tmp_path, HEADER + ROWS + b"1" * size + b"\n", data="damaged_rows = 'mask'")
+    assert (masked.size, events(masked)) == (40, {"short-row": 1})
+
+
+def test_a_line_without_end(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError, match="a line is longer than 16 MiB"):
+        read(tmp_path, HEADER + ROWS + b"1" * (40 << 20) + b"\n")
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+@pytest.mark.parametrize("units", [False, True])
+def test_a_file_of_four_thousand_columns(tmp_path: Path, end: bytes, units: bool) -> None:
+    """Header and first row are longer than the 64 KiB that are looked at first."""
+    more = 4000
+    names = HEADER.rstrip() + b"".join(b",channel_number_%05d" % i for i in range(more))
+    rows = [line.encode() + b",0.123456789012" * more for line in lines()]
+    unit_row = [b"s,,g,g,g" + b",V" * more] if units else []
+    run = read(tmp_path, end.join([names, *unit_row, *rows, b""]))
+    (tmp_path / "plain").mkdir()
+    plain = read(tmp_path / "plain", HEADER + ROWS)
+    np.testing.assert_array_equal(run.t, plain.t)
+    np.testing.assert_array_equal(run.output, plain.output)
+    np.testing.assert_array_equal(run.row, plain.row + units)
+
+
+def test_comments_longer_than_what_is_looked_at_first(tmp_path: Path) -> None:
+    run = read(tmp_path, b"# noise\n" * 20_000 + HEADER + ROWS)
+    assert run.size == 40
+    assert run.row[0] == 20_002
+
+
+def test_a_file_of_comments_is_empty(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError, match="the file is empty"):
+        read(tmp_path, b"# made by a logger\n# that stopped\n\n")
+
+
+ONE_COLUMN = """\
+[instrument]
+serial = "T-1"
+scale_factor = "0.8884 rad/s/g"
+counts_per_revolution = 72000
+{instrument}
+[data]
+file = "run.csv"
+sample_rate = "20 Hz"
+output = {{ column = "n", kind = "counts" }}
+[model]
+terms = ["scale_factor"]
+"""
+
+
+def one_column(folder: Path, rows: list[str], instrument: str = "") -> piga.Run:
+    (folder / "run.csv").write_text("\n".join(["n", *rows, ""]))
+    (folder / "run.toml").write_text(ONE_COLUMN.format(instrument=instrument))
+    return piga.read_run(folder / "run.toml", need_reference=False)
+
+
+def test_one_column_without_a_reference(tmp_path: Path) -> None:
+    """Lines of blanks are blank lines there, not missing values."""
+    run = one_column(tmp_path, ["0", "509", "  ", "1018", "1527", "\t", "2036"])
+    np.testing.assert_allclose(run.output, np.arange(5) * 509 * 2.0 * np.pi / 72000.0, rtol=1e-15)
+    np.testing.assert_array_equal(run.row, [2, 3, 5, 6, 8])
+    assert events(run) == {"blank-line": 2}
+    assert np.isnan(run.f).all()
+    with pytest.raises(piga.RunFileError, match=r"\[data\] reference is missing(?s:.*)or a \[stand\] table"):
+        piga.read_run(tmp_path / "run.toml")
+
+
+def test_a_counter_that_folds_without_a_reference(tmp_path: Path) -> None:
+    """The largest step seen stands for what the reference would allow."""
+    counts = [str(509 * i % 65536) for i in range(400)]
+    run = one_column(tmp_path, counts, "counter_bits = 16")
+    np.testing.assert_allclose(np.diff(run.output), 509 * 2.0 * np.pi / 72000.0, rtol=1e-9)
+    assert events(run) == {"counter-roll-over": 3}
+    with pytest.raises(piga.DataError, match="a roll-over cannot be told"):
+        one_column(tmp_path, [str(30_000 * i % 65536) for i in range(400)], "counter_bits = 16")
+
+
+def test_a_comma_in_a_cell_of_a_file_with_points(tmp_path: Path) -> None:
+    text = (HEADER + ROWS).decode().replace(",", ";").replace("1018;", "1,018;", 1)
+    with pytest.raises(piga.DataError, match=r"row 4, column 'n' \(B\): '1,018'(?s:.*)is ',' a decimal mark"):
+        read(tmp_path, text.encode(), data="decimal = '.'")
+
+
+def test_the_first_hundred_faults_are_listed(tmp_path: Path) -> None:
+    bad = "".join(f"{i / 20.0},{i},x,0.1,0.0\n" for i in range(130)).encode()
+    with pytest.raises(piga.DataError, match=r"row 101, column 'fx'.*; and 30 more") as caught:
+        read(tmp_path, HEADER + bad)
+    assert "row 102, column" not in str(caught.value)
+    masked = read(
+        tmp_path, HEADER + bad + ROWS.replace(b"0.0000,0,", b"9.0000,0,"), data="damaged_rows = 'mask'"
+    )
+    assert events(masked)["not-a-number"] == 130

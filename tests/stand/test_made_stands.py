@@ -1,0 +1,70 @@
+"""Stands of other stands, logged profiles, and the table of what is assumed and felt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piga.errors import ArgumentError, DataError
+from piga.stand import (
+    Centrifuge,
+    Composite,
+    Imperfections,
+    LoggedProfile,
+    force_change,
+    sample_stand,
+)
+from piga.stand.imperfections import NONE
+from piga.stand.logged import read_profile
+from piga.units import G0
+
+from .stands import HEAD, SITE, SPIN
+
+
+def test_composite_is_its_parts_in_order():
+    stand = Composite((replace(HEAD, positions=(0.0, 1.0)), Centrifuge(SITE, 1.0, SPIN)), pause=10.0)
+    labels = [s.label for s in stand.segments()]
+    assert labels[:4] == ["0.0", "0.move to 1", "0.1", "pause before 1"]
+    f, _ = stand.motion(np.array([120.0, 165.0, 161.0]), NONE)
+    first, _ = HEAD.motion(np.array([30.0]), NONE)
+    second, _ = Centrifuge(SITE, 1.0, SPIN).motion(np.array([1.0]), NONE)
+    assert f[2] == pytest.approx(second[0])
+    assert np.linalg.norm(first) == pytest.approx(9.80166)
+    start, _ = stand.motion(np.array([150.0, 155.0, 160.0]), NONE)
+    assert start[1] == pytest.approx(0.5 * (start[0] + start[2]))
+    assert {"arm_radius", "angle_error"} <= set(stand.accepted)
+    only_arm = force_change(stand, np.array([30.0, 161.0]), Imperfections(arm_radius=1e-3))
+    assert np.all(only_arm[0] == 0.0)
+    assert only_arm[1, 0] == pytest.approx(1e-3, rel=1e-2)
+
+
+def test_logged_profile_is_linear_between_samples(tmp_path):
+    path = tmp_path / "profile.csv"
+    path.write_text("t,fx,fy,fz,wx,wy,wz\n0,1,0,0,0,0,0\n1000,2,0,1,0.1,0,0\n3000,0,0,0,0,0,0\n")
+    stand = read_profile(path, ("t", "ms"), (("fx", "fy", "fz"), "g"), (("wx", "wy", "wz"), "rad/s"))
+    f, omega = stand.motion(np.array([0.5, 2.0]), NONE)
+    assert f / G0 == pytest.approx(np.array([[1.5, 0, 0.5], [1, 0, 0.5]]))
+    assert omega[:, 0] == pytest.approx([0.05, 0.05])
+    with pytest.raises(DataError, match="no column 'fq'"):
+        read_profile(path, ("t", "s"), (("fq", "fy", "fz"), "g"))
+    with pytest.raises(DataError, match="cannot be read"):
+        read_profile(tmp_path / "none.csv", ("t", "s"), (("fx", "fy", "fz"), "g"))
+    path.write_text("t,fx,fy,fz\n0,1,0,0\n1,,0,1\n")
+    with pytest.raises(DataError, match="row 2"):
+        read_profile(path, ("t", "s"), (("fx", "fy", "fz"), "g"))
+    with pytest.raises(ArgumentError, match="increasing"):
+        LoggedProfile(np.array([0.0, 0.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+
+
+def test_table_says_what_the_lab_assumes_and_what_is_felt():
+    errors = Imperfections(reference_scale=1e-3, gravity=1e-3)
+    profile = sample_stand(HEAD, 1.0, errors=errors)
+    assert profile.reference[0] == pytest.approx([9.80166, 0, 0])
+    assert profile.force[0, 0] == pytest.approx((9.80166 + 1e-3) * 1.001)
+    fine = sample_stand(HEAD, 1.0, oversample=4, extra=3)
+    assert fine.t[4] == 1.0
+    assert fine.t.size == 4 * (profile.t.size - 1) + 1 + 3
+    with pytest.raises(ArgumentError, match="not a multiple"):
+        sample_stand(HEAD, 0.7)
+    with pytest.raises(ArgumentError, match="'arm_radius' does not exist on a dividing-head"):
+        sample_stand(HEAD, 1.0, errors=Imperfections(arm_radius=1e-3))

@@ -1,0 +1,110 @@
+"""Simulated tests: the log holds the motion that was simulated, with what disturbs it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from piga.instrument import ErrorModel, Instrument
+from piga.instrument.electronics import Electronics, Temperature
+from piga.stand import (
+    DividingHead,
+    Imperfections,
+    Specimen,
+    simulate_test,
+)
+from piga.units import G0
+
+from .simulated import COUNTS, HEAD, INST, SITE
+
+pytestmark = pytest.mark.compiled
+
+
+def test_log_holds_what_the_gimbal_did():
+    test = simulate_test(HEAD, Specimen(INST), COUNTS)
+    assert test.log.labels == ("0", "1", "2", "3")
+    assert test.log.t.size == 4 * 201
+    rows = np.searchsorted(test.profile.t, test.log.t - 1e-9)
+    psi = test.log.output * 2 * math.pi / 72000
+    assert np.abs(psi + 0.5 - test.alpha[rows]).max() <= math.pi / 72000 * 1.0001
+    assert test.phases == (0.5,) * 4
+    assert np.all(test.log.reference == test.profile.reference[rows])
+
+
+def test_harmonics_of_the_gimbal_angle_enter_the_motion():
+    """Second harmonic by iteration, against a direct integration."""
+    harmonics = {1: (2e-3, 1e-3), 2: (3e-3, -1e-3)}
+    stand = DividingHead(SITE, (0.3,), dwell=10.0, move=1.0)
+    test = simulate_test(stand, Specimen(INST, harmonics=harmonics), COUNTS, step=2e-3)
+    f, omega = test.profile.force[0], test.profile.base_rate[0]
+    u = INST.scale_factor * f - omega
+
+    def slope(_t, x):
+        extra = sum(s * math.sin(n * x[0]) + c * math.cos(n * x[0]) for n, (s, c) in harmonics.items())
+        pull = u[1] * math.sin(x[0]) - u[2] * math.cos(x[0])
+        return [u[0] + INST.tan_beta * pull + INST.scale_factor * extra]
+
+    truth = solve_ivp(slope, (0.0, 10.0), [0.8], method="DOP853", rtol=1e-12, atol=1e-12)
+    assert test.alpha[-1] == pytest.approx(truth.y[0, -1], abs=1e-8)
+
+
+def test_random_walk_enters_the_motion_exactly():
+    """With rate noise the walked angle acts as phase: against an integration with the same increments."""
+    stand = DividingHead(SITE, (1.0,), dwell=10.0, move=1.0)
+    e = replace(COUNTS, angle_random_walk=1e-2, kind="angle")
+    specimen = Specimen(Instrument("0.8884 rad/s/g", "2 deg", 0.8))
+    test = simulate_test(stand, specimen, e, seed=3, step=0.01)
+    plain = simulate_test(stand, specimen, replace(e, angle_random_walk=0.0), step=0.01)
+    walk = np.concatenate([[0.0], np.cumsum(1e-3 * np.random.default_rng(3).spawn(4)[0].standard_normal(1000))])
+    u = INST.scale_factor * test.profile.force - test.profile.base_rate
+    tangent = specimen.instrument.tan_beta
+    alpha = [0.8]
+    for k in range(1000):
+        parts = 50
+        x = alpha[-1]
+        for j in range(parts):
+            w = walk[k] + (walk[k + 1] - walk[k]) * (j + 0.5) / parts - walk[k]
+            mid = x + w
+            x += (u[k, 0] + tangent * (u[k, 1] * math.sin(mid) - u[k, 2] * math.cos(mid))) * 0.01 / parts
+        alpha.append(x + walk[k + 1] - walk[k])
+    assert np.std(test.alpha - plain.alpha) > 1e-3
+    assert test.alpha == pytest.approx(np.array(alpha), abs=1e-4)
+
+
+def test_clock_errors_shift_the_samples():
+    late = simulate_test(HEAD, Specimen(INST), replace(COUNTS, kind="angle", clock_offset=0.02))
+    plain = simulate_test(HEAD, Specimen(INST), replace(COUNTS, kind="angle"))
+    rate = np.interp(late.log.t, late.profile.t, late.rate)
+    assert late.log.output - plain.log.output == pytest.approx(0.02 * rate, abs=2e-4)
+    fast = simulate_test(
+        HEAD, Specimen(INST), replace(COUNTS, kind="angle"), imperfections=Imperfections(timing=1e-3)
+    )
+    shift = fast.log.output - plain.log.output
+    assert shift[100] == pytest.approx(1e-3 * fast.log.t[100] * rate[100], rel=1e-2)
+    assert np.all(fast.log.t == plain.log.t)
+
+
+def test_temperature_is_felt_and_logged_with_its_error():
+    specimen = Specimen(INST, ErrorModel(k0_T="1e-4 g/K"))
+    warm = simulate_test(
+        HEAD,
+        specimen,
+        COUNTS,
+        temperature=Temperature(303.15),
+        imperfections=Imperfections(temperature=0.5),
+    )
+    assert warm.log.temperature == pytest.approx(302.65)
+    plain = simulate_test(HEAD, Specimen(INST), COUNTS)
+    assert (warm.alpha[-1] - plain.alpha[-1]) == pytest.approx(
+        INST.scale_factor * 1e-3 * G0 * warm.profile.t[-1], rel=1e-2
+    )
+
+
+def test_bias_walk_and_rate_output():
+    e = Electronics(sample_rate=10.0, kind="rate", bias_random_walk=1e-3)
+    walked = simulate_test(HEAD, Specimen(INST), e)
+    plain = simulate_test(HEAD, Specimen(INST), replace(e, bias_random_walk=0.0))
+    assert np.std(walked.log.output - plain.log.output) > 1e-4
+    assert plain.log.output[0] == pytest.approx(plain.rate[0])

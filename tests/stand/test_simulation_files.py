@@ -1,0 +1,150 @@
+"""Scenarios and the files of simulated tests: they belong together, and bad ones are refused by name."""
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piga.calibration import calibrate
+from piga.errors import PigaError, RunFileError
+from piga.stand import (
+    read_scenario,
+    run_scenario,
+)
+from piga.stand.truth import imperfection_values
+from piga.stand.write_run import log_table, run_file_text, truth_text, write_data
+
+from .simulated import SCENARIO, saved, truth_of, written
+
+pytestmark = pytest.mark.compiled
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENARIOS = [
+    path
+    for path in sorted(EXAMPLES.glob("*.toml"))
+    if "\n[stand]" in path.read_text(encoding="utf-8") and not path.name.startswith("plan-")
+]
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda p: p.stem)
+def test_examples_are_valid(path):
+    scenario = read_scenario(path)
+    assert len(SCENARIOS) >= 6
+    assert scenario.stand.segments()
+
+
+def test_run_file_truth_and_data_belong_together(tmp_path):
+    scenario = read_scenario(written(tmp_path))
+    test = run_scenario(scenario)
+    run = saved(scenario, test, tmp_path)
+    assert run.serial == "S-1"
+    assert run.size == test.log.t.size
+    assert run.labels == test.log.labels
+    assert np.abs(run.f - test.log.reference).max() < 1e-14
+    document = json.loads(truth_text(scenario, test))
+    assert document["schema"] == "piga.truth/1"
+    names = {c["name"]: c for c in document["coefficients"]}
+    assert names["tan_beta"]["value"] == pytest.approx(math.tan(74 * math.pi / 648000))
+    assert names["phi"] == {"name": "phi", "value": pytest.approx(0.5), "unit": "rad", "segment": None}
+    assert names["k0"]["unit"] == "g"
+    table = tomllib.loads(run_file_text(scenario, test, "run.parquet"))
+    assert table["model"] == {"terms": ["scale_factor", "tan_beta", "k0"], "phase": "shared"}
+
+
+def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
+    path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
+    scenario = read_scenario(path)
+    test = run_scenario(scenario)
+    run = saved(scenario, test, tmp_path)
+    assert run.model.phase == "per-segment"
+    cal = calibrate(run)
+    phases = [c for c in cal.coefficients if c.name == "phi"]
+    truth = truth_of(test)
+    assert len(phases) == 6
+    for c in phases:
+        assert abs(math.remainder(c.value - truth["phi", c.segment], 2 * math.pi)) < 5 * c.std
+
+
+def test_csv_holds_the_same_as_parquet(tmp_path):
+    from pyarrow import csv
+
+    test = run_scenario(read_scenario(written(tmp_path)))
+    write_data(test, tmp_path / "run.csv")
+    table, own = csv.read_csv(tmp_path / "run.csv"), log_table(test)
+    for name in own.column_names:
+        assert np.array_equal(table[name].to_numpy(), own[name].to_numpy())
+
+
+def test_same_seed_same_bytes_other_seed_other_noise(tmp_path):
+    noisy = written(tmp_path, noise=('zero = "0.5 rad"', 'angle_noise = "1e-4 rad"\nclock_jitter = "1 us"'))
+    scenario = read_scenario(noisy)
+    for name, seed in (("a", 4), ("b", 4), ("c", 5)):
+        write_data(run_scenario(scenario, seed=seed), tmp_path / f"{name}.parquet")
+    a, b, c = ((tmp_path / f"{name}.parquet").read_bytes() for name in "abc")
+    assert a == b
+    assert a != c
+
+
+def test_harmonics_are_true_in_the_zero_of_the_output(tmp_path):
+    path = written(
+        tmp_path, more=('k0 = "3e-4 g"', 'k0 = "3e-4 g"\ns2 = "1e-3 g"\nc2 = "-5e-4 g"\ns1 = "1e-4 g"')
+    )
+    scenario = read_scenario(path)
+    test = run_scenario(scenario)
+    truth = truth_of(test)
+    alpha = np.linspace(0, 6, 50)
+    own = 1e-3 * np.sin(2 * alpha) - 5e-4 * np.cos(2 * alpha)
+    psi = alpha - 0.5
+    assert truth["s2", None] * np.sin(2 * psi) + truth["c2", None] * np.cos(2 * psi) == pytest.approx(own)
+    assert math.hypot(truth["s1", None], truth["c1", None]) == pytest.approx(1e-4)
+
+
+def test_negative_beta_turns_the_phase(tmp_path):
+    path = written(tmp_path, beta=('beta = "74 arcsec"', 'beta = "-74 arcsec"'))
+    scenario = read_scenario(path)
+    test = run_scenario(scenario)
+    cal = calibrate(saved(scenario, test, tmp_path))
+    assert cal["tan_beta"].value == pytest.approx(math.tan(74 * math.pi / 648000), abs=4 * cal["tan_beta"].std)
+    assert math.remainder(cal["phi"].value - truth_of(test)["phi", None], 2 * math.pi) == pytest.approx(
+        0.0, abs=4 * cal["phi"].std
+    )
+
+
+def test_drawn_imperfections_come_from_the_seed(tmp_path):
+    extra = '\n[imperfections]\nreference_scale = "10 ppm"\n[run]\nimperfections = "drawn"\n'
+    scenario = read_scenario(written(tmp_path, SCENARIO + extra))
+    values = [imperfection_values(scenario.imperfections(seed))[0].value for seed in (1, 1, 2)]
+    assert values[0] == values[1] != values[2]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('serial = "S-1"', 'serial = "S-1"\nmass = 3', "mass"),
+        ('sample_rate = "10 Hz"', "", "sample_rate"),
+        ('sample_rate = "10 Hz"', 'sample_rate = "10 m"', r"\[electronics\] sample_rate"),
+        ('k0 = "3e-4 g"', 'k9 = "3e-4 g"', "k9"),
+        ('k0 = "3e-4 g"', 'k0 = "3e-4 m"', r"\[truth\] k0"),
+        ('k0 = "3e-4 g"', "tan_beta = 1e-3", "same thing"),
+        ('positions = "0:360:60 deg"', 'positions = "0:360 deg"', "no range"),
+        ('latitude = "40 deg"', 'latitude = "40"', r"\[stand\] latitude"),
+        ('kind = "dividing-head"', 'kind = "swing"', "swing"),
+        ('dwell = "20 s"', 'dwell = "0 s"', "must be positive"),
+        ('move = "5 s"', 'move = "5 s"\n[imperfections]\narm_radius = "1 m"', "arm_radius"),
+        ('move = "5 s"', 'move = "5 s"\n[twin]\ndampin = 1', r"\[twin\]"),
+    ],
+)
+def test_scenario_errors_name_file_and_key(tmp_path, old, new, words):
+    path = written(tmp_path, change=(old, new))
+    with pytest.raises(RunFileError, match=words) as caught:
+        read_scenario(path)
+    assert "scenario.toml" in str(caught.value)
+
+
+def test_errors_while_running_name_the_file(tmp_path):
+    path = written(tmp_path, rate=('sample_rate = "10 Hz"', 'sample_rate = "0.3 Hz"'))
+    with pytest.raises(PigaError, match=r"scenario.toml: segment 'move to 1' lasts"):
+        run_scenario(read_scenario(path))

@@ -1,0 +1,141 @@
+"""Centrifuge and rate table: kinematics differentiated in inertial space, levels, imperfections."""
+
+import math
+
+import numpy as np
+import pytest
+
+from piga.earth import EARTH_RATE
+from piga.errors import ArgumentError
+from piga.stand import (
+    Centrifuge,
+    Imperfections,
+    RateTable,
+    SpinPlan,
+    force_change,
+)
+from piga.stand.centrifuge import rates_for_levels
+from piga.stand.imperfections import NONE
+from piga.units import G0
+
+from .stands import SITE, SPIN, derivative
+
+
+def inertial(spindle, arm, t, h=2e-3):
+    """Specific force of a point on an arm, in axes (north, west, up), from its place in inertial space.
+
+    ``spindle(t)`` is the arm's angle from north over west; the Earth turns under the stand. The
+    centripetal acceleration of the Earth is in gravity, so that of a point at rest is taken off.
+    """
+    axis = np.array([math.cos(SITE.latitude), 0.0, math.sin(SITE.latitude)])
+
+    def place(time):
+        local = (
+            np.column_stack([np.cos(spindle(time)), np.sin(spindle(time)), np.zeros(time.size)])
+            * arm(time)[:, None]
+        )
+        turn = EARTH_RATE * time
+        cross = np.cross(axis, local)
+        return local + np.sin(turn)[:, None] * cross + (1 - np.cos(turn))[:, None] * np.cross(axis, cross)
+
+    # fourth-order second derivative, then back to local axes at each time
+    steps = [place(t + k * h) for k in (-2, -1, 0, 1, 2)]
+    second = (-steps[0] + 16 * steps[1] - 30 * steps[2] + 16 * steps[3] - steps[4]) / (12 * h * h)
+    turn = -EARTH_RATE * t
+    cross = np.cross(axis, second)
+    local = second + np.sin(turn)[:, None] * cross + (1 - np.cos(turn))[:, None] * np.cross(axis, cross)
+    return local + np.array([0.0, 0.0, 9.80166])
+
+
+@pytest.mark.parametrize("counter_rotating", [False, True])
+def test_centrifuge_force_is_the_second_derivative_of_its_place(counter_rotating):
+    stand = Centrifuge(SITE, 1.3, SPIN, counter_rotating=counter_rotating)
+    t = np.linspace(0.1, 7.9, 79)
+    t = t[np.abs(t - np.round(t)) > 0.05]
+    f, omega = stand.motion(t, NONE)
+    # the arm points away from X0: at angle 0 the instrument is south of the spindle
+    angle = SPIN.nominal(t).angle
+    truth = inertial(lambda s: SPIN.nominal(s).angle + math.pi, lambda s: np.full(s.size, 1.3), t)
+    c, s = np.cos(angle), np.sin(angle)
+    if not counter_rotating:
+        truth = np.column_stack(
+            [c * truth[:, 0] + s * truth[:, 1], c * truth[:, 1] - s * truth[:, 0], truth[:, 2]]
+        )
+    assert f == pytest.approx(truth, abs=3e-7)
+    spinning = 0.0 if counter_rotating else SPIN.nominal(t).rate
+    assert omega[:, 2] - spinning == pytest.approx(EARTH_RATE * math.sin(SITE.latitude), abs=1e-12)
+
+
+def test_centrifuge_levels_come_out():
+    levels = tuple(np.array([1.0, 5.0, 20.0]) * G0)
+    for stretch in (0.0, 1e-5):
+        spin = SpinPlan(rates_for_levels(levels, 0.8, stretch), 4.0, 2.0)
+        f, _ = Centrifuge(SITE, 0.8, spin, stretch).motion(np.array([2.0, 8.0, 14.0]), NONE)
+        assert f[:, 0] == pytest.approx(levels, rel=2e-4)
+        f, _ = Centrifuge(SITE, 0.8, spin, stretch, outward=True).motion(np.array([2.0]), NONE)
+        assert f[0, 0] == pytest.approx(-levels[0], rel=2e-4)
+    with pytest.raises(ArgumentError, match="negative"):
+        rates_for_levels((-1.0,), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("errors", "relative"),
+    [
+        (Imperfections(arm_radius=1e-5), 1e-5 / 1.3),
+        (Imperfections(arm_stretch=1e-7), 16e-7),
+        (Imperfections(rate_error=1e-6), 2e-6),
+    ],
+)
+def test_imperfections_of_the_centrifuge(errors, relative):
+    stand = Centrifuge(SITE, 1.3, SPIN)
+    t = np.linspace(3.0, 5.0, 20)
+    assert force_change(stand, t, errors)[:, 0] / (1.3 * 16) == pytest.approx(relative, rel=1e-3)
+
+
+def test_rate_ripple_and_tilt_go_round_once():
+    stand = Centrifuge(SITE, 1.3, SPIN)
+    t = np.linspace(3.0, 3.0 + 2 * math.pi / 4, 41)[:-1]
+    angle = SPIN.nominal(t).angle
+    change = force_change(stand, t, Imperfections(rate_ripple=1e-6))[:, 0]
+    assert change == pytest.approx(1.3 * 16 * 2e-6 * np.cos(angle), abs=1e-9)
+    tilted = force_change(stand, t, Imperfections(levelling=(0.0, 1e-6)))[:, 0]
+    assert np.abs(np.fft.fft(tilted)[1]) * 2 / t.size == pytest.approx(9.80166e-6, rel=1e-3)
+
+
+def test_spin_integrates_and_differentiates():
+    t = np.linspace(0.0, 8.0, 81)
+    t = t[np.abs(t - np.round(t)) > 0.02]
+    for errors in (NONE, Imperfections(rate_error=1e-2, rate_ripple=1e-2)):
+        spin = SPIN.true(t, errors)
+        assert spin.rate == pytest.approx(derivative(lambda s, e=errors: SPIN.true(s, e).angle, t), abs=1e-6)
+        assert spin.acceleration == pytest.approx(
+            derivative(lambda s, e=errors: SPIN.true(s, e).rate, t), abs=1e-5
+        )
+
+
+def test_rate_table_turns_gravity_or_not():
+    t = np.linspace(0.0, 2.0, 21)
+    up, rate = RateTable(SITE, SPIN, along="X0").motion(t, NONE)
+    assert up[:, 0] == pytest.approx(9.80166)
+    assert rate[:, 0] == pytest.approx(1.0 + EARTH_RATE * math.sin(SITE.latitude))
+    f, rate = RateTable(SITE, SPIN, along="Z0", horizontal=True).motion(t, NONE)
+    assert f[:, 0] == pytest.approx(9.80166 * np.cos(t), abs=1e-12)
+    assert f[:, 1] == pytest.approx(-9.80166 * np.sin(t), abs=1e-12)
+    assert rate[:, 2] == pytest.approx(1.0 + EARTH_RATE * math.cos(SITE.latitude))
+    away, _ = RateTable(SITE, SPIN, along="-X0").motion(t, NONE)
+    assert away[:, 0] == pytest.approx(-9.80166)
+    arm, _ = RateTable(SITE, SPIN, along="Z0", offset=0.2).motion(t, NONE)
+    assert arm[:, 0] == pytest.approx(-0.2)
+    with pytest.raises(ArgumentError, match="no base axis"):
+        RateTable(SITE, SPIN, along="X1")
+
+
+@pytest.mark.parametrize("along", ["X0", "Y0", "Z0", "-X0", "-Y0", "-Z0"])
+def test_mounting_keeps_handedness(along):
+    f, omega = RateTable(SITE, SPIN, along=along, offset=0.3).motion(np.array([2.5]), NONE)
+    plain, plain_omega = RateTable(SITE, SPIN, along="Z0", offset=0.3).motion(np.array([2.5]), NONE)
+    assert np.linalg.norm(np.cross(f[0], omega[0])) == pytest.approx(
+        np.linalg.norm(np.cross(plain[0], plain_omega[0]))
+    )
+    axis, sign = "XYZ".index(along[-2]), -1 if along[0] == "-" else 1
+    assert omega[0, axis] * sign == pytest.approx(plain_omega[0, 2])
