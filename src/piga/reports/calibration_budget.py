@@ -10,6 +10,8 @@ from piga.reports.calibration_tables import SHOWN_NAMES, common_coefficients
 from piga.reports.numbers import friendly, pretty_unit, printed, short
 from piga.reports.page import Cell, Column, Table
 
+NOTHING = 1e-9
+"""Contribution, in standard uncertainties of the coefficient, that is rounding of the arithmetic."""
 SLIGHT = 0.01
 """Share of the variance below which a source is left out on the terminal."""
 
@@ -61,7 +63,8 @@ def _budget_row(
         part = abs(_contribution(source, coefficient))
         amount, whole = part * _friendly_unit(coefficient)[1], total.get(coefficient.key, 0.0)
         share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
-        cells.append(Cell(printed(short(amount, 2)) + share) if amount else Cell("–", "quiet"))
+        shown = part > NOTHING * coefficient.std
+        cells.append(Cell(printed(short(amount, 2)) + share) if shown else Cell("–", "quiet"))
     given = source.get("standard_uncertainty")
     entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
     degrees = source.get("degrees_of_freedom")
@@ -106,7 +109,7 @@ def sensitivity_table(cal: Calibration) -> Table | None:
 
 def _sensitivity(row: dict[str, Any], coefficient: Coefficient, scale: float) -> str | Cell:
     found = row["sensitivities"].get(coefficient.key)
-    if found is None or found["value"] == 0.0:
+    if found is None or abs(_contribution(row, coefficient)) <= NOTHING * coefficient.std:
         return Cell("–", "quiet")
     return printed(short(found["value"] * scale, 3))
 
