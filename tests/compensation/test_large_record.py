@@ -176,7 +176,7 @@ def test_rows_that_are_left_out_are_counted(tmp_path: Path, monkeypatch: pytest.
 
 def test_values_outside_of_their_range_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fz = np.full(ROWS, G0)
-    fz[[7, 8, 300]] = 50.0
+    fz[[7, 8, 300]] = 40.0, 50.0, -40.0
     path = written(tmp_path, fz=fz, more="range = { fz = [-40.0, 40.0] }")
     repairs = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
     assert repairs["missing-value"] == 3

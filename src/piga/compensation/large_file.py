@@ -201,10 +201,10 @@ class LargeFile:
 
 
 def _inside(values: Array, limits: tuple[float, float] | None) -> Array:
-    """Values outside of their range are missing."""
+    """Values at the limits of their range, or beyond, are missing: the column may be saturated there."""
     if limits is None:
         return values
-    return np.where((values >= limits[0]) & (values <= limits[1]), values, np.nan)
+    return np.where((values > limits[0]) & (values < limits[1]), values, np.nan)
 
 
 def _check_unit(path: Path, column: str, declared: str, found: str | None) -> None:
