@@ -20,7 +20,7 @@ import numpy as np
 import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.file_to_file import compensate_file
-from piga.compensation.model import make_model
+from piga.compensation.model import Model, make_model
 from piga.compensation.step import (
     NO_FLAGS,
     NO_MARKS,
@@ -80,7 +80,10 @@ def samples(rows: int) -> dict[str, np.ndarray]:
 
 def single(threads: int) -> None:
     data = samples(ROWS)
-    plain = make_model(calibration({"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}, {}))
+    values = {"scale_factor": 0.8884, "tan_beta": 5e-3, "phi": 0.3}
+    std = {"scale_factor": 1e-7, "tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-6}
+    plain = make_model(calibration(values, {}))
+    known = make_model(calibration({**values, "k0": 1e-3}, std))
     share = ROWS // threads
     ax, dv, u, flags = np.empty(ROWS), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS, dtype=np.int32)
     source = [data[name] for name in ("t", "psi", "rate", "y", "z")]
@@ -90,7 +93,7 @@ def single(threads: int) -> None:
         rows = slice(k * share, (k + 1) * share)
         return lambda: [np.copyto(b[rows], a[rows]) for a, b in zip(source, target, strict=True)]
 
-    def run(k: int, kind: str, full: bool) -> Callable[[], object]:
+    def run(k: int, kind: str, full: bool, model: Model) -> Callable[[], object]:
         rows = slice(k * share, (k + 1) * share)
         output, angle = (data["rate"], data["psi"][rows]) if kind == "rate" else (data["psi"], NONE)
         chunk = Chunk(
@@ -98,21 +101,22 @@ def single(threads: int) -> None:
         )
         result = Step(ax[rows], dv[rows], u[rows] if full else NONE, flags[rows] if full else NO_FLAGS)
         work = work_array()
-        return lambda: run_kernel(plain, init_state(), chunk, kind, 0.01, work, result)
+        return lambda: run_kernel(model, init_state(), chunk, kind, 0.01, work, result)
 
     works = {"copy": on_threads([copy(k) for k in range(threads)])}
     for title, kind, full in (
         ("angle, rate -> ax, dv", "rate", False), ("angle, rate -> ax, dv, u_ax, flags", "rate", True),
         ("angle -> ax, dv", "angle", False), ("angle -> ax, dv, u_ax, flags", "angle", True),
     ):  # fmt: skip
-        works[title] = on_threads([run(k, kind, full) for k in range(threads)])
+        works[title] = on_threads([run(k, kind, full, plain) for k in range(threads)])
+        works[f"{title}; k0, 4 uncertain"] = on_threads([run(k, kind, full, known) for k in range(threads)])
     spent = rounds(works, ROUNDS)
     print(f"{threads} core(s), ns per sample: median, least; ratio to the copy of 40 bytes in the same round")
     for title, seconds in spent.items():
         ratio = seconds / spent["copy"]
         each = seconds / ROWS * 1e9
         print(
-            f"  {title:36s} {np.median(each):6.2f} {each.min():6.2f}   "
+            f"  {title:52s} {np.median(each):6.2f} {each.min():6.2f}   "
             f"x {np.median(ratio):5.2f}, of the least {each.min() * ROWS / spent['copy'].min() / 1e9:5.2f}"
         )
 

@@ -187,7 +187,7 @@ def test_wrong_requests(run):
 
 @pytest.mark.slow
 def test_truth_is_found_again():
-    """200 records: the true set has the least BIC in 97 % or more, predicts in 85 % or more; forces in ug."""
+    """200 records, 199 and 190 measured: limits four standard deviations below; forces in ug."""
     first = second = 0
     for seed in range(200):
         found = piga.compare_models(small(100 + seed), SETS)
@@ -196,5 +196,5 @@ def test_truth_is_found_again():
         assert found.sets[2].prediction.force_error < found.sets[1].prediction.force_error
         assert found.sets[2].prediction.force_error / G0 < 5e-6
     print(f"true set: least BIC {first}, prediction {second} of 200")  # noqa: T201
-    assert first >= 194
-    assert second >= 170
+    assert first >= 195
+    assert second >= 178

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,9 +13,11 @@ import piga
 from piga.calibration.budget import propagate
 from piga.calibration.degrees_of_freedom import coverage_factor, level_information, welch_satterthwaite
 from piga.calibration.noise import Noise
+from piga.calibration.uncertainty import sources
 from piga.errors import RunFileError
 from piga.records import spool
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
+from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS
 
 
@@ -192,8 +196,6 @@ def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
 
 def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     """tan_beta at twice its noise: the first order is refuted, the shortest interval stays above zero."""
-    from dataclasses import replace
-
     scenario = replace(SCENARIOS["static"], tan_beta=4e-7, seconds=10.0)
     found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
     coupling = found["tan_beta"]
@@ -203,3 +205,33 @@ def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     assert coupling.interval is not None
     assert coupling.interval[0] >= 0.0
     assert table["scale_factor"]["std"] == pytest.approx(found["scale_factor"].std, rel=0.03)
+
+
+@pytest.mark.only_compiled
+def test_near_the_separatrix_the_first_order_is_enough() -> None:
+    """With the angle as read the estimate stays linear there: Monte Carlo agrees, and sources hardly bend.
+
+    100 ug, 60 arcsec, 100 ppm: half the second difference of the moved estimates is below 1.5 % of the uncertainty.
+    """
+    scenario = SCENARIOS["near-critical"]
+    run = scenario.record(np.random.default_rng(1))
+    asked = replace(run, estimation=msgspec.structs.replace(run.estimation, uncertainty="monte-carlo"))
+    table = scenario.calibrate(asked).diagnostics["monte_carlo"]["coefficients"]
+    assert all(row["validated"] for row in table.values())
+    assert "monte_carlo" not in scenario.calibrate(run).diagnostics
+    given = UncertaintyTable(
+        reference_bias="100 ug", reference_misalignment="60 arcsec", reference_scale="100 ppm", timing="10 ppm"
+    )
+    known = msgspec.structs.replace(
+        run.estimation, angle_rms="2.5e-5 rad", angle_random_walk="2e-5 rad/sqrt(s)", uncertainty="gum"
+    )
+    run = replace(run, uncertainty=given, estimation=known)
+    base = np.array([c.value for c in scenario.calibrate(run).coefficients])
+    std = np.array([c.std for c in scenario.calibrate(run).coefficients])
+
+    def moved(size: float) -> list[np.ndarray]:
+        plain = [replace(source.moved, uncertainty=UncertaintyTable()) for source in sources(run, size)]
+        return [np.array([c.value for c in scenario.calibrate(record).coefficients]) for record in plain]
+
+    bent = [0.5 * (up + down) - base for up, down in zip(moved(1.0), moved(-1.0), strict=True)]
+    assert (np.sqrt(np.sum(np.square(bent), axis=0)) < 0.015 * std).all()

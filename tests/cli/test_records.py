@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from piga.cli import main as entry
+from piga.records.calibration_json import calibration_to_bytes
+from piga.records.store import Draft, DraftFile, open_store
 from tests.evidence.test_keep_and_reproduce import small_run
-from tests.records.store.drafts import filled
+from tests.records.store.drafts import add, filled
+from tests.reports.example import calibration
 
 
 class Command:
@@ -68,6 +70,31 @@ def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
     assert names == {"run.csv", "run.toml", "x", "lab.sqlite", "lab.zip", "b.sqlite", "copy.sqlite", "c.sqlite"}
 
 
+def test_a_list_says_what_is_superseded(tmp_path: Path, records: Command) -> None:
+    with filled(tmp_path / "a.sqlite", 2) as store:
+        first, second = (record.id for record in store.records())
+        last = add(store, "c", supersedes=first)
+    lines = records.ok("list", "--store", "a.sqlite").splitlines()
+    marked = {
+        name: line.endswith("superseded") for name in (first, second, last) for line in lines if name in line
+    }
+    assert marked == {first: True, second: False, last: False}
+
+
+def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: Command) -> None:
+    first = calibration(with_residuals=False)
+    moved = replace(first.coefficients[0], value=first.coefficients[0].value + 3.0 * first.coefficients[0].std)
+    second = replace(first, coefficients=(moved, *first.coefficients[1:]))
+    with open_store(tmp_path / "a.sqlite", create=True) as store:
+        for found in (first, second):
+            files = (DraftFile("calibration", "calibration.json", calibration_to_bytes(found)),)
+            store.append(lambda _place, files=files: Draft(first.serial, "A", "r", files))  # type: ignore[misc]
+    change = json.loads(records.ok("diff", "1", "2", "--store", "a.sqlite", "--json"))["coefficients"][0]
+    assert change["std"] == pytest.approx(moved.std * 2**0.5)
+    assert change["ratio"] == pytest.approx(3.0 / 2**0.5)
+    assert f"{change['ratio']:+.2f} u" in records.ok("diff", "1", "2", "--store", "a.sqlite")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -100,20 +127,6 @@ def test_wrong_use_is_exit_2_with_one_message(
     assert code == 2, errors
     assert message in errors
     assert "Traceback" not in errors
-
-
-def test_help_is_light() -> None:
-    code = (
-        "import sys; sys.argv = ['piga', 'records', '--help']\n"
-        "from piga.cli.main import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'numba', 'scipy', 'pyarrow', 'sqlalchemy', 'alembic', 'sqlite3'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=plain)
-    assert done.returncode == 0, done.stderr
-    assert "reproduce" in done.stdout
 
 
 def test_missing_extra_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

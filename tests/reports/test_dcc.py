@@ -139,6 +139,32 @@ def test_back_to_the_bit(cal, per_segment, tmp_path):
         assert np.array_equal(found.covariance, used.covariance)
 
 
+def test_conditions_are_si(cal):
+    """20.3 degC is 293.45 K without binary artefacts, its expanded uncertainty 0.4 K; 46 % is 0.46."""
+    root = etree.fromstring(document(cal))
+    found = {}
+    for condition in root.iterfind(".//dcc:influenceCondition", N):
+        real = condition.find(".//si:real", N)
+        texts = [real.findtext(f".//si:{name}", "", N) for name in ("value", "unit", "valueExpandedMU")]
+        found[condition.findtext("dcc:name/dcc:content", "", N)] = tuple(texts)
+    assert found["Air temperature"] == ("293.45", r"\kelvin", "0.40")
+    assert float(found["Relative humidity"][0]) == pytest.approx(0.46, abs=1e-16)
+    gravity, unit, expanded = found["Local gravity"]
+    assert (float(gravity), unit, float(expanded)) == (9.80166, r"\metre\second\tothe{-2}", 2e-6)
+
+
+def test_dates_and_people(cal):
+    root = etree.fromstring(document(cal))
+    dates = [root.findtext(f".//dcc:{name}PerformanceDate", "", N) for name in ("begin", "end")]
+    assert dates == ["2026-03-03", "2026-03-04"]
+    people = [
+        (person.findtext("dcc:person/dcc:name/dcc:content", "", N), person.findtext("dcc:mainSigner", "", N))
+        for person in root.iterfind(".//dcc:respPerson", N)
+    ]
+    assert [main for _, main in people] == ["true", "false"]
+    assert people[1][0] == "B. Example"
+
+
 def test_numbers_are_si(cal):
     root = etree.fromstring(document(cal))
     seen = {}

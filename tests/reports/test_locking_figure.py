@@ -32,3 +32,11 @@ def test_one_beta_serves_all_curves_and_none_means_the_instrument():
     assert locking_figure(Instrument(0.09), (G0,)).panels[0].series[1].arrays()[1][-1] > 0.0
     with pytest.raises(ValueError, match="zip"):
         locking_figure(INST, (G0, G0, G0), (1e-3, 2e-3))
+
+
+@pytest.mark.parametrize("reach", [2.0, 3.0])
+def test_the_axis_reaches_over_the_zone(reach):
+    (panel,) = locking_figure(INST, (5 * G0,), reach=reach).panels
+    assert panel.series[1].arrays()[0][[0, -1]] == pytest.approx(
+        [-reach * 5e3 * INST.tan_beta, reach * 5e3 * INST.tan_beta]
+    )

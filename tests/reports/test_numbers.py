@@ -111,3 +111,8 @@ def test_units_are_friendly_and_printed():
     assert [pretty_unit(u) for u in ("ug/g^2", "1", "urad", "rad/sqrt(s)", "rad/s/g")] == [
         "µg/g²", "", "µrad", "rad/√s", "rad/s/g",
     ]  # fmt: skip
+
+
+def test_numbers_are_plain_below_a_million():
+    assert rounded(999999.4, 12.0).concise == "999999(12)"
+    assert rounded(1234567.0, 1.2).concise == "1.2345670(12)e6"

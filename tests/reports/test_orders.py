@@ -91,3 +91,15 @@ def test_ripple_shows_the_cross_coupling_and_its_removal(cal):
     assert abs(first) == pytest.approx(TAN_BETA * G0 * float(np.mean(used)), rel=0.05)
     assert np.max(np.abs(turned.after)) < 0.15 * abs(first)
     assert np.all(np.abs(turned.after) < 6.0 * turned.scatter)
+
+
+@pytest.mark.parametrize(("stride", "bins"), [(0.01, 36), (0.3, 20), (1.5, 12)])
+def test_a_ripple_has_no_more_bins_than_samples_in_a_turn(stride, bins):
+    psi = np.arange(400) * stride
+    t = psi / (K * G0)
+    zero, rows = np.zeros(psi.size), np.arange(1, psi.size + 1)
+    whole = dataclasses.replace(residuals(), row=rows, t=t, psi=psi, a_x=zero + G0, before=1e-6 * np.sin(psi))
+    found = ripple(
+        dataclasses.replace(whole, after=zero, innovation=zero, segment=np.zeros(psi.size, dtype=np.int32)), K
+    )
+    assert found.before.size == bins

@@ -109,3 +109,10 @@ def test_bad_positions_are_refused():
         DividingHead(SITE, ())
     with pytest.raises(ArgumentError, match="must be positive"):
         DividingHead(SITE, (0.0,), dwell=-1.0)
+
+
+def test_times_of_a_head_are_positive():
+    assert DividingHead(SITE, (0.0,), dwell=0.5, move=0.5).segments()[0].duration == 0.5
+    for name in ("dwell", "move", "settling_time"):
+        with pytest.raises(ArgumentError, match="must be positive"):
+            DividingHead(SITE, (0.0,), **{name: 0.0})

@@ -106,6 +106,31 @@ def test_each_component_changes_the_force_as_its_geometry_says(tmp_path: Path) -
     np.testing.assert_allclose(turned[:, 1], -2.0 * ARCSEC * run.f[:, 0], atol=1e-9)
 
 
+def test_entries_of_the_stand_have_distributions(tmp_path: Path) -> None:
+    """Half-width over root three for a rectangular one; each component keeps shape and degrees of freedom."""
+    entries = (
+        '[uncertainty]\nangle_error = { half_width = "3 arcsec", distribution = "rectangular" }\n'
+        'levelling = { standard = "1 arcsec", distribution = "t", degrees_of_freedom = 8 }\n'
+    )
+    changes = {c.name: c for c in stand_changes(piga.read_run(edited(tmp_path, uncertainty=entries)))}
+    number, unit = changes["angle_error"].written.split()
+    assert (float(number), unit) == (pytest.approx(3.0 / np.sqrt(3.0), rel=1e-8), "arcsec")
+    assert changes["angle_error"].distribution == "rectangular"
+    assert changes["levelling axis 2"].written == "1 arcsec"
+    assert (changes["levelling axis 2"].distribution, changes["levelling axis 2"].degrees_of_freedom) == (
+        "t",
+        8.0,
+    )
+    for wrong, message in (
+        ('angle_error = { half_width = "1 arcsec" }', "no half-width"),
+        ('angle_error = { width = "1 arcsec" }', "unknown field"),
+        ('angle_harmonics = { standard = "1 arcsec" }', "a list is needed"),
+    ):
+        run = piga.read_run(edited(tmp_path, uncertainty=f"[uncertainty]\n{wrong}\n"))
+        with pytest.raises(piga.RunFileError, match=message):
+            list(stand_changes(run))
+
+
 @pytest.mark.only_compiled
 def test_budget_has_the_rows_of_the_stand(tmp_path: Path) -> None:
     """An index error of the head is a misalignment m_Y, and nothing else, to first order."""

@@ -139,3 +139,30 @@ def test_mounting_keeps_handedness(along):
     )
     axis, sign = "XYZ".index(along[-2]), -1 if along[0] == "-" else 1
     assert omega[0, axis] * sign == pytest.approx(plain_omega[0, 2])
+
+
+def test_an_error_of_gravity_is_felt_along_the_vertical():
+    t = np.array([3.5, 4.5])
+    for stand, axis in ((Centrifuge(SITE, 1.3, SPIN), 2), (RateTable(SITE, SPIN, along="X0"), 0)):
+        change = force_change(stand, t, Imperfections(gravity=1e-3))
+        assert change[:, axis] == pytest.approx(1e-3, rel=1e-9)
+        assert np.delete(change, axis, axis=1) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_an_arm_on_the_table_feels_the_ramp():
+    """Tangential force r w' on an offset arm, besides the centripetal one."""
+    t = np.array([2.3, 2.5, 2.7])  # in the first ramp
+    spin = SPIN.nominal(t)
+    f, _ = RateTable(SITE, SPIN, along="Z0", offset=0.2).motion(t, NONE)
+    assert np.abs(spin.acceleration).min() > 1.0
+    assert f == pytest.approx(
+        np.column_stack([-0.2 * spin.rate**2, 0.2 * spin.acceleration, np.full(3, 9.80166)])
+    )
+
+
+def test_small_levels_are_levels_and_times_must_be_positive():
+    assert rates_for_levels((0.0, 0.5), 2.0) == pytest.approx([0.0, 0.5])
+    for dwell, ramp in ((0.0, 1.0), (1.0, 0.0)):
+        with pytest.raises(ArgumentError, match="must be positive"):
+            SpinPlan((1.0,), dwell, ramp)
+    assert SpinPlan((1.0,), 0.5, 0.5).segments()[0].duration == 0.5

@@ -91,7 +91,7 @@ def _levels_together(fit: Fit) -> tuple[Noise, float]:
     table = []
     for ratio, logarithm in zip(grid, logarithms, strict=True):
         factor = drifting_factor(fit.design, Noise(1.0, 10.0**ratio / step))
-        values, square, rest, model = _projected(factor)
+        values, square, rest, model = projected(factor)
         levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0])
         size = 1.0 + levels[:, None] * values
         total = rest + (square / size).sum(axis=1)
@@ -136,7 +136,7 @@ def _whitened_means(fit: Fit, basis: DriftBasis, left: int, right: int, bins: in
 
 def likely_steps(factor: Array) -> Steps:
     """Likely variance of the steps from a triangular factor of ``[drift | model | y]`` rows of unit variance."""
-    values, square, _, _ = _projected(factor)
+    values, square, _, _ = projected(factor)
     levels = 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0]
     size = 1.0 + levels[:, None] * values
     gains = (square - square / size - np.log(size)).sum(axis=1)
@@ -145,7 +145,7 @@ def likely_steps(factor: Array) -> Steps:
     return Steps(float(levels[at]), 1.0 / math.sqrt(information), float(gains[at]))
 
 
-def _projected(factor: Array) -> tuple[Array, Array, float, float]:
+def projected(factor: Array) -> tuple[Array, Array, float, float]:
     """Eigenvalues of the drift with the model projected out, squares of what is seen of each, the rest, ``log|X'X|``.
 
     There ``y = B s + e``; eigenvectors of ``B B'`` have variance ``1 + v lambda``.

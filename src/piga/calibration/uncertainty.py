@@ -69,7 +69,8 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
         moved = _felt(run, partial(_added, run.f, size, change.change))
-        yield Source(change.name, float(number), written_unit or "1", moved)
+        shape = (change.distribution, change.degrees_of_freedom)
+        yield Source(change.name, float(number), written_unit or "1", moved, *shape)
 
 
 def _felt(run: Run, moved: Callable[[slice], Array]) -> Run:

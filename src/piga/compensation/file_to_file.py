@@ -21,6 +21,7 @@ from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
 from piga.compensation.step import empty_step, init_state, run_kernel, work_array
 from piga.compensation.validity import age_flag
+from piga.compensation.warm_up import compile_apart
 from piga.compensation.writers import TableWriter
 from piga.errors import CalibrationError, DataError
 from piga.records.calibration import Calibration
@@ -85,6 +86,7 @@ def compensate_file(
     check_serial_names(source.run_file.instrument.serial, calibration.serial, force)
     chosen = check_method(method, calibration)
     flag = age_flag(calibration, max_age_days)
+    compile_apart(source.kind)
     summary = FileSummary()
 
     def model(label: str) -> Model:

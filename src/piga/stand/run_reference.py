@@ -8,8 +8,9 @@ matched by time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
+from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.read_run import read_record
 from piga.records.run import Run
 from piga.records.spool import arrays_like, spans
 from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario_tables import CompositeTable, SimpleStand
+from piga.units import from_si
 
 Array = NDArray[np.float64]
 
@@ -42,6 +45,8 @@ class StandChange:
     name: str
     written: str
     change: Callable[[slice], Array]
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
 
 
 def read_run(path: str | Path, *, need_reference: bool = True) -> Run:
@@ -106,9 +111,10 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
         stand, names = _build(run.stand or {}, Path(run.source).parent)
         t = _stand_times(stand, names, run.t, run.segment, run.labels)
         for name, written in named.items():
-            for text, errors in _components(name, written):
+            standard, shape = _standard(name, written)
+            for text, errors in _components(name, standard):
                 errors.require(stand.accepted, stand.kind)
-                yield StandChange(f"{name}{text[0]}", text[1], partial(_change, stand, t, errors))
+                yield StandChange(f"{name}{text[0]}", text[1], partial(_change, stand, t, errors), *shape)
     except PigaError as error:
         raise RunFileError(f"{run.source}: {error.message}", remedy=error.remedy) from None
 
@@ -160,6 +166,25 @@ def _in_order(planned: list[Segment], labels: tuple[str, ...]) -> list[Segment]:
             remedy="name them: positions = { 'label' = 'angle', ... }",
         )
     return planned
+
+
+def _standard(name: str, written: Any) -> tuple[Any, tuple[str, float]]:
+    """Standard uncertainty as written, or that of a table with a distribution, which holds for each component."""
+    if not isinstance(written, dict):
+        return written, ("normal", math.inf)
+    where = f"[uncertainty] {name}"
+    if name == "angle_harmonics":
+        raise ArgumentError(f"{where}: a list is needed", remedy="write e.g. [[2, '1 arcsec']]")
+    try:
+        spread = msgspec.convert(written, Spread)
+    except msgspec.ValidationError as error:
+        raise ArgumentError(
+            f"{where}: {str(error).lower()}",
+            remedy="write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }",
+        ) from None
+    unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == name)
+    size = from_si(standard_uncertainty(spread, unit, where), unit)
+    return f"{size:.9g} {unit}", shape_of(spread)
 
 
 def _components(name: str, written: Any) -> Iterator[tuple[tuple[str, str], Imperfections]]:

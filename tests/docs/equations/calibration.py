@@ -11,6 +11,8 @@ import piga
 from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
+from piga.calibration.drift import projected
+from piga.calibration.drift_basis import KNOTS
 from piga.calibration.leverage import all_but_one, leverages
 from piga.calibration.missing_terms import tested
 from piga.calibration.noise import find_noise
@@ -119,6 +121,22 @@ def _leverage() -> Iterator[Pair]:
     left = [np.diag(rest.solve()[1]) for rest in all_but_one(parts)]
     literal = [np.diag(np.linalg.inv(total - A)) for A in information]
     yield 1 - np.diag(np.linalg.inv(total)) / literal, 1 - np.diag(np.linalg.inv(total)) / left, 1e-11
+
+
+@equation("calibration-drift")
+def _drift() -> Iterator[Pair]:
+    """Dense restricted likelihood of rows of unit variance (v_n = 1) with steps of variance v, and the library's parts."""
+    random = np.random.default_rng(5)
+    n, m, v = 90, 2, 0.3
+    B, X, y = random.standard_normal((n, KNOTS)), random.standard_normal((n, m)), random.standard_normal(n)
+    V = np.eye(n) + v * B @ B.T
+    inner = X.T @ np.linalg.solve(V, X)
+    residual = y - X @ np.linalg.solve(inner, X.T @ np.linalg.solve(V, y))
+    square = residual @ np.linalg.solve(V, residual)
+    literal = (n - m) * np.log(square) + np.linalg.slogdet(V)[1] + np.linalg.slogdet(inner)[1]
+    values, z2, rest, model = projected(np.linalg.qr(np.column_stack([B, X, y]), mode="r"))
+    size = 1.0 + v * values
+    yield literal, (n - m) * np.log(rest + np.sum(z2 / size)) + np.log(size).sum() + model, 1e-9
 
 
 @equation("calibration-likelihood")
