@@ -89,3 +89,12 @@ def test_one_segment_has_no_leverage():
     keep = run.segment == 0
     alone = piga.Run.from_arrays(run.t[keep], run.output[keep], run.f[keep], scale_factor=run.scale_factor)
     assert "leverage" not in piga.calibrate(alone, ["k1"]).diagnostics
+
+
+@pytest.mark.only_compiled
+def test_a_bias_drift_leaves_the_leverage_of_each_segment():
+    scenario = SCENARIOS["drift"]
+    found = scenario.calibrate(scenario.record(np.random.default_rng(0)))
+    table = found.diagnostics["leverage"]
+    assert sum(row["leverage"] for row in table.values()) == pytest.approx(6.0, rel=1e-6)
+    assert not any("alone" in note for note in found.notes)

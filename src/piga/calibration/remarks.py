@@ -2,7 +2,8 @@
 
 One cause gets one remark: data that fit far better when read otherwise look as if terms were missing, and a
 missing term moves single segments. So advice on the data holds back the suggestions of terms, and both hold
-back the remarks on segments that move a coefficient. Nothing is ever applied.
+back the remarks on segments that move a coefficient. Nothing is ever applied. All are found without a bias drift
+in the noise, which joins the segments and takes up what a missing term leaves; a suggestion then says so.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from piga.calibration.advice import advise, looks_wrong
 from piga.calibration.fit import Fit
 from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
+from piga.calibration.noise import Noise
+from piga.calibration.weighting import reduce_segments
 from piga.records.calibration import Calibration
 
 
@@ -26,6 +29,8 @@ def with_remarks(result: Calibration, fit: Fit, groups: tuple[int, ...], per_seg
     fit, groups, per_segment:
         The fit behind it, the phase group of every segment, and whether each has its own.
     """
+    drifts = fit.noise.drift > 0.0
+    fit = _without_drift(fit) if drifts else fit
     found, alone, moved = find_leverage(fit, groups, per_segment, result.coefficients)
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else suggest_terms(fit, groups, per_segment, result.coefficients)
@@ -33,5 +38,13 @@ def with_remarks(result: Calibration, fit: Fit, groups: tuple[int, ...], per_seg
         found |= {"advice": list(advice)}
     if missing:
         found |= {"missing_terms": list(missing)}
-    cause = (*advice, *suggestions_in_words(missing)) or moved
+    also = "; the bias drift found may be the same effect" if drifts else ""
+    suggested = tuple(words + also for words in suggestions_in_words(missing))
+    cause = (*advice, *suggested) or moved
     return replace(result, notes=(*cause, *result.notes, *alone), diagnostics=result.diagnostics | found)
+
+
+def _without_drift(fit: Fit) -> Fit:
+    """The fit with one summary per segment again."""
+    noise = Noise(fit.noise.white, fit.noise.walk)
+    return replace(fit, noise=noise, summaries=reduce_segments(fit.design, fit.mode, noise))
