@@ -129,7 +129,8 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
     """How much the mean rates of the segments scatter, in units of what the noise explains.
 
     The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
-    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it), and with a bias drift its variance since the middle of the record.
+    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it); a bias
+    drift adds its variance since the middle of the record.
     ``segment_scatter_ratio`` is the root mean square of slope over expected, ``segment_scatter`` the root
     mean square slope as specific force [g].
     """
