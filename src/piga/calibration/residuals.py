@@ -110,8 +110,8 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
         duration=duration,
         mean_a_x=mean(run.f[part, 0]),
         turns=turned / (2.0 * math.pi),
-        rms=_rms(residuals.after[part]),
-        rms_before=_rms(residuals.before[part]),
+        rms=root_mean_square(residuals.after[part]),
+        rms_before=root_mean_square(residuals.before[part]),
         max_after=largest_size(residuals.after[part]),
     )
 
@@ -121,7 +121,8 @@ def _rows_between(first: int, stop: int) -> Iterator[slice]:
         yield slice(first + part.start, first + part.stop)
 
 
-def _rms(values: Array) -> float:
+def root_mean_square(values: Array) -> float:
+    """Root mean square of the values of a record of any length."""
     return math.sqrt(square_sum(values) / values.size)
 
 
@@ -150,8 +151,8 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
         return {}
     ratio = np.array(slopes) / np.array(expected)
     return {
-        "segment_scatter_ratio": _rms(ratio),
-        "segment_scatter_g": _rms(np.array(slopes)) / design.run.scale_factor / G0,
+        "segment_scatter_ratio": root_mean_square(ratio),
+        "segment_scatter_g": root_mean_square(np.array(slopes)) / design.run.scale_factor / G0,
     }
 
 
