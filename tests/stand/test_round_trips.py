@@ -98,6 +98,7 @@ def scores(cal, test):
     return result | {"coupling": (error, math.hypot(size.std, size.value * phase.std))}
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("kind", SHORT)
 def test_calibration_finds_the_truth_of_every_stand(kind, tmp_path):
     stand, sample_rate = SHORT[kind]
