@@ -84,15 +84,31 @@ def test_the_correction_is_the_cross_coupling(kind):
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
     found = outline_of(kind, cal)
     found.record(record, piga.compensate(record, cal))
-    spectrum = correction_spectrum(found)
-    first = int(np.argmin(np.abs(spectrum.order - 1.0)))
-    assert abs(spectrum.before[first] / (TAN_BETA * G0) - 1.0) < 0.02
+    order, amplitude = correction_spectrum(found)
+    first = int(np.argmin(np.abs(order - 1.0)))
+    assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
     rows = found.outline.rows
     known = np.isfinite(rows["correction"])
     np.testing.assert_allclose((rows["indicated"] - rows["correction"])[known], G0, rtol=1e-6)
     assert abs(found.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
     figure = force_figure(found)
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
+
+
+def test_changes_of_attitude_do_not_drown_the_orders():
+    """Four attitudes in one segment, turning back in one of them: a line at order 1, a hundredth of it above 3."""
+    t = np.arange(0.0, 4000.0, 0.05)
+    angle = 0.3 * np.array([0, 2, 8, 1])[(t // 1000.0).astype(int)] + 0.3
+    f = G0 * np.stack((np.cos(angle), np.sin(angle), np.zeros(t.size)), axis=1)
+    record = run_of(t, f, phi=0.3)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3})
+    found = outline_of("angle", cal)
+    found.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(found)
+    across = np.sqrt(np.mean(np.sin(0.3 + 0.3 * np.array([0, 2, 8, 1])) ** 2))
+    first = int(np.argmin(np.abs(order - 1.0)))
+    assert abs(amplitude[first] / (TAN_BETA * G0 * across) - 1.0) < 0.25
+    assert np.nanmax(amplitude[order > 3.0]) < 0.01 * amplitude[first]
 
 
 def test_memory_is_bounded_and_extremes_are_kept():

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
 from piga._version import __version__
 from piga.compensation import Compensated
 from piga.compensation.flags import FLAGS, MEANING
@@ -101,7 +99,7 @@ def _tiles(found: CompensationOutline) -> tuple[Tile, ...]:
     tiles = [
         Tile(
             "Velocity",
-            printed(short(found.velocity, 6)),
+            printed(short(found.velocity, 4)),
             "m/s",
             "sum of dv, what lies between stretches left out",
         ),
@@ -121,16 +119,16 @@ def _micro_g(value: float) -> str:
 
 
 def _orders(found: CompensationOutline) -> Section:
-    spectrum = correction_spectrum(found)
+    order, amplitude = correction_spectrum(found)
     blocks: list[Block] = []
-    if not np.isfinite(spectrum.before).any() or not float(np.nanmax(spectrum.before)) > 0.0:
+    if not (amplitude > 0.0).any():
         blocks.append(
             Notice("info", "No part of the record turns far enough, or nothing turns with the output.")
         )
     else:
-        blocks.append(FigureBlock(correction_figure(spectrum)))
+        blocks.append(FigureBlock(correction_figure(order, amplitude)))
     if found.size > SHOWN:
-        blocks.append(Text(f"Of the first {count(SHOWN)} rows; all other figures show the whole record."))
+        blocks.append(Text(f"Of the first {count(SHOWN)} rows. Figures against time show the whole record."))
     return Section("Revolution orders", "orders", tuple(blocks))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.reports.decimate import envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Series
+from piga.reports.long_record import leading_part
 from piga.reports.orders import order_spectrum
 from piga.units import G0
 
@@ -17,6 +20,8 @@ Array = NDArray[np.float64]
 
 MICRO_G = 1e-6 * G0
 POINTS = 1500
+WINDOW = 16
+"""Turns of the output that a spectrum looks at together."""
 
 
 def error_figures(
@@ -36,7 +41,7 @@ def error_figures(
     errors = compensation_errors(record, result, scale_factor)
     return (
         error_figure(errors),
-        error_spectrum_figure({"a_x": errors}, scale_factor, noise),
+        error_spectrum_figure({"a_x": leading_part(errors)}, scale_factor, noise),
     )
 
 
@@ -77,6 +82,19 @@ def error_record(
     return Residuals(np.arange(1, t.size + 1), t, psi, nothing, running[0], running[1], nothing, index)
 
 
+def in_windows(residuals: Residuals) -> Residuals:
+    """The same with every segment cut into windows of ``WINDOW`` turns: where the force changes, so does the drift.
+
+    A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
+    """
+    index = residuals.segment
+    change = np.concatenate(([True], np.diff(index) != 0))
+    start = residuals.psi[change][np.cumsum(change) - 1]
+    window = np.floor((residuals.psi - start) / (2.0 * np.pi * WINDOW))
+    new = change | np.concatenate(([False], np.diff(window) != 0.0))
+    return replace(residuals, segment=np.cumsum(new).astype(np.int32))
+
+
 def error_figure(errors: Residuals) -> Figure:
     """Error of the velocity against time before and after."""
     time = Axis("time since the first row", "s")
@@ -105,7 +123,7 @@ def error_spectrum_figure(
     """Amplitude of the error in revolution order, one panel per component; a line at an order is a missed term."""
     panels = []
     for name, residuals in errors.items():
-        found = order_spectrum(residuals, scale_factor, noise=noise)
+        found = order_spectrum(in_windows(residuals), scale_factor, noise=noise)
         curves: tuple[Series, ...] = (
             Series(found.order, found.before / MICRO_G, "as indicated", role="before"),
             Series(found.order, found.after / MICRO_G, "compensated", role="after"),

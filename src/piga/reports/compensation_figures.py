@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation import FLAGS
+from piga.reports.compensation_errors import in_windows
 from piga.reports.compensation_outline import CompensationOutline
-from piga.reports.decimate import envelope_rows
+from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.orders import OrderSpectrum, order_spectrum
+from piga.reports.orders import TURNS_NEEDED, order_grid, segment_slices
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -26,16 +27,21 @@ def force_figure(found: CompensationOutline) -> Figure:
         Panel(TIME, Axis("specific force a_x", "g"), force),
         Panel(
             TIME,
-            Axis("indicated less compensated", "µg"),
-            (_curve(found, "correction", MICRO_G, "data", "correction"),),
+            Axis("correction of a_x", "µg"),
+            (_curve(found, "correction", MICRO_G, "data", "indicated less compensated"),),
         ),
     ]
     if found.counts["u_ax"]:
         highest = float(np.nanmax(found.outline.rows["u_ax"])) / MICRO_G
-        axis = Axis("standard uncertainty u(a_x)", "µg", limits=(0.0, 1.15 * highest or 1.0))
-        panels.append(Panel(TIME, axis, (_curve(found, "u_ax", MICRO_G, "model", "u(a_x) per row"),)))
-    bucket = found.outline.bucket
-    shown = "Every row is in it." if bucket == 1 else f"Lowest and highest of every {bucket} rows are in it."
+        axis = Axis("uncertainty u(a_x)", "µg", limits=(0.0, 1.15 * highest or 1.0))
+        panels.append(
+            Panel(TIME, axis, (_curve(found, "u_ax", MICRO_G, "model", "standard uncertainty per row"),))
+        )
+    shown = (
+        ""
+        if found.size <= POINTS
+        else f"Outlines of at most {POINTS} points; lowest and highest values are kept."
+    )
     return Figure(
         "compensation-force",
         "Specific force along the input axis.",
@@ -44,26 +50,59 @@ def force_figure(found: CompensationOutline) -> Figure:
         "The correction is the cross-coupling and the error terms of the calibration; both curves carry the same "
         "noise, so it does not.",
         height=2.3,
-        notes=(shown,),
+        notes=(shown,) if shown else (),
     )
 
 
-def correction_spectrum(found: CompensationOutline) -> OrderSpectrum:
-    """Amplitude of the correction by revolution order, from the leading rows."""
-    return order_spectrum(found.leading(), found.scale_factor)
+def correction_spectrum(found: CompensationOutline) -> tuple[Array, Array]:
+    """Revolution orders, and the amplitude of the correction [m/s^2] at each, from the leading rows.
+
+    The correction holds no noise to speak of, so it is demodulated by the output angle as it is: windows of at most
+    ``WINDOW`` turns, each less its mean and under a raised cosine, combined as root mean square over time. Windows
+    that turn less than half as far as the farthest, or show less than two cycles of an order, are left out.
+    Changes of attitude leak as the inverse of the order only. Own derivation.
+    """
+    leading, order = in_windows(found.leading()), order_grid()
+    power, time = np.zeros(order.size), np.zeros(order.size)
+    parts = [part for part in segment_slices(leading.segment) if part.stop - part.start > 8]
+    turns = [float(np.ptp(leading.psi[part])) / (2.0 * np.pi) for part in parts]
+    for part, some in zip(parts, turns, strict=True):
+        shown = order * some >= TURNS_NEEDED
+        if some < 0.499 * max(turns) or not shown.any():
+            continue
+        t, psi = leading.t[part], leading.psi[part]
+        velocity = np.diff(leading.before[part]) / found.scale_factor
+        amplitude, duration = _demodulated(np.diff(t), 0.5 * (psi[1:] + psi[:-1]), velocity, order)
+        power[shown] += duration * amplitude[shown] ** 2
+        time[shown] += duration
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return order, np.sqrt(power / time)
 
 
-def correction_figure(spectrum: OrderSpectrum) -> Figure:
-    """The spectrum of the correction."""
-    shown = np.maximum(spectrum.before, 1e-6 * float(np.nanmax(spectrum.before)))
-    series = Series(spectrum.order, shown / MICRO_G, "correction")
+def _demodulated(h: Array, psi: Array, velocity: Array, order: Array) -> tuple[Array, float]:
+    """Amplitude [m/s^2] at each order of velocity increments [m/s] over ``h`` [s], and the time they last."""
+    weight = np.sin(np.pi * (psi - psi.min()) / np.ptp(psi)) ** 2
+    whole = float(weight @ h)
+    left = weight * (velocity - h * (weight @ velocity) / whole)
+    turn = np.exp(-1j * order[0] * psi)
+    phasor, amplitude = np.ones_like(turn), np.empty(order.size)
+    for row in range(order.size):
+        phasor *= turn
+        amplitude[row] = 2.0 * abs(left @ phasor) / whole
+    return amplitude, float(h.sum())
+
+
+def correction_figure(order: Array, amplitude: Array) -> Figure:
+    """The spectrum of the correction, over at most six decades."""
+    shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
+    series = Series(order, shown / MICRO_G, "correction")
     axis = Axis("amplitude of the correction", "µg", log=True)
     return Figure(
         "compensation-orders",
         "What was taken out, by revolution order.",
         (Panel(Axis("revolution order", "1"), axis, (series,)),),
         "The cross-coupling turns with the output and stands at order 1, pulling at order 2, harmonics of the "
-        "calibration at theirs. A line at another order is a correction that this record did not need.",
+        "calibration at theirs.",
         height=2.8,
     )
 

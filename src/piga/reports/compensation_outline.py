@@ -20,6 +20,8 @@ from piga.reports.long_record import SHOWN
 
 Array = NDArray[np.float64]
 
+BLOCK = 1 << 17
+"""Rows of a whole record that are taken at a time."""
 KEPT = 1 << 16
 """Rows of an outline from which on its buckets are made larger."""
 GROWTH = 4
@@ -111,7 +113,8 @@ class CompensationOutline:
 
     def record(self, record: Run, result: Compensated) -> None:
         """Take a whole record."""
-        edges = np.concatenate(([0], np.flatnonzero(np.diff(record.segment)) + 1, [record.size]))
+        changes = np.flatnonzero(np.diff(record.segment)) + 1
+        edges = np.unique(np.concatenate((changes, np.arange(0, record.size, BLOCK), [record.size])))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             rows = slice(start, stop)
             base = NO_RATES if record.base_rate is None else record.base_rate[rows]
@@ -122,7 +125,7 @@ class CompensationOutline:
             part = Compensated(
                 result.t[rows], result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows]
             )
-            self.piece(record.labels[int(record.segment[start])], chunk, part)
+            self.piece(f"{record.segment[start]}", chunk, part)
 
     def leading(self) -> Residuals:
         """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0."""
