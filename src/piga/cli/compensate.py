@@ -171,13 +171,15 @@ class _Options:
             "force": self.force,
         }
 
-    def in_words(self) -> dict[str, str]:
+    def in_words(self, calibration: Calibration) -> dict[str, str]:
         """For a page."""
+        from piga.compensation.model import check_method
+
         phase = "of the calibration"
         if self.phase is not None:
             phase = f"{self.phase.value:.6g} rad, standard uncertainty {self.phase.std:.2g} rad"
         return {
-            "method": self.method or "as the calibration asks for",
+            "method": check_method(self.method, calibration),
             "phase used": phase,
             "rate": "as recorded"
             if self.period is None
@@ -216,7 +218,7 @@ def _single(
     else:
         found, repairs, options = _whole(run, calibration, out, options, rest, report)
     if report is not None:
-        report.write(options.in_words(), repairs)
+        report.write(options.in_words(calibration), repairs)
     return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
 
 

@@ -112,10 +112,13 @@ def flag_figure(found: CompensationOutline) -> Figure | None:
     series = []
     for name, marks in found.marks.items():
         if marks.count:
-            bit = np.full(marks.t.size, np.log2(FLAGS[name]))
+            place = FLAGS[name].bit_length() - 1
+            bit = np.full(marks.t.size, float(place))
             rows = "1 row" if marks.count == 1 else f"{marks.count} rows"
             role = _FLAG_ROLES.get(name, "warning")
-            series.append(Series(marks.t - found.start, bit, f"{name}: {rows}", mark="points", role=role))
+            series.append(
+                Series(marks.t - found.start, bit, f"{place} {name}: {rows}", mark="points", role=role)
+            )
     if not series:
         return None
     axis = Axis("bit position of flag", "1", limits=(-0.5, 8.5))
