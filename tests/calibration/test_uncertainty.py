@@ -153,7 +153,7 @@ def test_result_carries_degrees_of_freedom() -> None:
         )
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
     """Plain whitening is twenty times too wide here; the exact covariance is not, and holds in 12 of 12 tests."""
     scenario = SCENARIOS["coarse-slow"]

@@ -148,9 +148,8 @@ def _by_precision(
     """
     variances = _variances(fit, groups, per_segment)
     precision = np.array([1.0 / variances(Noise(fit.noise.white, walk)) for walk in walks])
-    mean = weights @ precision
-    spread = weights @ (precision - mean) ** 2
-    return np.minimum(rest, 2.0 * mean**2 / np.maximum(spread, 1e-300))
+    relative = precision / (weights @ precision) - 1.0
+    return np.minimum(rest, 2.0 / np.maximum(weights @ relative**2, 1e-300))
 
 
 def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:

@@ -110,8 +110,8 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
         duration=duration,
         mean_a_x=mean(run.f[part, 0]),
         turns=turned / (2.0 * math.pi),
-        rms=_rms(residuals.after[part]),
-        rms_before=_rms(residuals.before[part]),
+        rms=root_mean_square(residuals.after[part]),
+        rms_before=root_mean_square(residuals.before[part]),
         max_after=largest_size(residuals.after[part]),
     )
 
@@ -121,7 +121,8 @@ def _rows_between(first: int, stop: int) -> Iterator[slice]:
         yield slice(first + part.start, first + part.stop)
 
 
-def _rms(values: Array) -> float:
+def root_mean_square(values: Array) -> float:
+    """Root mean square of the values of a record of any length."""
     return math.sqrt(square_sum(values) / values.size)
 
 
@@ -129,26 +130,29 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
     """How much the mean rates of the segments scatter, in units of what the noise explains.
 
     The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
-    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it).
+    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it); a bias
+    drift adds its variance since the middle of the record.
     ``segment_scatter_ratio`` is the root mean square of slope over expected, ``segment_scatter`` the root
     mean square slope as specific force [g].
     """
     slopes, expected = [], []
+    centre = 0.5 * float(residuals.t[0] + residuals.t[-1])
     for left, right in pairwise(design.run.segment_edges()):
         first, last = extent(residuals.t[left:right])
         duration = last - first
         if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
             continue
         slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
+        drift = noise.drift * abs(float(residuals.t[left:right].mean()) - centre)
         expected.append(
-            math.sqrt(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
+            math.sqrt(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration + drift)
         )
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
         return {}
     ratio = np.array(slopes) / np.array(expected)
     return {
-        "segment_scatter_ratio": _rms(ratio),
-        "segment_scatter_g": _rms(np.array(slopes)) / design.run.scale_factor / G0,
+        "segment_scatter_ratio": root_mean_square(ratio),
+        "segment_scatter_g": root_mean_square(np.array(slopes)) / design.run.scale_factor / G0,
     }
 
 

@@ -20,7 +20,7 @@ from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
-from piga.calibration.residuals import find_residuals, segment_table
+from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.solution import merged
 from piga.calibration.uncertainty import Source, sources
 from piga.calibration.weighting import reduce_segments
@@ -306,15 +306,11 @@ def _described(fit: Fit) -> dict[str, Any]:
 def residual_figures(residuals: Residuals) -> dict[str, float]:
     """Root mean square and largest residual before and after (the units of the residuals)."""
     return {
-        "residual_rms": _rms(residuals.after),
-        "residual_rms_before": _rms(residuals.before),
+        "residual_rms": root_mean_square(residuals.after),
+        "residual_rms_before": root_mean_square(residuals.before),
         "residual_max_before": largest_size(residuals.before),
         "residual_max_after": largest_size(residuals.after),
     }
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(values @ values / values.size))
 
 
 def validity_ranges(run: Run) -> dict[str, list[float]]:
