@@ -16,8 +16,8 @@ import pytest
 
 import piga
 from piga.compensation import file_to_file, parts, set_files
+from piga.compensation.rate_angle import RateAngle, integrated_rate
 from piga.compensation.resample import Resampler
-from piga.compensation.triad import RateAngle, integrated_rate
 from piga.compensation.triad_file import orthogonal_triad
 
 from .test_command import CAL, command, small_chunks, write

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 import piga
-from piga.reports.compensation import compensation_errors, compensation_figures
+from piga.reports.compensation_errors import compensation_errors, error_figures
 from piga.reports.orders import order_spectrum
 from piga.units import G0
 
@@ -22,6 +22,6 @@ def test_no_line_is_left_at_the_revolution_orders():
     assert abs(spectrum.before[first] / (TAN_BETA * G0) - 1.0) < 0.02
     shown = np.isfinite(spectrum.after)
     assert (spectrum.after[shown] < 3.5 * spectrum.noise[shown]).all()
-    figures = compensation_figures(record, result, K_G / G0, (1e-5, 0.0))
+    figures = error_figures(record, result, K_G / G0, (1e-5, 0.0))
     assert [figure.key for figure in figures] == ["compensation-error", "compensation-spectrum"]
     assert all(axis.unit for figure in figures for panel in figure.panels for axis in (panel.x, panel.y))

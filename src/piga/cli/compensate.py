@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import note, print_json, progress, say, write_by_rename
+from piga.cli.common import note, print_json, progress, report_available, say, write_by_rename
 from piga.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from piga.cli.compensate_report import Report
     from piga.compensation import Phase
     from piga.compensation.file_to_file import FileSummary
     from piga.records import Calibration
@@ -63,6 +64,10 @@ def compensate(
             help="Keep whole parts beside --out; after a stop, go on from the last one (large files).",
         ),
     ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Write a page with figures as well.", show_default=False),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
 ) -> None:
     """Compensate a recorded run: columns t, ax, dv, u_ax, flags; or several instruments together."""
@@ -76,21 +81,25 @@ def compensate(
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
     live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
     if live or several:
-        _refuse(live, resume=resume, identify_phase=rest, phase=given, rate=period)
+        _refuse(live, resume=resume, identify_phase=rest, phase=given, rate=period, report=report)
     if live:
         _live(_one(calibrations), kind, method, given, arrow, uncertainty, max_age)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
+    page = None
     if several:
         summary = _together(run, calibrations, out, uncertainty, max_age, force, period, method)
     else:
         options = _Options(method, given, uncertainty, max_age, force, period)
-        summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume)
+        page = _page(report, resume)
+        summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume, page)
     if json:
         print_json({"file": str(out)} | summary)
         return
     say(f"wrote {out}: {summary['rows']} rows")
+    if page is not None:
+        say(f"wrote {page}")
     for title in ("flags", "repairs"):
         for name, count in summary.get(title, {}).items():
             note(f"{name}: {count} rows")
@@ -101,6 +110,7 @@ ONE_RECORD = {
     "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
     "phase": ("", "several", "give each [[triad.instrument]] its phase"),
     "rate": ("live", "", "resample with piga.compensation.Resampler"),
+    "report": ("live", "several", "record the stream, or compensate the instruments one by one, for a page"),
 }
 """Options that a live stream or several instruments do not take, and what to do instead."""
 
@@ -113,6 +123,17 @@ def _refuse(live: bool, **options: object) -> None:
         if value and kind in refused:
             where = "a live stream" if live else "several instruments"
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
+
+
+def _page(report: Path | None, resume: bool) -> Path | None:
+    """Where the page goes; None when none is wanted or the report extra is not installed."""
+    if report is None:
+        return None
+    if resume:
+        raise ArgumentError("--report does not go with --resume", remedy="leave one of them out")
+    if report.suffix != ".html":
+        raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
+    return report if report_available() else None
 
 
 def _is_triad(path: Path) -> bool:
@@ -150,6 +171,25 @@ class _Options:
             "force": self.force,
         }
 
+    def in_words(self, calibration: Calibration) -> dict[str, str]:
+        """For a page."""
+        from piga.compensation.model import check_method
+
+        phase = "of the calibration"
+        if self.phase is not None:
+            phase = f"{self.phase.value:.6g} rad, standard uncertainty {self.phase.std:.2g} rad"
+        return {
+            "method": check_method(self.method, calibration),
+            "phase used": phase,
+            "rate": "as recorded"
+            if self.period is None
+            else f"written at {1.0 / self.period:.6g} Hz, shown as recorded",
+            "calibration flagged when older than": "never"
+            if self.max_age is None
+            else f"{self.max_age:g} days",
+            "another serial number allowed": "yes" if self.force else "no",
+        }
+
 
 def _single(
     run: Path,
@@ -159,21 +199,38 @@ def _single(
     options: _Options,
     rest: float | None,
     resume: bool,
+    page: Path | None,
 ) -> dict[str, Any]:
     """One recorded run; a large one in chunks."""
     from piga.records import read_run_file
 
     wanted = read_run_file(run).data
     data = run.parent / wanted.file
+    report = None
+    if page is not None:
+        from piga.cli.compensate_report import Report
+
+        report = Report(
+            page, "rate" if wanted.output.kind == "rate" else "angle", calibration, (run, data, source)
+        )
     if rest is None and wanted.reference is not None and data.exists() and data.stat().st_size > STREAM_BYTES:
-        found, repairs = _in_chunks(run, data, calibration, source, out, options, resume)
+        found, repairs = _in_chunks(run, data, calibration, source, out, options, resume, report)
     else:
-        found, repairs = _whole(run, calibration, out, options, rest)
+        found, repairs, options = _whole(run, calibration, out, options, rest, report)
+    if report is not None:
+        report.write(options.in_words(calibration), repairs)
     return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
 
 
 def _in_chunks(
-    run: Path, data: Path, calibration: Calibration, source: Path, out: Path, options: _Options, resume: bool
+    run: Path,
+    data: Path,
+    calibration: Calibration,
+    source: Path,
+    out: Path,
+    options: _Options,
+    resume: bool,
+    report: Report | None,
 ) -> tuple[FileSummary, dict[str, int]]:
     from piga._version import __version__
     from piga.compensation import Resampler
@@ -197,6 +254,7 @@ def _in_chunks(
                 resampler=resampler,
                 advance=advance,
                 parts=parts,
+                watch=None if report is None else report.found.piece,
                 **options.arguments(),
             )
 
@@ -207,8 +265,8 @@ def _in_chunks(
 
 
 def _whole(
-    run: Path, calibration: Calibration, out: Path, options: _Options, rest: float | None
-) -> tuple[FileSummary, dict[str, int]]:
+    run: Path, calibration: Calibration, out: Path, options: _Options, rest: float | None, report: Report | None
+) -> tuple[FileSummary, dict[str, int], _Options]:
     from piga.compensation import Resampler, compensate, identify_phase
     from piga.compensation.file_to_file import FileSummary
     from piga.compensation.writers import format_of, write_table
@@ -221,11 +279,13 @@ def _whole(
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
         options = replace(options, phase=phase)
     result = compensate(record, calibration, **options.arguments())
+    if report is not None:
+        report.take(record, result)
     if options.period is not None:
         result = Resampler(options.period).push_rows(result)
     write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
     found.add(result)
-    return found, {event.kind: event.count for event in record.quality.events}
+    return found, {event.kind: event.count for event in record.quality.events}, options
 
 
 def _together(

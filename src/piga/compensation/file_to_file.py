@@ -19,7 +19,7 @@ from piga.compensation.model import Model, Phase, check_method, make_model, need
 from piga.compensation.parts import Parts
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated
-from piga.compensation.step import empty_step, init_state, run_kernel, work_array
+from piga.compensation.step import Chunk, empty_step, init_state, run_kernel, work_array
 from piga.compensation.validity import age_flag
 from piga.compensation.warm_up import compile_apart
 from piga.compensation.writers import TableWriter
@@ -28,6 +28,8 @@ from piga.records.calibration import Calibration
 from piga.records.run_file import read_run_file
 
 T = TypeVar("T")
+Watch = Callable[[str, Chunk, Compensated], None]
+"""Sees the label of a segment, its samples, and what became of them."""
 
 
 @dataclass
@@ -71,11 +73,13 @@ def compensate_file(
     resampler: Resampler | None = None,
     advance: Callable[[int], None] = lambda _rows: None,
     parts: Parts | None = None,
+    watch: Watch | None = None,
 ) -> FileSummary:
     """Compensate the data of a run file into ``out`` (``kind``: parquet or csv), chunk by chunk.
 
     With a ``resampler`` the rows are brought to its rate. With ``parts`` the rows go there first, and those that
-    lie there already are not computed again; the result is the same to the bit.
+    lie there already are not computed again; the result is the same to the bit. ``watch`` is shown every piece
+    with its segment, and what became of it before it is brought to another rate; it does not go with ``parts``.
 
     Raises
     ------
@@ -95,7 +99,7 @@ def compensate_file(
     stepper = _Stepper(source, model, uncertainty, needs_phase(calibration) and phase is None)
     if parts is None:
         with TableWriter(out, kind) as writer:
-            _work_off(_ahead(source.pieces()), stepper, writer, summary, resampler, advance, math.inf)
+            _work_off(_ahead(source.pieces()), stepper, writer, summary, resampler, advance, math.inf, watch)
     else:
         _work_off_in_parts(source, stepper, parts, summary, resampler, advance)
         with TableWriter(out, kind) as writer:
@@ -109,7 +113,7 @@ def compensate_file(
 
 def _work_off(
     pieces: Iterator[Piece], stepper: _Stepper, writer: TableWriter, summary: FileSummary,
-    resampler: Resampler | None, advance: Callable[[int], None], most: float,
+    resampler: Resampler | None, advance: Callable[[int], None], most: float, watch: Watch | None = None,
 ) -> bool:  # fmt: skip
     """Pieces to rows, ``most`` rows at least if there are so many; False when the pieces are at their end."""
     pending: Future[None] | None = None
@@ -118,6 +122,8 @@ def _work_off(
         for piece in pieces:
             part = stepper.step(piece)
             advance(part.size)
+            if watch is not None and part.size:
+                watch(piece.label, piece.chunk, part)
             part = resampler.push_rows(part) if resampler else part
             summary.add(part)
             if pending is not None:

@@ -11,6 +11,7 @@ from piga._kernels import compensate_layout as at
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.compensation.model import Model, Phase, make_model
+from piga.compensation.rate_angle import integrated_rate
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
@@ -117,8 +118,6 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
         rows[starts[0] :] = False
     psi = record.output
     if record.kind == "rate":
-        from piga.compensation.triad import integrated_rate
-
         psi = integrated_rate(record.t, record.output, record.begins)
     finder = PhaseFinder(calibration)
     found = finder.push(record.t[rows], psi[rows], record.f[rows, 1], record.f[rows, 2])

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels import compensate_layout as at
 from piga.compensation.model import make_model
-from piga.compensation.triad import CompensatedSet, Mounted
+from piga.compensation.mounting import Mounted
+from piga.compensation.result import CompensatedSet
 from piga.compensation.validity import age_flag
 from piga.errors import ArgumentError
 

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels import resample as kernels
 from piga.compensation.flags import FLAGS
-from piga.compensation.result import Compensated
-from piga.compensation.triad import CompensatedSet
+from piga.compensation.result import Compensated, CompensatedSet
 from piga.errors import ArgumentError
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The compensated record: plain arrays with their units, and what was used to make them."""
+"""Compensated records of one instrument or of a set: plain arrays with their units."""
 
 from __future__ import annotations
 
@@ -74,3 +74,37 @@ class Compensated:
         from piga.compensation.writers import write_table
 
         write_table(Path(path), self.columns(), "csv")
+
+
+@dataclass(frozen=True)
+class CompensatedSet:
+    """Specific force and velocity increments in the common frame; arrays share their length n.
+
+    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)), ``residual``
+    [m/s^2]: the root of the summed squared misfits of the instruments (0 for three); ``flags`` as for one
+    instrument, set when they hold for any instrument.
+    """
+
+    t: Array
+    f: Array
+    dv: Array
+    u_f: Array
+    residual: Array
+    flags: NDArray[np.int32]
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.t.size)
+
+    def flagged(self, name: str) -> NDArray[np.bool_]:
+        """Rows with the flag ``name``."""
+        return (self.flags & FLAGS[name]) != 0
+
+    def columns(self) -> dict[str, NDArray]:
+        """The columns of the written file, in order."""
+        found: dict[str, NDArray] = {"t": self.t}
+        for prefix, values in (("f", self.f), ("dv", self.dv), ("u_f", self.u_f)):
+            if values.shape[0]:
+                found |= {prefix + axis: np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
+        return found | {"residual": self.residual, "flags": self.flags}

@@ -13,16 +13,13 @@ from numpy.typing import NDArray
 from piga.compensation.compensate import check_serial_names
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile
+from piga.compensation.mounting import Mounted
 from piga.compensation.published_set import PublishedSet
+from piga.compensation.rate_angle import RateAngle
 from piga.compensation.resample import Resampler
-from piga.compensation.triad import (
-    CompensatedSet,
-    Mounted,
-    RateAngle,
-    SetCompensator,
-    compensate_triad,
-    set_stream,
-)
+from piga.compensation.result import CompensatedSet
+from piga.compensation.set_compensator import SetCompensator
+from piga.compensation.triad import compensate_triad, set_stream
 from piga.compensation.writers import TableWriter
 from piga.errors import DataError
 from piga.records.run_file import read_run_file

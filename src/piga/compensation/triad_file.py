@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from piga.compensation.model import Phase
-from piga.compensation.triad import Mounted
+from piga.compensation.mounting import Mounted
 from piga.errors import RunFileError
 from piga.records import Calibration, read_toml
 from piga.records.run_file import Quantity

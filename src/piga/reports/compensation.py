@@ -1,132 +1,215 @@
-"""Figures of a compensation: error against a reference before and after, in time and in revolution order."""
+"""The page of ``piga compensate --report``: what was indicated, what was taken out, how sure the rest is."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import hashlib
+import math
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 
+from piga._version import __version__
 from piga.compensation import Compensated
-from piga.records.calibration import Residuals
+from piga.compensation.flags import FLAGS, MEANING
+from piga.records.calibration import Calibration
 from piga.records.run import Run
-from piga.reports.decimate import envelope_rows
-from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.orders import order_spectrum
-from piga.units import G0
+from piga.records.terms import si_factor
+from piga.reports.compensation_errors import error_figures
+from piga.reports.compensation_figures import (
+    MICRO_G,
+    correction_figure,
+    correction_spectrum,
+    flag_figure,
+    force_figure,
+)
+from piga.reports.compensation_outline import CompensationOutline
+from piga.reports.long_record import SHOWN
+from piga.reports.numbers import count, pretty_unit, printed, rounded, short
+from piga.reports.page import (
+    Block,
+    Column,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tone,
+    write_page,
+)
 
-Array = NDArray[np.float64]
 
-MICRO_G = 1e-6 * G0
-POINTS = 1500
+@dataclass(frozen=True)
+class CompensationFacts:
+    """What a compensation was made from.
 
-
-def compensation_figures(
-    record: Run, result: Compensated, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Figure, ...]:
-    """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
-
-    Parameters
-    ----------
-    record, result:
-        The record and its compensation.
-    scale_factor:
-        K [(rad/s)/(m/s^2)] that turns the output rate into the indicated force.
-    noise:
-        White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
+    ``files`` are the run file, its data and the calibration record; ``options`` as given, in words; ``repairs``
+    rows by kind, as found while reading.
     """
-    errors = compensation_errors(record, result, scale_factor)
-    return (
-        error_figure(errors, result.u_ax),
-        error_spectrum_figure({"a_x": errors}, scale_factor, noise),
+
+    calibration: Calibration
+    files: tuple[Path, ...]
+    options: dict[str, str]
+    repairs: dict[str, int] = field(default_factory=dict)
+
+
+def outline_of(kind: str, calibration: Calibration) -> CompensationOutline:
+    """A fresh outline for records of this kind (``"angle"`` or ``"rate"``) and calibration."""
+    values = [c.value for c in calibration.coefficients if c.name == "scale_factor"]
+    K = values[0] * si_factor("scale_factor") if values else calibration.scale_factor_nominal
+    return CompensationOutline(kind, K)
+
+
+def write_compensation_report(
+    found: CompensationOutline,
+    facts: CompensationFacts,
+    path: Path,
+    whole: tuple[Run, Compensated] | None = None,
+) -> Path:
+    """Write the page as one HTML file that opens offline; ``whole`` adds the error against the reference."""
+    return write_page(compensation_page(found, facts, whole), path)
+
+
+def compensation_page(
+    found: CompensationOutline, facts: CompensationFacts, whole: tuple[Run, Compensated] | None = None
+) -> Page:
+    """The page of a compensation."""
+    sections = [
+        Section("Specific force", "specific-force", (FigureBlock(force_figure(found)),)),
+        _orders(found),
+        _reference(found, facts.calibration, whole),
+        _flags(found),
+        *_repairs(facts),
+        _provenance(facts, found.scale_factor),
+    ]
+    data = facts.files[1].name
+    return Page(
+        title=f"Compensation of {facts.calibration.serial}",
+        subtitle=f"{data}, {count(found.size)} rows; the instrument's output is its {found.kind}.",
+        tiles=_tiles(found),
+        sections=tuple(sections),
+        kicker="piga · compensation",
+        footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. This file holds all it "
+        "shows: it opens without a network, and prints on A4.",
     )
 
 
-def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
-    """Error of the velocity as an angle [rad], indicated (``before``) and compensated (``after``)."""
-    h = np.diff(record.t)
-    h[record.begins[1:]] = 0.0
-    force = 0.5 * h * (record.f[1:, 0] + record.f[:-1, 0])
-    rate = record.kind == "rate"
-    turn = (
-        0.5 * h * (record.output[1:] + record.output[:-1])
-        if rate
-        else np.where(h > 0.0, np.diff(record.output), 0.0)
+def _tiles(found: CompensationOutline) -> tuple[Tile, ...]:
+    tiles = [
+        Tile(
+            "Velocity",
+            printed(short(found.velocity, 4)),
+            "m/s",
+            "sum of dv, what lies between stretches left out",
+        ),
+        Tile("Correction, rms", _micro_g(found.rms("correction")), "µg", "indicated less compensated"),
+    ]
+    if found.counts["u_ax"]:
+        tiles.append(Tile("u(a_x), rms", _micro_g(found.rms("u_ax")), "µg", "standard, one row"))
+    share = 100.0 * found.flagged / max(found.size, 1)
+    tone: Tone = "good" if found.flagged == 0 else "doubtful"
+    detail = f"{short(share)} % of the rows, no_increment not counted"
+    tiles.append(Tile("Rows with a flag", count(found.flagged), "", detail, tone))
+    return tuple(tiles)
+
+
+def _micro_g(value: float) -> str:
+    return short(value / MICRO_G) if math.isfinite(value) else "–"
+
+
+def _orders(found: CompensationOutline) -> Section:
+    order, amplitude = correction_spectrum(found)
+    blocks: list[Block] = []
+    if not (amplitude > 0.0).any():
+        blocks.append(
+            Notice("info", "No part of the record turns far enough, or nothing turns with the output.")
+        )
+    else:
+        blocks.append(FigureBlock(correction_figure(order, amplitude)))
+    if found.size > SHOWN:
+        blocks.append(Text(f"Of the first {count(SHOWN)} rows. Figures against time show the whole record."))
+    return Section("Revolution orders", "orders", tuple(blocks))
+
+
+def _reference(
+    found: CompensationOutline, calibration: Calibration, whole: tuple[Run, Compensated] | None
+) -> Section:
+    title, anchor = "Against the reference", "reference"
+    if whole is None:
+        text = "The file was streamed: its reference along the input axis is not read, and no error is shown."
+        return Section(title, anchor, (Notice("info", text),))
+    noise = (calibration.angle_rms, calibration.angle_random_walk)
+    lead = Text(
+        "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
+        "these are the errors against it; they hold the errors of that reference, too.",
+        lead=True,
     )
-    if record.base_rate is not None:
-        turn = turn + 0.5 * h * (record.base_rate[1:, 0] + record.base_rate[:-1, 0])
-    psi = np.concatenate(([0.0], np.cumsum(turn))) if rate else record.output
-    return error_record(
-        record.t, psi, turn / scale_factor - force, result.dv[1:] - force, scale_factor, record.segment
+    figures = error_figures(*whole, found.scale_factor, noise)
+    return Section(title, anchor, (lead, *(FigureBlock(figure) for figure in figures)))
+
+
+def _flags(found: CompensationOutline) -> Section:
+    figure = flag_figure(found)
+    if figure is None:
+        return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
+    columns = (
+        Column("flag", align="text"),
+        Column("bit"),
+        Column("rows"),
+        Column("share", "%"),
+        Column("first at", "s"),
+        Column("last at", "s"),
+        Column("meaning", align="text"),
     )
-
-
-def error_record(
-    t: Array,
-    psi: Array,
-    before: Array,
-    after: Array,
-    scale_factor: float,
-    segment: NDArray[np.int32] | None = None,
-) -> Residuals:
-    """Errors of velocity increments [m/s] (n - 1,) as running angles [rad] at the times ``t`` (n,) [s].
-
-    ``psi`` (n,) [rad] is the output angle of the instrument whose revolutions are looked for.
-    """
-    running = [np.concatenate(([0.0], np.cumsum(scale_factor * error))) for error in (before, after)]
-    index = np.zeros(t.size, np.int32) if segment is None else segment
-    nothing = np.zeros(t.size)
-    return Residuals(np.arange(1, t.size + 1), t, psi, nothing, running[0], running[1], nothing, index)
-
-
-def error_figure(errors: Residuals, uncertainty: Array) -> Figure:
-    """Error of the velocity against time before and after; spread that the uncertainty allows beside it."""
-    time = Axis("time", "s")
-    rows = {name: envelope_rows(getattr(errors, name), POINTS) for name in ("before", "after")}
-    t = errors.t - errors.t[0]
-    velocity = Panel(
-        time,
-        Axis("velocity error as output angle", "mrad"),
+    rows = tuple(
         (
-            Series(t[rows["before"]], 1e3 * errors.before[rows["before"]], "as indicated", role="before"),
-            Series(t[rows["after"]], 1e3 * errors.after[rows["after"]], "compensated", role="after"),
+            name, str(FLAGS[name]), count(marks.count), short(100.0 * marks.count / found.size),
+            short(marks.first - found.start, 6), short(marks.last - found.start, 6), MEANING[name],
+        )
+        for name, marks in found.marks.items()
+        if marks.count
+    )  # fmt: skip
+    table = Table(columns, rows, "Flags that were raised; times since the first row.")
+    return Section("Flags", "flags", (FigureBlock(figure), table))
+
+
+def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
+    if not facts.repairs:
+        return ()
+    columns = (Column("finding", align="text"), Column("count"))
+    rows = tuple((name, count(number)) for name, number in facts.repairs.items())
+    return (Section("Found while reading", "repairs", (Table(columns, rows, "Repairs of the record."),)),)
+
+
+def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
+    cal = facts.calibration
+    text = (Column("", align="text"), Column("", align="text"))
+    made = cal.provenance
+    options = {
+        "calibration of": f"{cal.serial}, by {made.software} on {made.created}",
+        "phase of the calibration": cal.phase,
+        "scale factor of the indication": f"{printed(short(scale_factor, 8))} (rad/s)/(m/s²)",
+        **facts.options,
+    }
+    digests = tuple((path.name, _digest(path)) for path in facts.files)
+    names = (Column("coefficient", align="text"), Column("value"), Column("unit", align="text"))
+    values = tuple(
+        (c.key, printed(rounded(c.value, c.std).concise), pretty_unit(c.unit)) for c in cal.coefficients
+    )
+    return Section(
+        "Provenance",
+        "provenance",
+        (
+            Table(text, tuple(options.items()), "How it was compensated."),
+            Table(names, values, "Coefficients of the calibration, standard uncertainty in brackets."),
+            Table(
+                (Column("file", align="text"), Column("SHA-256", align="text")), digests, "Files.", code=True
+            ),
         ),
     )
-    panels = [velocity]
-    if uncertainty.size:
-        known = np.where(np.isfinite(uncertainty), uncertainty, 0.0)
-        some = envelope_rows(known, POINTS)
-        series = Series(t[some], uncertainty[some] / MICRO_G, "u(a_x)", role="model")
-        highest = 1.2 * float(known.max()) / MICRO_G
-        axis = Axis("standard uncertainty per row", "micro-g", limits=(0.0, highest or 1.0))
-        panels.append(Panel(time, axis, (series,)))
-    return Figure(
-        "compensation-error",
-        "Error before and after compensation",
-        tuple(panels),
-        "The running error of the velocity against the reference, in units of the output angle: the cross-coupling "
-        "ripples once a revolution and drifts; what is left after compensation is the noise of the output.",
-    )
 
 
-def error_spectrum_figure(
-    errors: dict[str, Residuals], scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
-) -> Figure:
-    """Amplitude of the error in revolution order, one panel per component; a line at an order is a missed term."""
-    panels = []
-    for name, residuals in errors.items():
-        found = order_spectrum(residuals, scale_factor, noise=noise)
-        curves: tuple[Series, ...] = (
-            Series(found.order, found.before / MICRO_G, "as indicated", role="before"),
-            Series(found.order, found.after / MICRO_G, "compensated", role="after"),
-        )
-        if any(noise):
-            expected = Series(found.order, found.noise / MICRO_G, "noise alone", role="muted", dashed=True)
-            curves = (*curves, expected)
-        amplitude = Axis(f"amplitude of the error of {name}", "micro-g", log=True)
-        panels.append(Panel(Axis("revolution order", "1"), amplitude, curves))
-    return Figure(
-        "compensation-spectrum",
-        "Error in revolution order",
-        tuple(panels),
-        "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
-        "the servo at order 2. Compensated, no order stands out of the noise.",
-    )
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

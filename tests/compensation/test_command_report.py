@@ -1,0 +1,168 @@
+"""The page of ``piga compensate --report``: what it shows of whole and streamed records, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import piga
+from piga.cli import compensate as command_module
+from piga.compensation import FLAGS, Compensated
+from piga.compensation.step import NO_RATES, NONE, Chunk
+from piga.reports import compensation, compensation_outline
+from piga.reports.compensation import outline_of
+from piga.reports.compensation_figures import correction_spectrum, flag_figure, force_figure
+from piga.units import G0
+
+from .test_command import command, small_chunks, write
+from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """The outline that the command filled."""
+    found = []
+    real = compensation.compensation_page
+
+    def page(outline, facts, whole=None):
+        found.append((outline, facts, whole))
+        return real(outline, facts, whole)
+
+    monkeypatch.setattr(compensation, "compensation_page", page)
+    return found
+
+
+def compensated(tmp_path, monkeypatch, capsys, run, *more):
+    words = (run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "out.parquet", *more)
+    return command(monkeypatch, capsys, *words)
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, streamed):
+    """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
+    run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
+    if streamed:
+        monkeypatch.setattr(command_module, "STREAM_BYTES", 0)
+        small_chunks(monkeypatch, 211)
+    code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
+    assert code == 0
+    summary, html = json.loads(text), page.read_text(encoding="utf-8")
+    (outline, facts, whole), *others = watched
+    assert not others
+    assert outline.size == summary["rows"] == 3000
+    assert abs(outline.velocity - summary["velocity_m_s"]) < 1e-9
+    assert {name: marks.count for name, marks in outline.marks.items() if marks.count} == summary["flags"]
+    assert [path.name for path in facts.files] == ["run.toml", "run.parquet", "run.json"]
+    assert (whole is None) == streamed
+    assert ("was streamed" in html) == streamed
+    assert "SHA-256" in html
+    assert "no_increment" in html
+    assert "as recorded" in html
+
+
+def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
+    run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
+    compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
+    monkeypatch.setattr(command_module, "STREAM_BYTES", 0)
+    small_chunks(monkeypatch, 211)
+    compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz")
+    whole, streamed = watched[0][0], watched[1][0]
+    for name, values in whole.outline.rows.items():
+        np.testing.assert_allclose(streamed.outline.rows[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(streamed.leading().before, whole.leading().before, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_the_correction_is_the_cross_coupling(kind):
+    """1000 arcsec across 1 g: an amplitude of tan(beta) g at order 1; indicated less correction is the force."""
+    t = np.arange(0.0, 120.0, 0.02)
+    record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
+    found = outline_of(kind, cal)
+    found.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(found)
+    first = int(np.argmin(np.abs(order - 1.0)))
+    assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
+    rows = found.outline.rows
+    known = np.isfinite(rows["correction"])
+    np.testing.assert_allclose((rows["indicated"] - rows["correction"])[known], G0, rtol=1e-6)
+    assert abs(found.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
+    figure = force_figure(found)
+    assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
+
+
+def test_changes_of_attitude_do_not_drown_the_orders():
+    """Four attitudes in one segment, turning back in one of them: a line at order 1, a hundredth of it above 3."""
+    t = np.arange(0.0, 4000.0, 0.05)
+    angle = 0.3 * np.array([0, 2, 8, 1])[(t // 1000.0).astype(int)] + 0.3
+    f = G0 * np.stack((np.cos(angle), np.sin(angle), np.zeros(t.size)), axis=1)
+    record = run_of(t, f, phi=0.3)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3})
+    found = outline_of("angle", cal)
+    found.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(found)
+    across = np.sqrt(np.mean(np.sin(0.3 + 0.3 * np.array([0, 2, 8, 1])) ** 2))
+    first = int(np.argmin(np.abs(order - 1.0)))
+    assert abs(amplitude[first] / (TAN_BETA * G0 * across) - 1.0) < 0.25
+    assert np.nanmax(amplitude[order > 3.0]) < 0.01 * amplitude[first]
+
+
+def test_memory_is_bounded_and_extremes_are_kept():
+    """Two million rows: the outline stays small, holds lone extremes and flags; the leading part is cut."""
+    found, size, total = outline_of("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
+    for index in range(total):
+        t = (np.arange(size) + index * size) * 0.01
+        ax = np.sin(t)
+        flags = np.full(size, FLAGS["temperature"], np.int32)
+        if index in (0, 13):
+            ax[4711], flags[4711] = 50.0 + index, FLAGS["coarse"]
+        begins = np.zeros(size, dtype=bool)
+        chunk = Chunk(t, K_G / G0 * ax, ax, ax, begins, NO_RATES, NONE, NONE)
+        found.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
+    rows = found.outline.rows
+    assert rows["row"].size <= compensation_outline.KEPT
+    assert (np.diff(rows["row"]) > 0).all()
+    for index in (0, 13):
+        assert rows["ax"][rows["row"] == index * size + 4711] == [50.0 + index]
+    assert found.leading().t.size == compensation_outline.SHOWN
+    coarse, warm = found.marks["coarse"], found.marks["temperature"]
+    assert (coarse.count, warm.count) == (2, total * size - 2)
+    assert (coarse.first, coarse.last) == (47.11, (13 * size + 4711) * 0.01)
+    assert 0 < warm.row.size <= compensation_outline.MARKS
+    assert {len(series.arrays()[0]) for series in flag_figure(found).panels[0].series} == {2, warm.row.size}
+
+
+def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):
+    run = write(tmp_path)
+    for words, says in (
+        (("--report", tmp_path / "page.pdf"), "must end in .html"),
+        (("--report", tmp_path / "page.html", "--resume"), "does not go with --resume"),
+    ):
+        code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *words)
+        assert code == 2
+        assert says in err
+    code, _, err = command(
+        monkeypatch, capsys, "-", "--calibration", tmp_path / "run.json", "--report", tmp_path / "page.html"
+    )
+    assert code == 2
+    assert "--report is not for a live stream" in err
+    code, _, err = command(monkeypatch, capsys, run, run, run, "--report", tmp_path / "page.html")
+    assert code == 2
+    assert "--report is not for several instruments" in err
+    assert not (tmp_path / "page.html").exists()
+    assert not (tmp_path / "out.parquet").exists()
+
+
+def test_without_a_report_no_report_is_loaded(tmp_path):
+    """Plain compensation loads neither the page nor what draws it."""
+    run = write(tmp_path)
+    code = (
+        "import sys; from piga.cli.compensate import compensate; from pathlib import Path;"
+        f"compensate([Path({str(run)!r})], [Path({str(tmp_path / 'run.json')!r})], Path({str(tmp_path / 'o.csv')!r}));"
+        "assert not {name for name in sys.modules if name.startswith(('piga.reports', 'matplotlib', 'jinja2'))}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
