@@ -13,8 +13,10 @@ import piga
 from piga.cli import compensate as command_module
 from piga.compensation import FLAGS, Compensated
 from piga.compensation.step import NO_RATES, NONE, Chunk
+from piga.records.calibration import Residuals
 from piga.reports import compensation, compensation_outline
 from piga.reports.compensation import outline_of
+from piga.reports.compensation_errors import in_windows
 from piga.reports.compensation_figures import correction_spectrum, flag_figure, force_figure
 from piga.units import G0
 
@@ -90,6 +92,8 @@ def test_the_correction_is_the_cross_coupling(kind):
     rows = found.outline.rows
     known = np.isfinite(rows["correction"])
     np.testing.assert_allclose((rows["indicated"] - rows["correction"])[known], G0, rtol=1e-6)
+    taken_out = K_G / G0 * 0.02 * np.nansum(rows["correction"][1:])
+    assert abs(found.leading().before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
     assert abs(found.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
     figure = force_figure(found)
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
@@ -109,6 +113,17 @@ def test_changes_of_attitude_do_not_drown_the_orders():
     first = int(np.argmin(np.abs(order - 1.0)))
     assert abs(amplitude[first] / (TAN_BETA * G0 * across) - 1.0) < 0.25
     assert np.nanmax(amplitude[order > 3.0]) < 0.01 * amplitude[first]
+
+
+def test_windows_begin_with_segments_and_after_sixteen_turns():
+    """40 turns and then 10 backwards: three windows and one."""
+    psi = 2.0 * np.pi * np.concatenate((np.linspace(5.0, 45.0, 4001), np.linspace(0.0, -10.0, 1001)))
+    segment = np.repeat(np.array([0, 1], np.int32), (4001, 1001))
+    zero = np.zeros(psi.size)
+    found = in_windows(Residuals(np.arange(psi.size), zero, psi, zero, zero, zero, zero, segment))
+    starts = np.flatnonzero(np.diff(found.segment, prepend=-1))
+    assert abs(starts[1:4] - [1600, 3200, 4001]).max() <= 1
+    assert found.segment[0] == found.segment[1599]
 
 
 def test_memory_is_bounded_and_extremes_are_kept():
