@@ -12,6 +12,7 @@ from piga.calibration.design import Design
 from piga.calibration.request import Request
 from piga.calibration.thinning import smooth_step
 from piga.records.run import Run
+from piga.records.spool import gathered
 
 Array = NDArray[np.float64]
 
@@ -55,10 +56,10 @@ def sample_of(run: Run, request: Request) -> Sample:
     """Windows spread over the record, samples skipped while the output turns little and the force is straight."""
     index, begins = _thinned(run)
     point = run.kind == "rate"
-    output = run.output[index]
+    output = gathered(run.output, index)
     read = replace(request, phase_source="output")
-    phase = Design(run, read, run.scale_factor).phase_angle[index] if point else output
-    t, h = run.t[index], np.ones(index.size)
+    phase = gathered(Design(run, read, run.scale_factor).phase_angle, index) if point else output
+    t, h = gathered(run.t, index), np.ones(index.size)
     if not point:
         h[1:] = np.diff(t)
         h[begins] = 0.0
@@ -68,17 +69,17 @@ def sample_of(run: Run, request: Request) -> Sample:
         h=h,
         phase=phase,
         observed=observed,
-        f=run.f[index],
-        base=np.zeros((index.size, 3)) if run.base_rate is None else run.base_rate[index],
-        warm=t if run.temperature is None else run.temperature[index] - request.temperature_reference,
-        segment=run.segment[index],
+        f=gathered(run.f, index),
+        base=np.zeros((index.size, 3)) if run.base_rate is None else gathered(run.base_rate, index),
+        warm=t if run.temperature is None else gathered(run.temperature, index) - request.temperature_reference,
+        segment=gathered(run.segment, index),
         point=point,
     )
 
 
 def _thinned(run: Run) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Rows to look at, and where windows of them begin."""
-    begun: NDArray[np.int64] = np.flatnonzero(run.begins) if run.begins.any() else np.zeros(1, dtype=np.int64)
+    begun: NDArray[np.int64] = np.unique(np.append(np.flatnonzero(run.begins), 0))
     starts = begun[:: max(1, math.ceil(begun.size * 12 / ROWS))].tolist()
     ends = np.append(np.flatnonzero(run.begins)[1:], run.size)
     skip = 1 if run.kind == "rate" else smooth_step(run, TURN)

@@ -27,6 +27,7 @@ from piga.calibration.solution import layout_of
 from piga.calibration.thinning import smooth_step
 from piga.calibration.weighting import Whitener
 from piga.records.calibration import Coefficient
+from piga.records.spool import gathered
 from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -162,8 +163,9 @@ def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
 def _joined(fit: Fit) -> int:
     """How many increments are joined to one."""
     run = fit.design.run
-    turn = np.abs(np.diff(fit.design.phase_angle[:: max(1, run.size // ROWS)]))
-    step = float(np.quantile(turn, 0.9)) / max(1, run.size // ROWS)
+    every = max(1, run.size // ROWS)
+    turn = np.abs(np.diff(gathered(fit.design.phase_angle, np.arange(0, run.size, every))))
+    step = float(np.quantile(turn, 0.9)) / every
     most = WIDEST / step if step > 0.0 else math.inf
     return max(1, min(math.ceil(fit.design.rows / ROWS), int(min(most, 1e6))))
 

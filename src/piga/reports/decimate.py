@@ -7,8 +7,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piga.records.spool import trim
+
 POINTS = 2000
 """Points that a drawn curve keeps at most."""
+TRIM_BUCKETS = 64
+"""Buckets after which resident pages of a mapped record are given back."""
 
 
 def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
@@ -32,7 +36,9 @@ def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
         return np.arange(values.size)
     edges = np.linspace(0, values.size, (limit - 2) // 3 + 1).astype(np.int64)
     kept = [0, values.size - 1]
-    for start, stop in pairwise(edges.tolist()):
+    for index, (start, stop) in enumerate(pairwise(edges.tolist())):
+        if index % TRIM_BUCKETS == 0:
+            trim()
         kept += [start + row for row in _bucket_rows(values[start:stop])]
     return np.unique(np.array(kept, dtype=np.int64))
 

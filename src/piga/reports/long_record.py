@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Residuals
-from piga.records.spool import spans
+from piga.records.spool import gathered, spans
 from piga.reports.decimate import envelope_rows
 
 SHOWN = 1 << 20
@@ -48,5 +48,5 @@ def _starts(segment: NDArray[np.int32]) -> NDArray[np.int64]:
 
 def _rows(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
-    run = None if residuals.run is None else residuals.run[rows]
-    return replace(residuals, run=run, **{name: getattr(residuals, name)[rows] for name in names})
+    run = None if residuals.run is None else gathered(residuals.run, rows)
+    return replace(residuals, run=run, **{name: gathered(getattr(residuals, name), rows) for name in names})
