@@ -30,6 +30,8 @@ LARGE = 200_000
 """Increments above which the noise levels are known so well that only the least degrees of freedom are given."""
 STEP = 0.05
 """Relative step of a noise level for the derivative of the variances."""
+SEEN = 0.05
+"""Random walk over its standard uncertainty up to which it makes no difference to the weights."""
 
 
 def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> float:
@@ -99,12 +101,13 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     starts = np.flatnonzero(fit.design.run.begins)
     lengths = np.diff(np.append(starts, fit.design.run.size))
     information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
-    if fit.noise.walk == 0.0 and fit.noise.drift > 0.0:
-        return _satterthwaite(fit, groups, per_segment, (), rest)
-    if fit.noise.walk == 0.0:
-        return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
     scale = np.array([fit.noise.white, fit.noise.walk])
     covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    unseen = fit.noise.walk <= SEEN * math.sqrt(float(covariance[1, 1]))
+    if unseen and fit.noise.drift > 0.0:
+        return _satterthwaite(fit, groups, per_segment, (), rest)
+    if unseen:
+        return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
     if fit.design.rows > LARGE and fit.noise.drift == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))

@@ -25,6 +25,8 @@ SAMPLE = 1 << 17
 SIGNIFICANT = 1.5
 """Gain in twice the log-likelihood from which a random walk is taken as real: with it the variance is right on
 average both without a walk and with one of the size that can just be seen."""
+NEGLIGIBLE = 1e-3
+"""Gain up to which a level makes no difference to the weights: it is left as found."""
 REFINEMENTS = 4
 """Passes over the residuals; one less when the ratio is known to a decade."""
 
@@ -115,7 +117,7 @@ def find_noise(
         grid = np.append(LOWEST, np.full(LANES - 1, best))
         log, square = deviance_sums(d, h, 10.0**grid / step)
         objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log + information(grid)
-        if objective[0] - objective[1] < SIGNIFICANT:
+        if NEGLIGIBLE < objective[0] - objective[1] < SIGNIFICANT:
             best, size = LOWEST, float(square[0])
     ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
     white = size / freedom
