@@ -48,6 +48,10 @@ SHOWN_NAMES = 14
 _SHOWN_OUTLIERS = 30
 
 
+MANY = 1_000_000
+"""Degrees of freedom beyond which the number tells nothing more."""
+
+
 def meaning(name: str) -> str:
     """A coefficient's meaning in words."""
     harmonic = re.fullmatch(r"([sc])(\d+)", name)
@@ -73,7 +77,6 @@ def coefficient_table(cal: Calibration) -> Table:
         Column("u / value"),
         Column("ν"),
         Column("k"),
-        Column("Meaning", align="text"),
     )
     return Table(columns, tuple(rows), notes=_coefficient_notes(cal))
 
@@ -83,6 +86,8 @@ def freedom(coefficient: Coefficient) -> str:
     nu = coefficient.degrees_of_freedom
     if math.isnan(nu):
         return "–"
+    if MANY < nu < math.inf:
+        return f"> {count(MANY)}"
     return "∞" if math.isinf(nu) else count(round(nu)) if nu >= 100.0 else f"{nu:.3g}"
 
 
@@ -102,7 +107,6 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
         "–"
         if coefficient.interval or math.isnan(coefficient.coverage_factor)
         else f"{coefficient.coverage_factor:.2f}",
-        Cell(meaning(coefficient.name), "quiet"),
     )
 
 
