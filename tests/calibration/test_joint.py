@@ -183,9 +183,9 @@ def test_every_segment_with_its_own_phase(runs: list[piga.Run]) -> None:
         assert calibration[name].value == pytest.approx(shared[name].value, abs=3.0 * calibration[name].std)
 
 
-def test_coarse_counts_and_degrees_of_freedom_as_of_a_run_alone(tmp_path: Path) -> None:
-    """One run by its summary is that run: exact covariance of coarse counts, Student's t for its noise levels."""
-    scenario = SCENARIOS["coarse-slow"]
+def test_degrees_of_freedom_as_of_a_run_alone(tmp_path: Path) -> None:
+    """One run by its summary is that run, Student's t for its noise levels included."""
+    scenario = SCENARIOS["static"]
     run = scenario.record(np.random.default_rng(5))
     RunSummary.of(run, scenario.terms).to_json(tmp_path / "s.json")
     alone, merged = (
