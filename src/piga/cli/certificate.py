@@ -90,13 +90,9 @@ def issue(
 def _bytes(path: Path) -> bytes:
     """The bytes of a calibration.json, read once: the digest on the certificate is of what was certified."""
     from piga.records.calibration_json import MAX_BYTES
+    from piga.records.limits import read_whole
 
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise PigaError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
-        return path.read_bytes()
-    except OSError as error:
-        raise PigaError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+    return read_whole(path, MAX_BYTES, "a calibration.json", PigaError)
 
 
 def _before(file: CertificateFile, data: Path) -> Calibration | None:

@@ -11,6 +11,7 @@ from typing import TypeVar
 import msgspec
 
 from piga.errors import RunFileError
+from piga.records.limits import read_whole
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -32,13 +33,7 @@ def read_toml(path: Path, kind: type[T]) -> T:
         the wrong type.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RunFileError(
-                f"{path}: larger than {MAX_BYTES} bytes", remedy="name the TOML file, not the data file"
-            )
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+        text = read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RunFileError(
             f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
