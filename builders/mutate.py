@@ -110,9 +110,10 @@ PLATFORM_ROOM = {
 }
 KERNELS = {
     "compensate compensate_layout compensate_lean compensate_lean_angle compensate_near compensate_record "
-    "compensate_terms compensate_uncertainty published sine_cosine": [*COMPENSATED, *SETS],
+    "compensate_terms compensate_uncertainty sine_cosine": [*COMPENSATED, *SETS],
     "compensate_set compensate_set_record compensate_triad": SETS,
     "counting": COUNTED,
+    "published": FIT,
     "double_double regressors square_root statistics whitening": SUMS,
     "function_motion": [*SAMPLES, "tests/docs/test_snippets.py"],
     "motion motion_blocks motion_increments motion_sensitivity transfer trig": SAMPLES,
