@@ -46,30 +46,32 @@ MOTION = [
 ]
 SAMPLES = [
     *MOTION,
-    *tests_of("instrument", "sensitivity", "step_sizes", "short_records", "propagate", "input_forms"),
+    *tests_of("instrument", "sensitivity", "step_sizes", "short_records", "input_forms", "propagate"),
 ]
 ANALYSIS = [*tests_of("instrument", "motion_analysis", "closed_form", "borders"), *EQUATIONS]
 TWIN = tests_of("instrument", "twin_linear", "twin", "borders")
 SUMS = [*tests_of("calibration", "kernels", "reduction"), *EQUATIONS, *tests_of("calibration", "interpreted")]
-FIT = tests_of("calibration", "interpreted", "calibrate", "small_requests", "shipped_record", "model_choice")
+FIT = tests_of(
+    "calibration", "interpreted", "small_parts", "calibrate", "small_requests", "shipped_record", "model_choice"
+)
 JOINT = tests_of("calibration", "small_joint", "joint")
-UNCERTAINTY = tests_of("calibration", "uncertainty", "calibrate", "small_joint")
-COUNTED = tests_of("calibration", "stretches", "uncertainty", "shipped_record")
+UNCERTAINTY = tests_of("calibration", "small_parts", "uncertainty", "calibrate", "small_joint")
+COUNTED = tests_of("calibration", "stretches", "small_parts", "uncertainty", "shipped_record")
 PLANS = tests_of("calibration", "small_plans", "small_requests", "planning")
-TREND = tests_of("calibration", "trend_line", "trend")
-CHOICE = tests_of("calibration", "model_choice")
+TREND = tests_of("calibration", "small_parts", "trend_line", "trend")
+CHOICE = tests_of("calibration", "small_parts", "model_choice")
 REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
 SIGNATURES = tests_of("calibration", "missing_terms", "alarms")
 COMPENSATED = tests_of(
-    "compensation", "compensate", "stream", "near", "lean", "term_uncertainty", "record_facts", "refusals"
+    "compensation", "compensate", "record_facts", "lean", "term_uncertainty", "near", "stream", "refusals"
 )
-SETS = tests_of("compensation", "triad", "refusals", "published_case", "files", "large_record")
+SETS = tests_of("compensation", "triad", "published_case", "large_record")
 PHASES = tests_of("compensation", "phase_and_resample")
 GEOMETRY = tests_of("stable_platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("stable_platform", "scenario", "navigation")]
 ERRORS = tests_of("stable_platform", "error_model", "navigation", "models")
 IDENTIFIED = tests_of("stable_platform", "identification", "alignment", "intervals")
-TRIADS = tests_of("stable_platform", "triad", "simulate", "cli_platform")
+TRIADS = tests_of("stable_platform", "triad", "simulate")
 GROUND = ["tests/foundations"]
 CALIBRATION = {
     "advice advice_sample advice_words thinning": tests_of("calibration", "advice"),
@@ -78,11 +80,11 @@ CALIBRATION = {
     "budget degrees_of_freedom monte_carlo propagation uncertainty": UNCERTAINTY,
     "candidate_columns missing_terms": SIGNATURES,
     "candidates criterion mounting planning prediction visits plan_file plan_export": PLANS,
-    "cleaning outliers": tests_of("calibration", "outliers"),
+    "cleaning outliers": tests_of("calibration", "small_parts", "outliers"),
     "control_chart trend trend_line": TREND,
     "counted stretches": COUNTED,
     "cross_validation model_choice model_comparison": CHOICE,
-    "drift drift_basis": tests_of("calibration", "drift"),
+    "drift drift_basis": tests_of("calibration", "small_parts", "drift"),
     "joint joint_result summary summary_json": JOINT,
     "leverage segment_parts": [*tests_of("calibration", "leverage"), *SIGNATURES],
     "published recursive request": FIT,
@@ -351,6 +353,8 @@ def main() -> None:
         if code == 0:
             survivors.append({"file": mutant.file, "line": mutant.line, "change": mutant.change})
             print(f"survived {number}/{len(pool)}: {mutant.file}:{mutant.line}: {mutant.change}", flush=True)
+        elif number % 20 == 0:
+            print(f"{number}/{len(pool)}", flush=True)
     for file, (killed, tried, total) in score.items():
         if tried:
             print(f"{file:34} {killed:4} of {tried:4} noticed ({total} mutants in all)")
