@@ -51,21 +51,27 @@ SAMPLES = [
 ANALYSIS = [*tests_of("instrument", "motion_analysis", "closed_form", "borders"), *EQUATIONS]
 TWIN = tests_of("instrument", "twin_linear", "twin", "borders")
 SUMS = [*tests_of("calibration", "kernels", "reduction"), *EQUATIONS, *tests_of("calibration", "interpreted")]
-FIT = tests_of(
-    "calibration", "interpreted", "small_parts", "calibrate", "small_requests", "model_choice"
-)
+FIT = tests_of("calibration", "interpreted", "small_parts", "calibrate", "small_requests", "model_choice")
 JOINT = tests_of("calibration", "small_joint", "joint")
 UNCERTAINTY = tests_of("calibration", "small_parts", "uncertainty", "calibrate", "small_joint")
 COUNTED = tests_of("calibration", "stretches", "small_parts", "uncertainty", "shipped_record")
-PLANS = tests_of("calibration", "small_plans", "small_requests", "planning")
+PLANS = tests_of("calibration", "small_parts", "small_plans", "small_requests", "planning")
 TREND = tests_of("calibration", "small_parts", "trend_line", "trend")
 CHOICE = tests_of("calibration", "small_parts", "model_choice")
 REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
 SIGNATURES = tests_of("calibration", "missing_terms", "alarms")
 COMPENSATED = tests_of(
-    "compensation", "compensate", "record_facts", "lean", "term_uncertainty", "near", "stream", "refusals"
+    "compensation",
+    "compensate",
+    "record_facts",
+    "lean",
+    "set_corners",
+    "term_uncertainty",
+    "near",
+    "stream",
+    "refusals",
 )
-SETS = tests_of("compensation", "triad", "published_case", "large_record")
+SETS = tests_of("compensation", "triad", "set_corners", "published_case", "large_record")
 PHASES = tests_of("compensation", "phase_and_resample")
 GEOMETRY = tests_of("stable_platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("stable_platform", "scenario", "navigation")]
