@@ -9,7 +9,7 @@ import pytest
 
 import piga
 from piga._kernels.compensate_layout import TILE
-from piga.compensation import SetCompensator, compensate_triad
+from piga.compensation import SetCompensator, compensate_triad, identify_phase
 from piga.units import G0
 
 from .test_triad import SKEWED, made, orthogonal, rotation
@@ -116,3 +116,15 @@ def test_products_of_changing_forces_in_a_set(name: str) -> None:
     runs, mounted = made(t, f, AXES["orthogonal"], errors={name: 0.02})
     error = compensate_triad(runs, mounted).f[1:] - 0.5 * (f[1:] + f[:-1])
     assert np.abs(error[2:10]).max() < 3e-6 * G0
+
+
+def test_a_first_harmonic_does_not_move_the_phase() -> None:
+    """It is as large as the coupling, at another angle: what is known of it is taken out before the phase is sought."""
+    t = np.arange(0.0, 30.0, 0.02)
+    errors = {"s1": 2e-3, "c1": -3e-3}
+    f = np.tile(np.array([0.7, 0.7, 0.1]) * G0, (t.size, 1))
+    run = run_of(t, f, phi=2.5, errors=errors)
+    values = {"scale_factor": K_G, "tan_beta": TAN_BETA, **errors}
+    assert identify_phase(run, calibration_of(values, angle_rms=1e-8), 30.0).value == pytest.approx(
+        2.5, abs=1e-4
+    )
