@@ -52,9 +52,9 @@ def calibrate(
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate the coefficients of an instrument: calibration.json, residuals.parquet, report.html.
+    """Estimate the coefficients of an instrument from its runs.
 
-    Several runs of one instrument are calibrated together.
+    Leaves calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
