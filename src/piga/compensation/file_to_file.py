@@ -28,7 +28,7 @@ from piga.errors import CalibrationError, DataError
 from piga.records.calibration import Calibration
 from piga.records.run_file import read_run_file
 
-AHEAD = 3
+AHEAD = 2
 """Pieces read before they are computed, and rows written behind: a stage that waits once is caught up with."""
 T = TypeVar("T")
 Watch = Callable[[str, Chunk, Compensated], None]

@@ -78,7 +78,7 @@ class LargeFile:
 
     def pieces(self) -> Iterator[Piece]:
         """The samples in order."""
-        stream = open_stream(self.path.parent, self.run_file.data)
+        stream = open_stream(self.path.parent, self.run_file.data, small=True)
         visits = Visits(stream.label_names)
         for chunk in stream.chunks():
             yield from self._convert(chunk, stream.units, visits)
