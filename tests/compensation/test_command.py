@@ -99,7 +99,7 @@ def test_command_writes_columns_and_units(tmp_path, monkeypatch, capsys, kind):
 @pytest.mark.parametrize("streamed", [False, True])
 def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed):
     run, fine, coarse = write(tmp_path, rows=501), tmp_path / "fine.parquet", tmp_path / "coarse.parquet"
-    monkeypatch.setattr("piga.cli.compensate.STREAM_BYTES", 0 if streamed else 1 << 30)
+    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0 if streamed else 1 << 30)
     words = (run, "--calibration", tmp_path / "run.json", "--out")
     assert command(monkeypatch, capsys, *words, fine)[0] == 0
     assert command(monkeypatch, capsys, *words, coarse, "--rate", "10 Hz")[0] == 0
@@ -112,7 +112,7 @@ def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed
 
 def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monkeypatch, capsys):
     run, out = write(tmp_path, rows=1000), tmp_path / "out.parquet"
-    monkeypatch.setattr("piga.cli.compensate.STREAM_BYTES", 0)
+    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
     small_chunks(monkeypatch, 100)
     words = (run, "--calibration", tmp_path / "run.json", "--out", out)
     out.write_bytes(b"older")

@@ -48,7 +48,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     if streamed:
-        monkeypatch.setattr(command_module, "STREAM_BYTES", 0)
+        monkeypatch.setattr(command_module, "STREAM_ROWS", 0)
         small_chunks(monkeypatch, 211)
     code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
@@ -69,7 +69,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
-    monkeypatch.setattr(command_module, "STREAM_BYTES", 0)
+    monkeypatch.setattr(command_module, "STREAM_ROWS", 0)
     small_chunks(monkeypatch, 211)
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz")
     whole, streamed = watched[0][0], watched[1][0]

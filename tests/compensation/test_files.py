@@ -29,7 +29,7 @@ def streamed(monkeypatch):
     """Chunks of 100 rows, parts of 300, whatever the size of the file."""
     small_chunks(monkeypatch, 100)
     monkeypatch.setattr(parts, "PART_ROWS", 300)
-    monkeypatch.setattr("piga.cli.compensate.STREAM_BYTES", 0)
+    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
 
 
 @pytest.mark.parametrize("options", [(), ("--rate", "40 Hz")])
@@ -77,7 +77,7 @@ def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
     script = (
         "import sys\nfrom piga.compensation import parts\nimport piga.cli.compensate as c\n"
         "from piga.cli.main import main\nfrom piga.records.parquet_reader import ParquetStream\n"
-        "parts.PART_ROWS = 20_000\nc.STREAM_BYTES = 0\nParquetStream.__init__.__defaults__ = (5000,)\n"
+        "parts.PART_ROWS = 20_000\nc.STREAM_ROWS = 0\nParquetStream.__init__.__defaults__ = (5000,)\n"
         f"sys.argv = ['piga', 'compensate', {str(run)!r}, '--calibration', {str(tmp_path / 'run.json')!r}, '--out',"
         " *sys.argv[1:]]\nmain()\n"
     )

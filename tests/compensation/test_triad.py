@@ -31,7 +31,7 @@ def made(t, f, axes, kind="angle", errors=None, base=None, std=None):
     """Records and mounted instruments of a set that feels ``f`` in the common frame."""
     runs, mounted = [], []
     for i, matrix in enumerate(axes):
-        omega = None if base is None else np.tile(matrix @ base, (t.size, 1))
+        omega = None if base is None else np.broadcast_to(base, (t.size, 3)) @ matrix.T
         runs.append(run_of(t, f @ matrix.T, phi=PHASES[i], kind=kind, errors=errors, base_rate=omega))
         values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHASES[i], **(errors or {})}
         mounted.append(Mounted(calibration_of(values, std, angle_rms=1e-6), matrix))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from piga._kernels import compensate as angle
 from piga._kernels import compensate_layout as at
+from piga._kernels import compensate_near as near
 from piga._kernels import compensate_terms as terms
 from piga._kernels.jit import exact, kernel
 
@@ -32,7 +33,8 @@ MISFIT = 18 * at.STRIDE
 CHI = 19 * at.STRIDE
 WEIGHT = 20 * at.STRIDE
 SET_WORK = 21 * at.STRIDE
-SET_STATE = 6  # early estimate and force of the last row
+SET_STATE = 12  # early estimate and force of the last row, early estimates of the two rows before it
+EARLY_PLACES = (0, 6, 9)  # of the last rows, the latest first
 
 
 @kernel
@@ -67,11 +69,14 @@ def sample_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
 
 @kernel
 def mean_base(rows: int, w: Array) -> None:
-    """What base rate and first harmonic add, averaged over every interval."""
+    """What base rate and first harmonic add, averaged over every interval, and its change."""
     for j in range(1, rows + 1):
         w[at.BASE_X + j] = 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j])
         w[at.BASE_Y + j] = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
         w[at.BASE_Z + j] = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
+        w[at.BASE_RISE_X + j] = w[at.OMEGA_X + j] - w[at.OMEGA_X + j - 1]
+        w[at.BASE_RISE_Y + j] = w[at.RATE_Y + j] - w[at.RATE_Y + j - 1]
+        w[at.BASE_RISE_Z + j] = w[at.RATE_Z + j] - w[at.RATE_Z + j - 1]
 
 
 @kernel
@@ -172,10 +177,10 @@ def turn_force(rows: int, axes: Array, w: Array, c: Array) -> None:
 
 @kernel
 def model_errors(rows: int, p: Array, has_terms: bool, w: Array) -> None:
-    """Error model at the force, into the row ERROR: what the indicated force has beyond ``a_x``."""
+    """Error model at the force and its change over the interval: what the indicated force has beyond ``a_x``."""
     reference = p[at.P_TIME_REFERENCE]
     for j in range(1, rows + 1):
-        w[at.ERROR + j] = w[at.HARMONICS + j]
+        w[at.ERROR + j], w[at.ERROR_RISE + j] = w[at.HARMONICS + j], 0.0
     if not has_terms:
         return
     for j in range(1, rows + 1):
@@ -192,6 +197,13 @@ def model_errors(rows: int, p: Array, has_terms: bool, w: Array) -> None:
         value += p[terms.K_YZ] * (y * z + dy * dz / 12.0)
         value += p[terms.K0_T] * time + (p[terms.K0_TEMP] + p[terms.K1_TEMP] * a) * warmth
         w[at.ERROR + j] = value + w[at.HARMONICS + j]
+        da = w[at.SLOPE + j]
+        rise = (p[terms.K1] + 2.0 * (p[terms.K2] * a + p[terms.K2O] * abs(a)) + 3.0 * p[terms.K3] * a * a) * da
+        rise += p[terms.M_Y] * dy + p[terms.M_Z] * dz + 2.0 * (p[terms.K_YY] * y * dy + p[terms.K_ZZ] * z * dz)
+        rise += p[terms.K_XY] * (a * dy + y * da) + p[terms.K_XZ] * (a * dz + z * da)
+        rise += p[terms.K_YZ] * (y * dz + z * dy) + p[terms.K0_T] * w[at.STEP + j]
+        rise += (p[terms.K0_TEMP] + p[terms.K1_TEMP] * a) * w[at.CHANGE_T + j] + p[terms.K1_TEMP] * warmth * da
+        w[at.ERROR_RISE + j] = rise
 
 
 @kernel
@@ -204,7 +216,9 @@ def misfit_intervals(rows: int, p: Array, w: Array) -> None:
         a = K * (w[at.FORCE + j] + w[at.ERROR + j]) - w[at.BASE_X + j]
         y = K * tangent * w[at.MEAN_Y + j] + w[at.BASE_Y + j]
         z = K * tangent * w[at.MEAN_Z + j] + w[at.BASE_Z + j]
-        da, dy, dz = K * w[at.SLOPE + j], K * tangent * w[at.CHANGE_Y + j], K * tangent * w[at.CHANGE_Z + j]
+        da = K * (w[at.SLOPE + j] + w[at.ERROR_RISE + j]) - w[at.BASE_RISE_X + j]
+        dy = K * tangent * w[at.CHANGE_Y + j] + w[at.BASE_RISE_Y + j]
+        dz = K * tangent * w[at.CHANGE_Z + j] + w[at.BASE_RISE_Z + j]
         cross = h * h / 12.0
         Y = h * y + cross * (a * dz - z * da)
         Z = h * z - cross * (a * dy - y * da)
@@ -233,7 +247,9 @@ def misfit_far(rows: int, p: Array, w: Array) -> None:
         a = K * (w[at.FORCE + j] + w[at.ERROR + j]) - w[at.BASE_X + j]
         y = K * tangent * w[at.MEAN_Y + j] + w[at.BASE_Y + j]
         z = K * tangent * w[at.MEAN_Z + j] + w[at.BASE_Z + j]
-        da, dy, dz = K * w[at.SLOPE + j], K * tangent * w[at.CHANGE_Y + j], K * tangent * w[at.CHANGE_Z + j]
+        da = K * (w[at.SLOPE + j] + w[at.ERROR_RISE + j]) - w[at.BASE_RISE_X + j]
+        dy = K * tangent * w[at.CHANGE_Y + j] + w[at.BASE_RISE_Y + j]
+        dz = K * tangent * w[at.CHANGE_Z + j] + w[at.BASE_RISE_Z + j]
         cross = h * h / 12.0
         Y = h * y + cross * (a * dz - z * da)
         Z = h * z - cross * (a * dy - y * da)
@@ -255,18 +271,31 @@ def misfit_samples(rows: int, p: Array, w: Array) -> None:
 
 
 @kernel
-def find_rise(rows: int, w: Array, c: Array) -> None:
-    """Change of the force over every interval, from the early estimates of it and the one before."""
+def keep_early(rows: int, c: Array) -> None:
+    """Keep the force as the estimate for a change of zero."""
     for j in range(1, rows + 1):
         c[EARLY_X + j], c[EARLY_Y + j], c[EARLY_Z + j] = c[FORCE_X + j], c[FORCE_Y + j], c[FORCE_Z + j]
+
+
+@kernel
+def find_rise(rows: int, early: int, rise: int, w: Array, c: Array) -> None:
+    """Change of a component of the force over every interval, from its early estimates there and before.
+
+    ``d + d^2/2 + d^3/4`` of backward differences ``d``, as for one instrument
+    (:func:`piga._kernels.compensate_near.invert_near`); the differences there are behind the beginning of a stretch, the
+    first one where intervals differ.
+    """
     for j in range(1, rows + 1):
-        step, before = w[at.STEP + j], w[at.STEP + j - 1]
-        joined = (step != 0.0) & (before != 0.0)
-        share = 2.0 * step / (step + before if joined else 1.0)
-        share = share if joined else 0.0
-        c[RISE_X + j] = share * (c[FORCE_X + j] - c[EARLY_X + j - 1])
-        c[RISE_Y + j] = share * (c[FORCE_Y + j] - c[EARLY_Y + j - 1])
-        c[RISE_Z + j] = share * (c[FORCE_Z + j] - c[EARLY_Z + j - 1])
+        h0, h1 = w[at.STEP + j], w[at.STEP + j - 1]
+        u0, u1, u2, u3 = c[early + j], c[early + j - 1], c[early + j - 2], c[early + j - 3]
+        joined = (h0 != 0.0) & (h1 != 0.0)
+        even = joined & (abs(h1 * w[at.INVERSE + j] - 1.0) <= 2.0 * near.EVEN) & (w[at.STEP + j - 2] != 0.0)
+        change, second = u0 - u1, (u0 - u1) - (u1 - u2)
+        third = second - ((u1 - u2) - (u2 - u3))
+        value = change * (2.0 * h0 / (h0 + h1 if joined else 1.0))
+        value += 0.5 * second if even else 0.0
+        value += 0.25 * third if even & (w[at.STEP + j - 3] != 0.0) else 0.0
+        c[rise + j] = value if joined else 0.0
 
 
 @exact

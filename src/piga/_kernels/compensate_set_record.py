@@ -83,8 +83,10 @@ def solve_rounds(
                 set_of.misfit_intervals(rows, parameters[i], w[i])
             set_of.add_right(rows, w[i], weights[i], c)
         set_of.correct_force(rows, c)
-        if k == 1 and not sampled:
-            set_of.find_rise(rows, w[0], c)
+        if k == rounds // 2 - 1 and not sampled:
+            set_of.keep_early(rows, c)
+            for axis in range(0, 3 * at.STRIDE, at.STRIDE):
+                set_of.find_rise(rows, set_of.EARLY_X + axis, set_of.RISE_X + axis, w[0], c)
 
 
 @exact
@@ -191,7 +193,8 @@ def compensate_set(
                 sines[i], cosines[i], states[i], zeros, w[i],
             )  # fmt: skip
         for axis in range(3):
-            c[set_of.EARLY_X + axis * at.STRIDE] = set_state[axis]
+            for k in range(3):
+                c[set_of.EARLY_X + axis * at.STRIDE - k] = set_state[set_of.EARLY_PLACES[k] + axis]
             c[set_of.FORCE_X + axis * at.STRIDE] = set_state[3 + axis]
         set_of.start_force(angle.padded(n), c)
         weights[:, :] = 1.0
@@ -215,7 +218,8 @@ def compensate_set(
                 flags[start + j] |= block_flags[j]
         flag_set(sampled, threshold if count > 3 else math.inf, w[0], c, flags[start:stop])
         for axis in range(3):
-            set_state[axis] = c[set_of.EARLY_X + axis * at.STRIDE + n]
+            for k in range(3):
+                set_state[set_of.EARLY_PLACES[k] + axis] = c[set_of.EARLY_X + axis * at.STRIDE + n - k]
             set_state[3 + axis] = c[set_of.FORCE_X + axis * at.STRIDE + n]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
@@ -16,10 +17,10 @@ if TYPE_CHECKING:
     from piga.cli.compensate_report import Report
     from piga.compensation import Phase
     from piga.compensation.file_to_file import FileSummary
-    from piga.records import Calibration
+    from piga.records import Calibration, Run
 
-STREAM_BYTES = 64 << 20
-"""Data files above this size are streamed; smaller ones are read whole, with all repairs of ``piga check``."""
+STREAM_ROWS = 1 << 18
+"""Data files of more rows are streamed; shorter ones are read whole, with all repairs of ``piga check``."""
 
 
 def compensate(
@@ -202,8 +203,13 @@ def _single(
     page: Path | None,
 ) -> dict[str, Any]:
     """One recorded run; a large one in chunks."""
+    from piga.compensation import identify_phase
+    from piga.compensation.file_length import holds_more
+    from piga.compensation.phase import identify_phase_of_file
     from piga.records import read_run_file
+    from piga.stand import read_run
 
+    _spare_memory()
     wanted = read_run_file(run).data
     data = run.parent / wanted.file
     report = None
@@ -213,10 +219,13 @@ def _single(
         report = Report(
             page, "rate" if wanted.output.kind == "rate" else "angle", calibration, (run, data, source)
         )
-    if rest is None and wanted.reference is not None and data.exists() and data.stat().st_size > STREAM_BYTES:
+    if wanted.reference is not None and holds_more(run.parent, wanted, STREAM_ROWS):
+        options = _with_phase(options, None if rest is None else identify_phase_of_file(run, calibration, rest))
         found, repairs = _in_chunks(run, data, calibration, source, out, options, resume, report)
     else:
-        found, repairs, options = _whole(run, calibration, out, options, rest, report)
+        record = read_run(run)
+        options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
+        found, repairs = _from_record(record, calibration, out, options, report)
     if report is not None:
         report.write(options.in_words(calibration), repairs)
     return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
@@ -264,28 +273,44 @@ def _in_chunks(
     return found, found.repairs
 
 
-def _whole(
-    run: Path, calibration: Calibration, out: Path, options: _Options, rest: float | None, report: Report | None
-) -> tuple[FileSummary, dict[str, int], _Options]:
-    from piga.compensation import Resampler, compensate, identify_phase
+def _from_record(
+    record: Run, calibration: Calibration, out: Path, options: _Options, report: Report | None
+) -> tuple[FileSummary, dict[str, int]]:
+    from piga.compensation import Resampler, compensate
+    from piga.compensation.compensate import compensate_in_pieces
     from piga.compensation.file_to_file import FileSummary
-    from piga.compensation.writers import format_of, write_table
-    from piga.stand import read_run
+    from piga.compensation.writers import TableWriter, format_of
 
     kind, found = format_of(out), FileSummary()
-    record = read_run(run)
-    if rest is not None:
-        phase = identify_phase(record, calibration, rest)
-        note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
-        options = replace(options, phase=phase)
-    result = compensate(record, calibration, **options.arguments())
-    if report is not None:
-        report.take(record, result)
-    if options.period is not None:
-        result = Resampler(options.period).push_rows(result)
-    write_by_rename(out, lambda path: write_table(path, result.columns(), kind))
-    found.add(result)
-    return found, {event.kind: event.count for event in record.quality.events}, options
+    resampler = None if options.period is None else Resampler(options.period)
+    if report is not None and record.size <= STREAM_ROWS:
+        report.take(record, compensate(record, calibration, **options.arguments()))
+    watch = None if report is None or record.size <= STREAM_ROWS else report.found.piece
+
+    def write(path: Path) -> None:
+        with TableWriter(path, kind) as writer:
+            for label, chunk, part in compensate_in_pieces(record, calibration, **options.arguments()):
+                if watch is not None:
+                    watch(label, chunk, part)
+                rows = part if resampler is None else resampler.push_rows(part)
+                found.add(rows)
+                writer.write(rows.columns())
+
+    write_by_rename(out, write)
+    return found, {event.kind: event.count for event in record.quality.events}
+
+
+def _with_phase(options: _Options, phase: Phase | None) -> _Options:
+    """The options with the phase that was found, if one was looked for."""
+    if phase is None:
+        return options
+    note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
+    return replace(options, phase=phase)
+
+
+def _spare_memory() -> None:
+    """Let PyArrow take its memory from the system: its own allocator keeps 30 MB that are not in use."""
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 
 def _together(
@@ -302,6 +327,7 @@ def _together(
     from piga.compensation.triad_file import orthogonal_triad, read_triad
     from piga.compensation.writers import format_of
 
+    _spare_memory()
     kind = format_of(out)
     if len(runs) == 1:
         paths, mounted = read_triad(runs[0])
@@ -319,7 +345,7 @@ def _together(
             found.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=uncertainty, max_age_days=max_age, force=force,
-                    period=period, method=method or "exact", large=STREAM_BYTES, advance=advance,
+                    period=period, method=method or "exact", large=STREAM_ROWS, advance=advance,
                 )
             )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ from piga.compensation.validity import Limits, age_flag
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
+from piga.records.spool import spans
 
 Array = NDArray[np.float64]
 
@@ -62,17 +63,34 @@ def compensate(
     CalibrationError
         If the calibration is of another instrument, or lacks the phase of a segment.
     """
-    chosen = check_method(method, calibration)
-    check_serial(record, calibration, force)
-    check_phase_kept(record, calibration, phase)
-    plan = _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
+    plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
     result = empty_step(record.size, uncertainty, flags)
-    state, work = init_state(), work_array()
-    typical = typical_step(record.t, record.begins)
-    for rows, model, chunk in plan.pieces():
-        part = Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
-        run_kernel(model, state, chunk, record.kind, typical, work, part)
-    return Compensated(record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, chosen)
+    for _ in plan.run(lambda rows, _: _part(result, rows)):
+        pass
+    return Compensated(record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method)
+
+
+def compensate_in_pieces(
+    record: Run,
+    calibration: Calibration,
+    *,
+    method: str | None = None,
+    phase: Phase | None = None,
+    uncertainty: bool = True,
+    limits: Limits | None = None,
+    max_age_days: float | None = None,
+    force: bool = False,
+) -> Iterator[tuple[str, Chunk, Compensated]]:
+    """The same piece by piece, for records whose result is not held: label of the segment, samples, rows.
+
+    Arguments and errors are those of :func:`compensate`; all rows together are what it gives, to the bit.
+    """
+    plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
+    for rows, chunk, found in plan.run(lambda _, count: empty_step(count, uncertainty, flags=True)):
+        part = Compensated(
+            chunk.t, found.ax, found.dv, found.u_ax, found.flags, record.serial, plan.method
+        )  # fmt: skip
+        yield record.labels[int(record.segment[rows.start])], chunk, part
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
@@ -114,10 +132,18 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None)
     )
 
 
-def typical_step(t: Array, begins: NDArray[np.bool_]) -> float:
-    """Median interval inside stretches [s]; 1 when there is none."""
-    steps = np.diff(t)[~begins[1:]]
-    return float(np.median(steps)) if steps.size else 1.0
+def _plan(
+    record: Run, calibration: Calibration, method: str | None, phase: Phase | None, limits: Limits | None,
+    max_age_days: float | None, force: bool,
+) -> _Plan:  # fmt: skip
+    chosen = check_method(method, calibration)
+    check_serial(record, calibration, force)
+    check_phase_kept(record, calibration, phase)
+    return _Plan(record, calibration, chosen, phase, limits, age_flag(calibration, max_age_days))
+
+
+def _part(result: Step, rows: slice) -> Step:
+    return Step(result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows])
 
 
 @dataclass(frozen=True)
@@ -129,17 +155,26 @@ class _Plan:
     limits: Limits | None
     flag: int
 
-    def pieces(self) -> Iterator[tuple[slice, Model, Chunk]]:
+    def run(self, room: Callable[[slice, int], Step]) -> Iterator[tuple[slice, Chunk, Step]]:
+        """Compensate piece by piece into what ``room`` gives for the rows, and how many they are."""
+        state, work = init_state(), work_array()
+        typical = self.record.median_step if self.record.kind == "rate" else 0.0
+        for rows, model, chunk in self._pieces():
+            found = room(rows, chunk.t.size)
+            run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, found)
+            yield rows, chunk, found
+
+    def _pieces(self) -> Iterator[tuple[slice, Model, Chunk]]:
         """Row ranges with one phase, their model and samples."""
-        record = self.record
-        edges = np.concatenate(([0], np.flatnonzero(np.diff(record.segment)) + 1, [record.size]))
+        edges = self.record.segment_edges()
         models: dict[int, Model] = {}
-        for start, stop in pairwise(edges):
-            index = int(record.segment[start])
+        for start, stop in pairwise(edges.tolist()):
+            index = int(self.record.segment[start])
             if index not in models:
-                models[index] = self._model(record.labels[index])
-            rows = slice(int(start), int(stop))
-            yield rows, models[index], _chunk(record, rows)
+                models[index] = self._model(self.record.labels[index])
+            for part in spans(stop - start):
+                rows = slice(start + part.start, start + part.stop)
+                yield rows, models[index], _chunk(self.record, rows)
 
     def _model(self, label: str) -> Model:
         model = make_model(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -27,6 +28,8 @@ from piga.errors import CalibrationError, DataError
 from piga.records.calibration import Calibration
 from piga.records.run_file import read_run_file
 
+AHEAD = 2
+"""Pieces read before they are computed, and rows written behind: a stage that waits once is caught up with."""
 T = TypeVar("T")
 Watch = Callable[[str, Chunk, Compensated], None]
 """Sees the label of a segment, its samples, and what became of them."""
@@ -45,9 +48,10 @@ class FileSummary:
         """Count a part."""
         self.rows += part.size
         self.velocity += float(part.dv.sum())
+        found = int(np.bitwise_or.reduce(part.flags))
         for name, bit in FLAGS.items():
-            count = int(np.count_nonzero(part.flags & bit))
-            if count:
+            if found & bit:
+                count = int(np.count_nonzero(part.flags & bit))
                 self.flags[name] = self.flags.get(name, 0) + count
 
     def carried(self) -> dict[str, Any]:
@@ -116,7 +120,7 @@ def _work_off(
     resampler: Resampler | None, advance: Callable[[int], None], most: float, watch: Watch | None = None,
 ) -> bool:  # fmt: skip
     """Pieces to rows, ``most`` rows at least if there are so many; False when the pieces are at their end."""
-    pending: Future[None] | None = None
+    pending: deque[Future[None]] = deque()
     start = summary.rows
     with ThreadPoolExecutor(1) as pen:
         for piece in pieces:
@@ -126,14 +130,15 @@ def _work_off(
                 watch(piece.label, piece.chunk, part)
             part = resampler.push_rows(part) if resampler else part
             summary.add(part)
-            if pending is not None:
-                pending.result()
-            pending = pen.submit(writer.write, part.columns()) if part.size else None
-            if summary.rows - start >= most:
-                _ = pending and pending.result()
+            if part.size:
+                pending.append(pen.submit(writer.write, part.columns()))
+            more = summary.rows - start >= most
+            while len(pending) > (0 if more else AHEAD):
+                pending.popleft().result()
+            if more:
                 return True
-        if pending is not None:
-            pending.result()
+        for write in pending:
+            write.result()
     return False
 
 
@@ -166,12 +171,12 @@ def _work_off_in_parts(
 
 
 def _ahead(items: Iterator[T]) -> Iterator[T]:
-    """The same items, the next one made on another thread while this one is used."""
+    """The same items, the next ones made on another thread while this one is used."""
     end = object()
     with ThreadPoolExecutor(1) as pool:
-        future = pool.submit(next, items, end)
-        while (item := future.result()) is not end:
-            future = pool.submit(next, items, end)
+        waiting = deque(pool.submit(next, items, end) for _ in range(AHEAD))
+        while (item := waiting.popleft().result()) is not end:
+            waiting.append(pool.submit(next, items, end))
             yield item  # type: ignore[misc]
 
 
@@ -194,8 +199,8 @@ class _Stepper:
         """Compensate a piece."""
         if piece.lost and self._coupled:
             raise CalibrationError(
-                f"{self._source.path}: about row {self._source.rows}: the counter may have rolled over unseen "
-                "in a gap: the phase of the calibration does not hold behind it",
+                f"{self._source.path}: near t = {piece.chunk.t[piece.chunk.begins.argmax()]:.9g} s: the counter may "
+                "have rolled over unseen in a gap: the phase of the calibration does not hold behind it",
                 remedy="compensate the parts one by one, each with its phase (--phase or --identify-phase)",
             )
         model = self._models.get(piece.label)

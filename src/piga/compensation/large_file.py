@@ -8,6 +8,7 @@ of the first chunk. What needs the whole file (conflicting rows, checks against 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -77,7 +78,7 @@ class LargeFile:
 
     def pieces(self) -> Iterator[Piece]:
         """The samples in order."""
-        stream = open_stream(self.path.parent, self.run_file.data)
+        stream = open_stream(self.path.parent, self.run_file.data, small=True)
         visits = Visits(stream.label_names)
         for chunk in stream.chunks():
             yield from self._convert(chunk, stream.units, visits)
@@ -133,17 +134,34 @@ class LargeFile:
         kept = {name: values[keep] if values.size else values for name, values in found.items()}
         return kept, None if segment is None else segment[keep]
 
-    def _convert(self, raw: RawChunk, units: dict[str, str], visits: Visits) -> Iterator[Piece]:
-        segment = None if raw.codes is None else visits.segment(raw.codes, raw.rows)
-        found, segment = self._kept(self._columns(raw, units), segment)
-        t, y, z, omega, warm = (found[name] for name in ("t", "y", "z", "omega", "warm"))
+    def _is_sound(self, found: dict[str, Array], segment: NDArray[np.int32] | None) -> bool:
+        """True when nothing is missing, and time goes on without a gap: then no row needs to be looked at."""
+        t = found["t"]
+        if t.size < 2 or not 0.0 < t[0] - self._last_t <= GAP * self.nominal:
+            return False
+        steps = t[1:] - t[:-1]
+        goes_on = steps.min() > 0.0 and steps.max() <= GAP * self.nominal
+        whole = math.isfinite(sum(float(values.sum()) for name, values in found.items() if name != "number"))
+        return bool(goes_on and whole and (segment is None or segment.min() >= 0))
+
+    def _find_begins(self, t: Array) -> NDArray[np.bool_]:
+        """Where time jumps back or leaves a gap, against the nominal interval."""
         steps = np.diff(t, prepend=self._last_t)
-        if t.size == 0:
-            return
         if self.nominal == 0.0:
             forward = steps[1:][steps[1:] > 0.0]
             self.nominal = float(np.median(forward)) if forward.size else 0.0
-        begins = (steps <= 0.0) | (steps > GAP * self.nominal)
+        return np.asarray((steps <= 0.0) | (steps > GAP * self.nominal))
+
+    def _convert(self, raw: RawChunk, units: dict[str, str], visits: Visits) -> Iterator[Piece]:
+        segment = None if raw.codes is None else visits.segment(raw.codes, raw.rows)
+        found = self._columns(raw, units)
+        sound = self._is_sound(found, segment)
+        if not sound:
+            found, segment = self._kept(found, segment)
+        t, y, z, omega, warm = (found[name] for name in ("t", "y", "z", "omega", "warm"))
+        if t.size == 0:
+            return
+        begins = np.zeros(t.size, dtype=np.bool_) if sound else self._find_begins(t)
         first = not np.isfinite(self._last_t)
         edges, new = self._segments(segment, t.size)
         begins[edges[:-1][new]] = True
@@ -190,7 +208,7 @@ class LargeFile:
     def _unwrapped(self, reading: Array) -> Array:
         """Output in SI; a folded reading is unwrapped by the nearest turn, counted in its own unit."""
         if self._span is None:
-            return reading * self._factor
+            return reading if self._factor == 1.0 else reading * self._factor
         if not np.isfinite(self._last_t):
             self._last_reading = self._value = float(reading[0])
         steps = np.diff(reading, prepend=self._last_reading)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from piga.compensation.compensator import Compensator
 from piga.compensation.writers import schema_of
 from piga.errors import DataError
+from piga.records.stream import numbers_of
 
 FORCE = ("fx", "fy", "fz")
 RATE = ("wx", "wy", "wz")
@@ -82,9 +83,7 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
         with pa.ipc.open_stream(source) as reader:
             _check_names(reader.schema.names)
             for batch in reader:
-                columns = {
-                    name: batch.column(name).to_numpy(zero_copy_only=False) for name in batch.schema.names
-                }
+                columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
                 found = stream.push(chunk_of(columns)).columns()
                 writer = writer or pa.ipc.new_stream(sink, schema_of(found))
                 writer.write_batch(_batch(found))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,11 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels import compensate_layout as at
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
+from piga.compensation.large_file import LargeFile
 from piga.compensation.model import Model, Phase, make_model
 from piga.compensation.rate_angle import integrated_rate
-from piga.errors import CalibrationError
+from piga.compensation.step import Chunk
+from piga.errors import CalibrationError, DataError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
+from piga.records.run_file import read_run_file
+from piga.records.spool import spans
 
 Array = NDArray[np.float64]
 
@@ -112,23 +117,53 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
     CalibrationError
         If the output does not turn once in that time, or the coupling is too weak to tell the phase.
     """
-    rows = record.t <= record.t[0] + duration
-    starts = np.flatnonzero(record.begins[1:]) + 1
+    end = next((part.stop for part in spans(record.size) if record.t[part][-1] > record.t[0] + duration), 0)
+    rows = slice(0, end + 1 if end else record.size)
+    chunk = (record.t[rows], record.output[rows], record.f[rows, 1], record.f[rows, 2], record.begins[rows])
+    return _phase_at_rest(*chunk, record.kind, calibration, duration, record.source)
+
+
+def identify_phase_of_file(run: Path, calibration: Calibration, duration: float) -> Phase:
+    """The same for a run file whose data need not fit into memory: no more than the time at rest is read.
+
+    Raises
+    ------
+    DataError, CalibrationError
+        As :func:`piga.read_run` and :func:`identify_phase`.
+    """
+    source = LargeFile(run, read_run_file(run))
+    held: list[Chunk] = []
+    for piece in source.pieces():
+        held.append(piece.chunk)
+        if piece.chunk.t[-1] > held[0].t[0] + duration:
+            break
+    if not held:
+        raise DataError(f"{run}: no usable row", remedy="check the columns in [data]")
+    columns = zip(*((c.t, c.output, c.a_Y, c.a_Z, c.begins) for c in held), strict=True)
+    t, psi, y, z, begins = (np.concatenate(column) for column in columns)
+    return _phase_at_rest(t, psi, y, z, begins, source.kind, calibration, duration, str(run))
+
+
+def _phase_at_rest(
+    t: Array, output: Array, y: Array, z: Array, begins: NDArray[np.bool_], kind: str, calibration: Calibration,
+    duration: float, source: str,
+) -> Phase:  # fmt: skip
+    """Phase from the samples of the first ``duration`` seconds [s], up to where a new stretch begins."""
+    rows = t <= t[0] + duration
+    starts = np.flatnonzero(begins[1:]) + 1
     if starts.size:
         rows[starts[0] :] = False
-    psi = record.output
-    if record.kind == "rate":
-        psi = integrated_rate(record.t, record.output, record.begins)
+    psi = integrated_rate(t, output, begins) if kind == "rate" else output
     finder = PhaseFinder(calibration)
-    found = finder.push(record.t[rows], psi[rows], record.f[rows, 1], record.f[rows, 2])
+    found = finder.push(t[rows], psi[rows], y[rows], z[rows])
     if found is None:
         raise CalibrationError(
-            f"{record.source}: the output does not turn once in the first {duration:g} s",
+            f"{source}: the output does not turn once in the first {duration:g} s",
             remedy="take a longer time at rest",
         )
     if not found.std < USELESS:
         raise CalibrationError(
-            f"{record.source}: the phase is known to {found.std:.2g} rad only after {duration:g} s",
+            f"{source}: the phase is known to {found.std:.2g} rad only after {duration:g} s",
             remedy="take a longer time at rest, or an attitude with more transverse specific force",
         )
     return found

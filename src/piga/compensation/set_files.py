@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.compensate import check_serial_names
+from piga.compensation.file_length import holds_more
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile
 from piga.compensation.mounting import Mounted
@@ -57,7 +58,7 @@ def compensate_set_files(
 ) -> dict[str, Any]:
     """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
 
-    When all data files together have no more than ``large`` bytes they are read whole, with all repairs; larger ones
+    When the data files together have no more than ``large`` rows they are read whole, with all repairs; longer ones
     go through chunk by chunk. With a ``period`` [s] the increments are brought to that interval.
 
     Raises
@@ -68,8 +69,7 @@ def compensate_set_files(
         As :func:`piga.compensation.compensate_triad`.
     """
     resampler = None if period is None else Resampler(period)
-    size = sum((run.parent / read_run_file(run).data.file).stat().st_size for run in runs)
-    if size > large:
+    if any(holds_more(run.parent, read_run_file(run).data, large // len(runs)) for run in runs):
         parts = _streamed(runs, instruments, uncertainty, max_age_days, force, method)
     else:
         parts = _whole(runs, instruments, uncertainty, max_age_days, force, method)

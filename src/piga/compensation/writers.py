@@ -46,12 +46,14 @@ def format_of(path: Path) -> str:
     return found
 
 
-def schema_of(columns: Mapping[str, NDArray]) -> Any:
-    """Arrow schema: types, a unit per column, and the meaning of the flag bits."""
+def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False) -> Any:
+    """Arrow schema: types, a unit per column, and the meaning of the flag bits; ``empty_cells``: there may be some."""
     import pyarrow as pa
 
     fields = [
-        pa.field(name, pa.int32() if name == "flags" else pa.float64(), metadata={"unit": unit_of_column(name)})
+        pa.field(
+            name, pa.int32() if name == "flags" else pa.float64(), empty_cells, {"unit": unit_of_column(name)}
+        )
         for name in columns
     ]
     metadata = {
@@ -101,7 +103,7 @@ class TableWriter:
         import pyarrow as pa
         from pyarrow import csv, parquet
 
-        schema = schema_of(columns)
+        schema = schema_of(columns, empty_cells=self._kind == "csv")
         if self._kind == "csv":
             names = [name if name == "flags" else f"{name} [{unit_of_column(name)}]" for name in columns]
             self._schema = pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])

@@ -12,7 +12,7 @@ import numpy as np
 from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.limits import first_line
-from piga.records.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount
+from piga.records.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
 
 
 class ParquetStream:
@@ -56,12 +56,9 @@ class ParquetStream:
         return self._missed.events(self._numeric)
 
     def _column(self, column: Any, name: str, rows: Any) -> Any:
-        if str(column.type) == "double" and column.null_count == 0:
-            values = np.frombuffer(column.buffers()[1], dtype=np.float64)
-            return values[column.offset : column.offset + len(column)].copy()
         if column.null_count:
-            self._missed.add(name, column.is_null().to_numpy(zero_copy_only=False), rows)
-        return column.to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
+            self._missed.add(name, nulls_of(column), rows)
+        return numbers_of(column)
 
 
 @contextmanager

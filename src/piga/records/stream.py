@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 CHUNK_ROWS = 1 << 16
 """Rows of a chunk of Parquet or a container."""
+SMALL_PIECE = 2 << 20
+"""Bytes of a text file read at a time where memory is short."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,11 @@ class RecordStream(Protocol):
 
 
 def open_stream(
-    folder: Path, data: DataTable, see: Callable[[bytes | bytearray], object] | None = None
+    folder: Path,
+    data: DataTable,
+    see: Callable[[bytes | bytearray], object] | None = None,
+    *,
+    small: bool = False,
 ) -> RecordStream:
     """Open the data file of a run file.
 
@@ -83,6 +89,8 @@ def open_stream(
         The run file's ``[data]`` table: ``read_run_file(path).data``.
     see:
         Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
+    small:
+        Chunks of a text file as small as those of the other kinds, for work that holds several at a time.
 
     Raises
     ------
@@ -100,6 +108,7 @@ def open_stream(
         return TextStream(
             path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
             missing=data.missing, mask_damaged=data.damaged_rows == "mask", see=see or len,
+            piece=SMALL_PIECE if small else None,
         )  # fmt: skip
     if kind in (".parquet", ".pq"):
         from piga.records.parquet_reader import ParquetStream
@@ -126,6 +135,27 @@ def file_kind(path: Path) -> str:
     return (suffixes[-1:] or [""])[0]
 
 
+def plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
+    """Copy of the memory of an Arrow array without nulls; its own ``to_numpy`` would load pandas where there is one."""
+    values = np.frombuffer(column.buffers()[1] or b"", dtype=kind)
+    return np.array(values[column.offset : column.offset + len(column)])
+
+
+def numbers_of(column: Any) -> NDArray[np.float64]:
+    """Values of an Arrow array of numbers as float64; nan where it is null."""
+    import pyarrow as pa
+
+    whole = column if str(column.type) == "double" else column.cast(pa.float64(), safe=False)
+    return plain_values(whole.fill_null(np.nan) if whole.null_count else whole, np.float64)
+
+
+def nulls_of(column: Any) -> NDArray[np.bool_]:
+    """Where an Arrow array is null."""
+    import pyarrow as pa
+
+    return plain_values(column.is_null().cast(pa.uint8()), np.bool_)
+
+
 @dataclass
 class LabelCodes:
     """Codes of label cells, the same name the same code through all chunks; fills ``names``."""
@@ -140,7 +170,7 @@ class LabelCodes:
         encoded = column.cast(pa.string()).dictionary_encode()
         words = [str(word) for word in encoded.dictionary.to_pylist()]
         table = np.array([self.code(word) for word in words] + [-1], dtype=np.int32)
-        return table[encoded.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)]
+        return table[plain_values(encoded.indices.fill_null(len(words)), np.int32)]
 
     def code(self, word: str) -> int:
         """Code of a label, a new one at the end."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.stream import Chunk, LabelCodes, MissingCount
+from piga.records.stream import Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
 from piga.records.text_faults import Faults, Place, find_faults, split_cells
 from piga.records.text_format import INFINITE, MISSING, TextFormat, find_format
 from piga.records.text_source import Bytes, TextSource
@@ -140,9 +140,9 @@ class TextStream:
             numbers = {}
             for name in self._numeric:
                 column = batch.column(name)
-                numbers[name] = column.to_numpy(zero_copy_only=False)
+                numbers[name] = numbers_of(column)
                 if column.null_count:
-                    self._missed.add(name, column.is_null().to_numpy(zero_copy_only=False), part)
+                    self._missed.add(name, nulls_of(column), part)
             codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
             yield Chunk(numbers, codes, part)
 
