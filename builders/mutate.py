@@ -126,7 +126,7 @@ KERNELS = {
     "counting": COUNTED,
     "published": FIT,
     "double_double regressors square_root statistics whitening": SUMS,
-    "function_motion": [*SAMPLES, "tests/docs/test_snippets.py"],
+    "function_motion": SAMPLES,
     "motion motion_blocks motion_increments motion_sensitivity transfer trig": SAMPLES,
     "motion_samples": [*SAMPLES, *tests_of("instrument", "fleet")],
     "outliers": [*tests_of("kernels", "outlier_scan"), *tests_of("calibration", "outliers")],
