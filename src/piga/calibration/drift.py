@@ -22,7 +22,7 @@ from piga.calibration.drift_basis import KNOTS, DriftBasis
 from piga.calibration.fit import SMALL, Fit
 from piga.calibration.noise import Noise, deviance_sums, least_on_grid
 from piga.calibration.solution import solve
-from piga.calibration.weighting import drifting_factor, reduce_segments
+from piga.calibration.weighting import reduce_segments, weighted_blocks
 
 Array = NDArray[np.float64]
 
@@ -50,22 +50,21 @@ class Steps:
 def include_drift(fit: Fit, groups: tuple[int, ...]) -> Fit:
     """The same fit with a bias drift in its covariance, where the record shows one.
 
-    Left out with several phases, coarse counts, given noise levels and methods other than whitened least
-    squares in one go.
+    Left out with coarse counts, given noise levels and methods other than whitened least squares in one go.
     """
     request = fit.design.request
     able = fit.mode == "increments" and request.method == "information" and fit.counted is None
-    if not able or max(groups) > 0 or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
+    if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
         return fit
     if fit.design.rows > SMALL and quick_look(fit).gain < SUSPECTED:
         return fit
-    if likely_steps(drifting_factor(fit.design, fit.noise)).gain < SUSPECTED:
+    if likely_steps(drifting_factor(fit, groups, fit.noise)).gain < SUSPECTED:
         return fit
-    noise, gain = _levels_together(fit)
+    noise, gain = _levels_together(fit, groups)
     if gain < SIGNIFICANT:
         return fit
     basis = DriftBasis.of(fit.design.run)
-    steps = likely_steps(drifting_factor(fit.design, noise))
+    steps = likely_steps(drifting_factor(fit, groups, noise))
     noise = replace(noise, drift=steps.variance / basis.spacing)
     summaries = reduce_segments(fit.design, fit.mode, noise)
     solution = solve(fit.design, summaries, groups)
@@ -79,18 +78,38 @@ def include_drift(fit: Fit, groups: tuple[int, ...]) -> Fit:
     )
 
 
-def _levels_together(fit: Fit) -> tuple[Noise, float]:
+def drifting_factor(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Array:
+    """Triangular factor of the weighted rows ``[drift | model | y]``, the drift left free.
+
+    With several phases the model is linear about the fit: its columns are those of amplitudes and phases, y the residual.
+    """
+    design, solution, m = fit.design, fit.solution, len(fit.design.names)
+    size = KNOTS + (m if max(groups) == 0 else len(solution.amplitudes) + len(solution.phases)) + 1
+    factor = np.zeros((0, size))
+    for block, columns in weighted_blocks(design, fit.mode, noise, DriftBasis.of(design.run)):
+        model, drift, y = columns[:m], columns[m:-1], columns[-1]
+        if max(groups) > 0:
+            y = y - solution.values[block.segment] @ model
+            model = solution.jacobians[groups[block.segment]].T @ model
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, np.vstack([drift, model, y]).T]), mode="r"))
+    kept = np.ones(size, dtype=bool)
+    kept[KNOTS:-1] = factor[:, KNOTS:-1].any(axis=0)
+    return factor[:, kept]
+
+
+def _levels_together(fit: Fit, groups: tuple[int, ...]) -> tuple[Noise, float]:
     """White noise and random walk beside a drift, and the gain by it: restricted likelihood of all three.
 
     On a grid of ``log10(q h/r)``, concentrated over the scale, the drift at its best for each.
     """
-    step, freedom = fit.design.run.median_step, fit.design.rows - len(fit.design.names)
+    step = fit.design.run.median_step
+    freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
     centre = math.log10(max(fit.noise.walk * step / fit.noise.white, 1e-9))
     grid = np.linspace(centre - BELOW, centre + ABOVE, LANES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
     table = []
     for ratio, logarithm in zip(grid, logarithms, strict=True):
-        factor = drifting_factor(fit.design, Noise(1.0, 10.0**ratio / step))
+        factor = drifting_factor(fit, groups, Noise(1.0, 10.0**ratio / step))
         values, square, rest, model = projected(factor)
         levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0])
         size = 1.0 + levels[:, None] * values
