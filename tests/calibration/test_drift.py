@@ -10,6 +10,7 @@ import pytest
 
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
+from piga.calibration.coefficients import name_coefficients
 from piga.calibration.drift import include_drift, quick_look
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
@@ -78,6 +79,32 @@ def test_phases_of_segments_cost_little_beside_a_drift() -> None:
     assert (std[1] < 1.2 * std[0]).all()
     shift = found["per-segment"].amplitudes - found["shared"].amplitudes
     assert (np.abs(shift) < 3.0 * np.sqrt(np.maximum(std[1] ** 2 - std[0] ** 2, (0.05 * std[0]) ** 2))).all()
+
+
+def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
+    """Weights of the other noise: the dense covariance of that estimate with the drift, for the levels found."""
+    fit, groups = fitted(DRIFT, 3)
+    found = include_drift(fit, groups, clear=np.inf)
+    noise, steps, h = found.noise, round(DRIFT.seconds * DRIFT.rate), 1.0 / DRIFT.rate
+    V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
+    V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
+    run, count = found.design.run, len(DRIFT.forces)
+    X = np.concatenate(
+        [DRIFT._derivatives(run.output[run.segment == s] + DRIFT.phi, s, h) for s in range(count)]
+    )
+    white = np.kron(np.eye(count), np.linalg.inv(V)) @ X
+    gain = np.linalg.solve(X.T @ white, white.T)
+    t = DRIFT._times().ravel()
+    together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
+    dense = gain @ (np.kron(np.eye(count), V) + noise.drift * h**2 * together) @ gain.T
+    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance, False)[1]))
+    assert noise.drift > 0.0
+    assert found.weights == replace(noise, drift=0.0)
+    assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.03)
+    plain = np.sqrt(
+        np.diag(name_coefficients(found.design, found.solution, found.solution.covariance, False)[1])
+    )
+    assert std[0] > 1.2 * plain[0]
 
 
 def test_intervals_are_wider_and_the_result_says_so(tmp_path: Path) -> None:

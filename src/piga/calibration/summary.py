@@ -198,7 +198,8 @@ def run_name(run: Run, index: int) -> str:
 def prepare(run: Run, request: Request, name: str) -> LiveRun:
     """Find the noise levels of a run by its own fit; what it cannot determine alone is left out of that.
 
-    A bias drift ties the segments together: it is not looked for where each has a summary of its own.
+    A bias drift ties the segments together: it is not looked for where each has a summary of its own, and weighted by
+    wherever it is seen, for all that is known of it is in the summary.
     """
     undetermined: list[str] = []
     terms = request.terms
@@ -207,7 +208,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         groups, per_segment = phase_groups(run, wish)
         try:
             fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
-            fit = fit if per_segment else include_drift(fit, groups)
+            fit = fit if per_segment else include_drift(fit, groups, clear=0.0)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
