@@ -100,7 +100,7 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance, False)[1]))
     assert noise.drift > 0.0
     assert found.weights == replace(noise, drift=0.0)
-    assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.03)
+    assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
     plain = np.sqrt(
         np.diag(name_coefficients(found.design, found.solution, found.solution.covariance, False)[1])
     )
