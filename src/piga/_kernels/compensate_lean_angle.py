@@ -2,9 +2,9 @@
 
 Three loops over tiles of constant size: sine and cosine of the angles read, the interval mean of
 :mod:`piga._kernels.compensate_near` for constant input, the force (one loop for both is slower: its rows wait
-longer than the processor looks ahead). Tiles that hold a rare row (an interval that turns far or differs from the one before, a flag,
-the beginning of a stretch) are done by the same loops and mended row by row behind them, so that a row is computed alike wherever
-it stands in a chunk. For calibrations whose only error term is ``k0``.
+longer than the processor looks ahead). Tiles that hold a rare row (an interval that turns far or differs from the one
+before, a flag, the beginning of a stretch) are done by the same loops and mended row by row behind them, so that a row
+is computed alike wherever it stands in a chunk. For calibrations whose only error term is ``k0``.
 """
 
 from __future__ import annotations
