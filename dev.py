@@ -116,11 +116,11 @@ def mutation(arguments: list[str]) -> None:
 
 
 def package(arguments: list[str]) -> None:
-    """Build wheel and sdist; install and run each on every Python that is found (or named)."""
+    """Build wheel and sdist; install and run each on every Python that is found (or named), or on this one."""
     programs = environment(".venv-test", "requirements-dev.txt")
     shutil.rmtree(ROOT / "dist", ignore_errors=True)
     call([str(programs / "python"), "-m", "hatchling", "build", "--directory", "dist"])
-    found = [python for python in arguments or PYTHONS if runs(python)]
+    found = [python for python in arguments or PYTHONS if runs(python)] or [sys.executable]
     for python in found:
         for built in sorted((ROOT / "dist").iterdir()):
             with tempfile.TemporaryDirectory() as folder:

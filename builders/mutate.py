@@ -1,7 +1,8 @@
 """Mutation testing of the numerics: ``python builders/mutate.py [--sample N] [--seed S] [--minutes M] [FILE ...]``.
 
 Each mutant is one small change of one source file (an operator, a comparison, a constant, a sign, sine for cosine). The tests
-named for that file run on it with the JIT off; a mutant that no test notices has *survived*. mutmut and cosmic-ray rewrite the
+named for that file run on it, kernels with the JIT off and everything else with compiled kernels; a mutant that no test notices has
+*survived*. mutmut and cosmic-ray rewrite the
 installed package and start Python anew for each mutant; here the libraries are loaded once, and every mutant is a forked child that
 imports the changed module, which is what makes kernels with seconds of imports affordable. The mutants of a sample are tried
 in random order: stopped after ``--minutes``, those that were tried are a random sample, too.
@@ -11,10 +12,10 @@ from __future__ import annotations
 
 import argparse
 import ast
-import copy
 import importlib
 import importlib.abc
 import importlib.util
+import itertools
 import json
 import os
 import random
@@ -23,42 +24,121 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-os.environ["NUMBA_DISABLE_JIT"] = "1"
+NO_TESTS = 5
+"""Exit code of pytest when none of the tests is to run in this mode."""
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "piga"
+
+
+def tests_of(room: str, *names: str) -> list[str]:
+    """Paths of test files of a room."""
+    return [f"tests/{room}/test_{name}.py" for name in names]
+
+
+EQUATIONS = ["tests/docs/test_equations.py"]
 MOTION = [
-    "tests/kernels/test_motion_kernels.py",
-    "tests/instrument/test_closed_form.py",
-    "tests/instrument/test_borders.py",
-    "tests/docs/test_equations.py",
+    *tests_of("kernels", "motion_kernels"),
+    *tests_of("instrument", "closed_form", "borders"),
+    *EQUATIONS,
 ]
 SAMPLES = [
     *MOTION,
-    "tests/instrument/test_sensitivity.py",
-    "tests/instrument/test_step_sizes.py",
-    "tests/instrument/test_short_records.py",
-    "tests/instrument/test_propagate.py",
-    "tests/instrument/test_input_forms.py",
+    *tests_of("instrument", "sensitivity", "step_sizes", "short_records", "input_forms", "propagate"),
 ]
-FIT = [
-    "tests/calibration/test_kernels.py",
-    "tests/calibration/test_reduction.py",
-    "tests/docs/test_equations.py",
-    "tests/calibration/test_interpreted.py",
-]
+ANALYSIS = [*tests_of("instrument", "motion_analysis", "closed_form", "borders"), *EQUATIONS]
+TWIN = tests_of("instrument", "twin_linear", "twin", "borders")
+SUMS = [*tests_of("calibration", "kernels", "reduction"), *EQUATIONS, *tests_of("calibration", "interpreted")]
+FIT = tests_of(
+    "calibration", "interpreted", "small_parts", "calibrate", "small_requests", "shipped_record", "model_choice"
+)
+JOINT = tests_of("calibration", "small_joint", "joint")
+UNCERTAINTY = tests_of("calibration", "small_parts", "uncertainty", "calibrate", "small_joint")
+COUNTED = tests_of("calibration", "stretches", "small_parts", "uncertainty", "shipped_record")
+PLANS = tests_of("calibration", "small_plans", "small_requests", "planning")
+TREND = tests_of("calibration", "small_parts", "trend_line", "trend")
+CHOICE = tests_of("calibration", "small_parts", "model_choice")
+REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
+SIGNATURES = tests_of("calibration", "missing_terms", "alarms")
+COMPENSATED = tests_of(
+    "compensation", "compensate", "record_facts", "lean", "term_uncertainty", "near", "stream", "refusals"
+)
+SETS = tests_of("compensation", "triad", "published_case", "large_record")
+PHASES = tests_of("compensation", "phase_and_resample")
+GEOMETRY = tests_of("stable_platform", "geometry", "simulate")
+PLATFORM = [*GEOMETRY, *tests_of("stable_platform", "scenario", "navigation")]
+ERRORS = tests_of("stable_platform", "error_model", "navigation", "models")
+IDENTIFIED = tests_of("stable_platform", "identification", "alignment", "intervals")
+TRIADS = tests_of("stable_platform", "triad", "simulate")
 GROUND = ["tests/foundations"]
+CALIBRATION = {
+    "advice advice_sample advice_words thinning": tests_of("calibration", "advice"),
+    "allan": tests_of("calibration", "allan", "drift"),
+    "calibrate coefficients design fit noise residuals solution weighting identifiability": FIT,
+    "budget degrees_of_freedom monte_carlo propagation uncertainty": UNCERTAINTY,
+    "candidate_columns missing_terms": SIGNATURES,
+    "candidates criterion mounting planning prediction visits plan_file plan_export": PLANS,
+    "cleaning outliers": tests_of("calibration", "small_parts", "outliers"),
+    "control_chart trend trend_line": TREND,
+    "counted stretches": COUNTED,
+    "cross_validation model_choice model_comparison": CHOICE,
+    "drift drift_basis": tests_of("calibration", "small_parts", "drift"),
+    "joint joint_result summary summary_json": JOINT,
+    "leverage segment_parts": [*tests_of("calibration", "leverage"), *SIGNATURES],
+    "published recursive request": FIT,
+    "reduction": [*tests_of("calibration", "reduction"), *FIT],
+    "revolutions": REVOLUTIONS,
+}
+INSTRUMENT = {
+    "constant_motion regimes": MOTION,
+    "electronics": tests_of("instrument", "electronics", "borders"),
+    "fleet": tests_of("instrument", "fleet"),
+    "function_input input_forms sampled_motion sensitivity": [*SAMPLES, *tests_of("instrument", "fleet")],
+    "motion_analysis published": ANALYSIS,
+    "twin twin_linear twin_parameters twin_predictions": TWIN,
+}
+COMPENSATION = {
+    "compensate compensator model step validity result": COMPENSATED,
+    "phase resample rate_angle": [*PHASES, *COMPENSATED, *tests_of("compensation", "files")],
+    "published_set set_compensator triad mounting": SETS,
+}
+PLATFORM_ROOM = {
+    "alignment disturbance estimate identified observation sources case_rotation": IDENTIFIED,
+    "analysis budget error_model models observability capstone": ERRORS,
+    "geodesy geometry motion navigation scenario simulate recursion": PLATFORM,
+    "chain triad output": TRIADS,
+}
+KERNELS = {
+    "compensate compensate_layout compensate_lean compensate_lean_angle compensate_near compensate_record "
+    "compensate_terms compensate_uncertainty sine_cosine": [*COMPENSATED, *SETS],
+    "compensate_set compensate_set_record compensate_triad": SETS,
+    "counting": COUNTED,
+    "published": FIT,
+    "double_double regressors square_root statistics whitening": SUMS,
+    "function_motion": [*SAMPLES, "tests/docs/test_snippets.py"],
+    "motion motion_blocks motion_increments motion_sensitivity transfer trig": SAMPLES,
+    "motion_samples": [*SAMPLES, *tests_of("instrument", "fleet")],
+    "outliers": [*tests_of("kernels", "outlier_scan"), *tests_of("calibration", "outliers")],
+    "platform_errors platform_motion platform_navigation": [*PLATFORM, *ERRORS],
+    "platform_geometry": [*GEOMETRY, *EQUATIONS],
+    "platform_triad": TRIADS,
+    "resample": [*PHASES, *tests_of("compensation", "files")],
+    "servo": TWIN,
+}
 TESTS = {
-    "_kernels/motion.py": SAMPLES,
-    "_kernels/motion_blocks.py": SAMPLES,
-    "_kernels/motion_increments.py": SAMPLES,
-    "_kernels/motion_samples.py": [*SAMPLES, "tests/instrument/test_fleet.py"],
-    "_kernels/motion_sensitivity.py": SAMPLES,
-    "_kernels/transfer.py": SAMPLES,
-    "instrument/constant_motion.py": MOTION,
-    "_kernels/regressors.py": FIT,
-    "_kernels/square_root.py": FIT,
+    f"{room}/{name}.py": tests
+    for room, table in (
+        ("calibration", CALIBRATION),
+        ("instrument", INSTRUMENT),
+        ("compensation", COMPENSATION),
+        ("stable_platform", PLATFORM_ROOM),
+        ("_kernels", KERNELS),
+    )
+    for names, tests in table.items()
+    for name in names.split()
+} | {
     "frames.py": GROUND,
     "earth.py": GROUND,
     "units.py": [
@@ -150,23 +230,17 @@ def changed(node: ast.AST) -> str:
     return f"{before} -> {ast.unparse(node)}"
 
 
-def mutants(file: str) -> list[Mutant]:
-    """All mutants of a file."""
-    text = (SOURCE / file).read_text(encoding="utf-8")
-    found = []
-    for index in range(len(list(places(ast.parse(text))))):
-        tree = ast.parse(text)
-        node = list(places(tree))[index][0]
-        original = copy.deepcopy(node)
-        found.append(
-            Mutant(
-                file,
-                getattr(original, "lineno", 0),
-                changed(node),
-                ast.unparse(ast.fix_missing_locations(tree)),
-            )
-        )
-    return found
+def mutants(file: str) -> int:
+    """How many mutants of a file there are."""
+    return sum(1 for _ in places(ast.parse((SOURCE / file).read_text(encoding="utf-8"))))
+
+
+def make_mutant(file: str, index: int) -> Mutant:
+    """The ``index``-th mutant of a file."""
+    tree = ast.parse((SOURCE / file).read_text(encoding="utf-8"))
+    node = next(itertools.islice(places(tree), index, None))[0]
+    line, change = getattr(node, "lineno", 0), changed(node)
+    return Mutant(file, line, change, ast.unparse(ast.fix_missing_locations(tree)))
 
 
 class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -188,7 +262,7 @@ class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(compile(self.text, self.path, "exec"), module.__dict__)
 
 
-def run_tests(mutant: Mutant | None, tests: list[str], limit: float) -> tuple[int, float]:
+def run_tests(mutant: Mutant | None, tests: list[str], interpreted: bool, limit: float) -> tuple[int, float]:
     """Exit code of the tests in a forked child, and seconds; 99 when it took longer than ``limit``."""
     start = time.monotonic()
     child = os.fork()
@@ -196,23 +270,17 @@ def run_tests(mutant: Mutant | None, tests: list[str], limit: float) -> tuple[in
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         os.dup2(silent, 2)
+        if interpreted:
+            os.environ["NUMBA_DISABLE_JIT"] = "1"
+            sys.modules["numba"].config.DISABLE_JIT = 1
         if mutant is not None:
             sys.meta_path.insert(0, Changed(mutant))
         import pytest  # noqa: PLC0415 - in the child: it reads the changed package
 
-        options = [
-            "-x",
-            "-q",
-            "-W",
-            "ignore::pytest.PytestAssertRewriteWarning",
-            "-p",
-            "no:cacheprovider",
-            "-p",
-            "no:xdist",
-            "-m",
-            "not slow and not only_compiled",
-        ]
-        os._exit(int(pytest.main([*options, *tests])))
+        marks = "not slow and not only_compiled" if interpreted else "not slow"
+        plugins = ["-p", "no:cacheprovider", "-p", "no:xdist"]
+        ignored = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        os._exit(int(pytest.main(["-x", "-q", *ignored, *plugins, "-m", marks, *tests])))
     while time.monotonic() - start < limit:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -221,6 +289,20 @@ def run_tests(mutant: Mutant | None, tests: list[str], limit: float) -> tuple[in
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return 99, limit
+
+
+def is_interpreted(file: str) -> bool:
+    """Kernels run with the JIT off: a compiled one would come from the cache, without the change."""
+    return file.startswith("_kernels/")
+
+
+@cache
+def undisturbed(test: str, interpreted: bool) -> float:
+    """Seconds that a file of tests takes on the package as it is."""
+    code, seconds = run_tests(None, [test], interpreted, 1200.0)
+    if code not in (0, NO_TESTS):
+        sys.exit(f"{test} fails without any change (exit code {code})")
+    return seconds
 
 
 def interval(killed: int, tried: int) -> tuple[float, float]:
@@ -254,28 +336,28 @@ def main() -> None:
         importlib.import_module(name)  # once, for all children
 
     chosen = {file: mutants(file) for file in arguments.files or TESTS}
-    pool = [mutant for found in chosen.values() for mutant in found]
+    pool = [(file, index) for file, number in chosen.items() for index in range(number)]
     random.Random(arguments.seed).shuffle(pool)
     pool = pool[: arguments.sample or len(pool)]
-    limits: dict[tuple[str, ...], float] = {}
-    for tests in {tuple(TESTS[file]) for file in chosen}:
-        code, seconds = run_tests(None, list(tests), 1200.0)
-        assert code == 0, f"{', '.join(tests)}: fail without any change (exit code {code})"
-        limits[tests] = 4.0 * seconds + 20.0
-    score = {file: [0, 0, len(found)] for file, found in chosen.items()}
+    score = {file: [0, 0, number] for file, number in chosen.items()}
     survivors, begun = [], time.monotonic()
-    for number, mutant in enumerate(pool, 1):
+    for number, (file, index) in enumerate(pool, 1):
         if time.monotonic() - begun > 60.0 * arguments.minutes:
             break
-        tests = tuple(TESTS[mutant.file])
-        code, _ = run_tests(mutant, list(tests), limits[tests])
-        score[mutant.file][1] += 1
-        score[mutant.file][0] += code != 0
+        mutant = make_mutant(file, index)
+        tests, interpreted = TESTS[file], is_interpreted(file)
+        limit = 20.0 + 4.0 * sum(undisturbed(test, interpreted) for test in tests)
+        code, _ = run_tests(mutant, tests, interpreted, limit)
+        score[file][1] += 1
+        score[file][0] += code != 0
         if code == 0:
             survivors.append({"file": mutant.file, "line": mutant.line, "change": mutant.change})
             print(f"survived {number}/{len(pool)}: {mutant.file}:{mutant.line}: {mutant.change}", flush=True)
+        elif number % 20 == 0:
+            print(f"{number}/{len(pool)}", flush=True)
     for file, (killed, tried, total) in score.items():
-        print(f"{file:34} {killed:4} of {tried:4} noticed ({total} mutants in all)")
+        if tried:
+            print(f"{file:34} {killed:4} of {tried:4} noticed ({total} mutants in all)")
     killed, tried = (sum(counts[k] for counts in score.values()) for k in (0, 1))
     low, high = interval(killed, tried)
     print(f"{killed} of {tried} noticed, {killed / tried:.1%} (95 % interval {low:.1%} to {high:.1%})")

@@ -183,9 +183,10 @@ def test_every_segment_with_its_own_phase(runs: list[piga.Run]) -> None:
         assert calibration[name].value == pytest.approx(shared[name].value, abs=3.0 * calibration[name].std)
 
 
-def test_degrees_of_freedom_as_of_a_run_alone(tmp_path: Path) -> None:
-    """One run by its summary is that run, Student's t for its noise levels included."""
-    scenario = SCENARIOS["static"]
+@pytest.mark.parametrize("name", ["static", "coarse-slow"])
+def test_by_its_summary_as_the_run_alone(tmp_path: Path, name: str) -> None:
+    """One run by its summary is that run: Student's t for its noise levels, exact covariance of coarse counts."""
+    scenario = SCENARIOS[name]
     run = scenario.record(np.random.default_rng(5))
     RunSummary.of(run, scenario.terms).to_json(tmp_path / "s.json")
     alone, merged = (

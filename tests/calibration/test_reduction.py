@@ -107,3 +107,43 @@ def test_wrong_columns_and_names_are_refused() -> None:
 def test_back_substitution_refuses_a_singular_factor() -> None:
     with pytest.raises(np.linalg.LinAlgError):
         solve_upper(np.array([[1.0, 2.0], [0.0, 0.0]]), np.ones(2))
+
+
+def tumbled_rows(rng: np.random.Generator) -> np.ndarray:
+    """Rows (position, row, column) of a dividing head: all columns but four are multiples of one in a position.
+
+    The multiples are sums over samples, equal to rounding only; where a_x is 6e-17 g its powers go down to 1e-49.
+    """
+    parts = []
+    t = 0.05 * np.arange(1200)
+    for position in np.deg2rad(np.arange(0.0, 360.0, 30.0)):
+        a, b = 9.80665 * np.cos(position), -9.80665 * np.sin(position)
+        turned = a * (t + rng.uniform(0.0, 10.0))
+        multiples = [np.full(1200, c) for c in (a, 1.0, a * a, a**3, a * abs(a), b, a * b, b * b)]
+        rates = [b * np.sin(turned) - 0.1 * np.cos(turned), b * np.cos(turned), *multiples, t - 300.0]
+        angle = np.vstack([0.05 * np.cumsum(rates, axis=1), rng.standard_normal(1200)])
+        contrasts = rng.standard_normal((58, 1200))
+        factor = np.linalg.cholesky(contrasts @ contrasts.T / 1200)
+        parts.append(1e6 * np.linalg.solve(factor, contrasts @ angle.T))
+    return np.array(parts)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_columns_that_nothing_separates_keep_what_the_others_tell(seed: int) -> None:
+    """Merged by position, all columns have their norms, and a choice of them what their rows alone would give."""
+    parts = tumbled_rows(np.random.default_rng(seed))
+    names = tuple("pqacdefbghs")
+    total = Reduction.empty(names)
+    for rows in parts:
+        part = Reduction.empty(names)
+        part.add(rows[:, :-1], rows[:, -1])
+        total.merge(part)
+    flat = parts.reshape(-1, parts.shape[2])
+    norms = np.linalg.norm(flat, axis=0)
+    assert np.linalg.norm(total.factor, axis=0) == pytest.approx(norms, rel=1e-12)
+    chosen = ("p", "q", "a", "c", "b", "s")
+    found = total.select(chosen).solve()[1]
+    x = flat[:, [names.index(name) for name in chosen]]
+    scale = np.linalg.norm(x, axis=0)
+    wanted = np.linalg.inv((x / scale).T @ (x / scale)) / np.outer(scale, scale)
+    assert np.sqrt(np.diag(found)) == pytest.approx(np.sqrt(np.diag(wanted)), rel=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from piga.calibration.control_chart import moving_average
-from piga.calibration.trend import YEAR, effective_freedom, find_trend, student
+from piga.calibration.trend import YEAR, find_trend
 from piga.errors import ArgumentError
 from tests.calibration.history import START, history, record
 
@@ -169,16 +169,6 @@ def test_moving_average_limits_by_simulation():
     assert math.isnan(average[0])
     assert average[1] == pytest.approx(0.2)
     assert limit[1] == pytest.approx(0.6)
-
-
-def test_effective_freedom_of_the_gum():
-    """JCGM 100, G.4.1 and example H.1.6: u 1.4, 9.., effective degrees of freedom as the formula."""
-    assert effective_freedom([(4.0, 5.0), (0.0, math.inf)]) == pytest.approx(5.0)
-    assert effective_freedom([(1.0, 4.0), (1.0, 4.0)]) == pytest.approx(8.0)
-    assert math.isinf(effective_freedom([(1.0, math.inf)]))
-    assert student(16) == pytest.approx(2.12, abs=0.005)  # JCGM 100, table G.2
-    assert student(math.inf) == pytest.approx(1.960, abs=5e-4)
-    assert student(4, 0.99) == pytest.approx(4.60, abs=0.005)
 
 
 def simulate(rng, days, per_day, excess, within, own, shared, drift):

@@ -11,11 +11,12 @@ import pytest
 
 import piga
 from piga.calibration.budget import propagate
-from piga.calibration.degrees_of_freedom import coverage_factor, level_information, welch_satterthwaite
+from piga.calibration.degrees_of_freedom import level_information, welch_satterthwaite
 from piga.calibration.noise import Noise
 from piga.calibration.uncertainty import sources
 from piga.errors import RunFileError
 from piga.records import spool
+from piga.records.calibration import coverage_factor
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS

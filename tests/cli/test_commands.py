@@ -159,6 +159,10 @@ def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     done = piga("calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again"))
     again = {c["name"]: c["value"] for c in json.loads(done.stdout)["coefficients"]}
     assert again["k_YY"] == pytest.approx(values["k_YY"]["value"], rel=1e-6)
+    both = [summary, str(tmp_path / "joint/summary-centrifuge.json")]
+    done = piga("calibrate", *both, "--no-report", "--out", str(tmp_path / "merged"))
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in (tmp_path / "merged").iterdir()] == ["calibration.json"]
 
 
 @pytest.mark.parametrize(

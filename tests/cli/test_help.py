@@ -64,6 +64,19 @@ def test_help_of_every_command_loads_nothing_heavy() -> None:
     assert done.stdout.count("Usage: ") == len(every)
 
 
+def test_no_command_is_cut_short_in_a_list_of_commands() -> None:
+    """80 columns hold one sentence for each; but for ``compensate``, whose sentence lists its columns."""
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    for words, part in [
+        ("piga", group),
+        *((n, c) for n, c in group.commands.items() if isinstance(c, TyperGroup)),
+    ]:
+        width = 80 - 6 - max(map(len, part.commands))
+        cut = [n for n, c in part.commands.items() if c.get_short_help_str(width).endswith("...")]
+        assert set(cut) <= {"compensate"}, words
+
+
 @pytest.mark.parametrize(("arguments", "code", "words"), [(["--version"], 0, "piga "), (["chekc"], 2, "chekc")])
 def test_the_module_runs_as_the_program_does(arguments: list[str], code: int, words: str) -> None:
     as_module = run("-m", "piga", *arguments)

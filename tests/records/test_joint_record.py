@@ -12,7 +12,15 @@ import pytest
 
 from piga.errors import CalibrationError
 from piga.records import calibration_json
-from piga.records.calibration import Calibration, Coefficient, Outlier, Quality, Residuals, RunRecord
+from piga.records.calibration import (
+    Calibration,
+    Coefficient,
+    Outlier,
+    Quality,
+    Residuals,
+    RunRecord,
+    coverage_factor,
+)
 from piga.records.residuals_parquet import write_residuals
 from tests.reports.example import calibration
 
@@ -65,6 +73,22 @@ def test_one_run_of_it(joint: Calibration) -> None:
         west.for_run("west")
     with pytest.raises(KeyError, match=r"no coefficient 'k0'; there are: scale_factor, k0\[east\]"):
         _ = joint["k0"]
+
+
+def test_student_factors_of_the_gum_table() -> None:
+    # JCGM 100, table G.2, column 95 %.
+    for freedom, factor in (
+        (1, 12.71),
+        (2, 4.30),
+        (5, 2.57),
+        (10, 2.23),
+        (20, 2.09),
+        (50, 2.01),
+        (math.inf, 1.960),
+    ):
+        assert coverage_factor(freedom) == pytest.approx(factor, abs=0.0051)
+    assert math.isnan(coverage_factor(0.0))
+    assert math.isnan(coverage_factor(math.nan))
 
 
 def test_intervals_and_factors(joint: Calibration) -> None:

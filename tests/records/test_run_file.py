@@ -71,6 +71,24 @@ def test_mistakes_are_named(tmp_path: Path, old: str, new: str, message: str) ->
     assert caught.value.remedy
 
 
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("truth", "a scenario: 'piga simulate' makes a run file of it"),
+        ("plan", "a plan: give it to 'piga plan'"),
+        ("polar", "give it to 'piga platform'"),
+        ("laboratory", "give it to 'piga certificate' as --data"),
+    ],
+)
+def test_a_file_of_another_kind_is_recognised(tmp_path: Path, table: str, words: str) -> None:
+    path = write_run(tmp_path)
+    path.write_text(f"[{table}]\n" + path.read_text())
+    with pytest.raises(piga.RunFileError, match=f"has the unknown key '{table}'") as caught:
+        read_run_file(path)
+    assert caught.value.remedy.startswith("it looks like ")
+    assert caught.value.remedy.endswith(words)
+
+
 def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(piga.RunFileError, match="cannot be read"):
         read_run_file(tmp_path / "none.toml")

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from piga.reports.numbers import (
     count,
-    coverage_factor,
     fixed,
     friendly,
     pretty_unit,
@@ -63,22 +62,6 @@ def test_value_and_uncertainty_end_at_the_same_place_with_two_digits(value, unce
 @given(VALUES, st.sampled_from([0.0, -1.0, math.nan, math.inf]))
 def test_no_uncertainty_is_said_with_a_dash(value, uncertainty):
     assert rounded(value, uncertainty).uncertainty == "–"
-
-
-def test_student_factors_of_the_gum_table():
-    # JCGM 100, table G.2, column 95 %.
-    for freedom, factor in (
-        (1, 12.71),
-        (2, 4.30),
-        (5, 2.57),
-        (10, 2.23),
-        (20, 2.09),
-        (50, 2.01),
-        (math.inf, 1.960),
-    ):
-        assert coverage_factor(freedom) == pytest.approx(factor, abs=0.0051)
-    assert math.isnan(coverage_factor(0.0))
-    assert math.isnan(coverage_factor(math.nan))
 
 
 @given(st.floats(-1e7, 1e7), st.integers(2, 7))

@@ -59,7 +59,7 @@ def test_cases_at_rest(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("nonsense", "not a valid TOML"),
+        ("nonsense", "not valid TOML"),
         ('[site]\nlatitude = "40 deg"\n', "run"),
         (LEAST + "[typo]\n", "typo"),
         (LEAST.replace("40 deg", "40 m"), r"\[site\] latitude"),

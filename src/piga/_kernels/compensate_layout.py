@@ -60,11 +60,8 @@ ACROSS = 45 * STRIDE  # tan_beta (u_Y cos + u_Z sin) at the samples [rad/s]
 EARLY = 46 * STRIDE  # mean u_x by the trapezoid of the coupling [rad/s]
 PER = 47 * STRIDE  # 1 over the time that a row stands for in the noise [1/s]
 FAR_INPUT, FAR_SLOPE = 48 * STRIDE, 49 * STRIDE  # INPUT and SLOPE of intervals that turn far
-BASE_RISE_X, BASE_RISE_Y, BASE_RISE_Z = (
-    50 * STRIDE,
-    51 * STRIDE,
-    52 * STRIDE,
-)  # sets: changes of BASE over the interval
+# sets: changes of BASE over the interval
+BASE_RISE_X, BASE_RISE_Y, BASE_RISE_Z = 50 * STRIDE, 51 * STRIDE, 52 * STRIDE
 ERROR_RISE = 53 * STRIDE  # sets: change of ERROR over the interval [m/s^2]
 REGRESSORS = 54 * STRIDE
 MOST_TERMS = 40

@@ -37,13 +37,13 @@ def add_waves(turned: Array, first: int, edges: NDArray[np.int64], cosines: Arra
 
 @kernel
 def saw_tooth_covariance(
-    cosine: Array, sine: Array, power: Array, times: Array, ramp: Array, walk: float, known: float, out: Array
+    cosine: Array, sine: Array, power: Array, times: Array, ramp: Array, walk: float, spread: float, out: Array
 ) -> None:
     """Covariance of the saw-tooth between bins, by harmonic, added to ``out``.
 
     ``cosine``, ``sine`` (M, J): means over each of J bins of the harmonics m = 1 .. M of the phase along the
     path; ``power`` (M,): their variances. The difference of phase between two bins is uncertain with
-    variance ``walk |times_a - times_b| + known (ramp_a - ramp_b)^2`` [counts^2], normally distributed: harmonic m is
+    variance ``walk |times_a - times_b| + spread (ramp_a - ramp_b)^2`` [counts^2], normally distributed: harmonic m is
     damped by ``exp(-2 pi^2 m^2 variance)``. ``out`` (H + 1, J, J): harmonics 1 .. H, and all further ones together.
     """
     harmonics, bins = cosine.shape
@@ -51,7 +51,7 @@ def saw_tooth_covariance(
     for a in range(bins):
         for b in range(a + 1):
             slope = ramp[a] - ramp[b]
-            variance = walk * abs(times[a] - times[b]) + known * slope * slope
+            variance = walk * abs(times[a] - times[b]) + spread * slope * slope
             ratio = math.exp(-2.0 * math.pi**2 * variance)
             square = ratio * ratio
             damped = ratio

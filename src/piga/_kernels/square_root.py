@@ -20,6 +20,9 @@ from piga._kernels.jit import exact, kernel, reducing_kernel
 
 Array = NDArray[np.float64]
 
+NOTHING = 1e-29
+"""Share of an element that is rounding of double-double arithmetic when it is all that is left."""
+
 
 @reducing_kernel
 def _dot(a: Array, b: Array) -> float:
@@ -102,6 +105,7 @@ def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
     Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) holds W, ``unit``
     (2, m, m) the unit upper triangular U; ``R = sqrt(W) U`` is the triangular factor. For each row x of
     weight w and each pivot j: ``W' = W + w x_j^2``, ``x_k -= x_j U_jk``, ``U_jk += (w x_j / W') x_k``, ``w' = w W / W'``.
+    What is left of an element below the digits carried is nothing: as a pivot it would spread over the columns behind it.
     """
     n, m = rows.shape[1], rows.shape[2]
     for i in range(n):
@@ -124,6 +128,8 @@ def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
                 u = (unit[0, j, k], unit[1, j, k])
                 product = dd.multiply(x, u)
                 rest = dd.add((row[k], low[k]), (-product[0], -product[1]))
+                if abs(rest[0]) < NOTHING * abs(row[k]):
+                    rest = (0.0, 0.0)
                 row[k], low[k] = rest
                 unit[0, j, k], unit[1, j, k] = dd.add(u, dd.multiply(gain, rest))
             if old[0] == 0.0:

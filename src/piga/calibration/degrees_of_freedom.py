@@ -53,14 +53,6 @@ def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> float:
     return math.inf if known == 0.0 else float(np.sum(share**2) ** 2) / known
 
 
-def coverage_factor(degrees: float, probability: float = 0.95) -> float:
-    """Student's t for a two-sided interval of this probability (JCGM 100, G.3)."""
-    from scipy.special import ndtri, stdtrit
-
-    tail = 0.5 * (1.0 + probability)
-    return float(ndtri(tail) if math.isinf(degrees) else stdtrit(degrees, tail))
-
-
 def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:
     """Fisher information (2, 2) of white noise [rad^2] and random walk [rad^2/s] in stretches of so many samples.
 

@@ -28,6 +28,8 @@ FINE, SHORT = 24, 10_000
 MODES = 24
 """Cosines per stretch at least; four more per turn of the output and order of the model."""
 MOST_MODES = 160
+MOST_DAMPED = 0.5
+"""Damping by the errors of the estimate that is taken out at most, as a share of that by the random walk."""
 SLOW, FINEST = 4.0, 96
 """Counts in a stretch up to which so many harmonics of the saw-tooth are followed."""
 
@@ -168,13 +170,13 @@ def white_covariance(stretch: Stretch) -> Array:
 class Counting:
     """The saw-tooth of the counts along the path of a stretch, gathered block by block.
 
-    The path over the stretch is known to ``known`` [counts^2], at its ends against each other, and wanders from
-    there by a random walk of ``walk`` [counts^2/s]: what is out of phase by then is not correlated. Harmonics
-    beyond those followed are white.
+    The path wanders by a random walk of ``walk`` [counts^2/s]: what is out of phase by then is not correlated. A
+    line along it is uncertain by a further ``spread`` [counts^2] at the ends against each other; a negative one takes
+    away damping that is already in the path. Harmonics beyond those followed are white.
     """
 
-    def __init__(self, stretch: Stretch, count: float, known: float, walk: float) -> None:
-        self.stretch, self.count, self.known, self.walk = stretch, count, known, walk
+    def __init__(self, stretch: Stretch, count: float, spread: float, walk: float) -> None:
+        self.stretch, self.count, self.spread, self.walk = stretch, count, spread, walk
         followed = FINE if stretch.size <= SHORT else HARMONICS
         if float(np.ptp(stretch.span)) < SLOW * count:
             followed = FINEST
@@ -200,7 +202,7 @@ class Counting:
             times,
             ramp,
             self.walk,
-            self.known,
+            self.spread,
             found,
         )
         found[-1].flat[:: bins + 1] += (self.count**2 / 12.0 - float(power.sum())) / np.diff(stretch.edges)
@@ -232,8 +234,12 @@ def counting_covariances(
 def _counting_of(
     stretch: Stretch, count: float, solution: Solution, groups: tuple[int, ...], walk: float, spread: float
 ) -> Counting:
-    """Nothing gathered yet, with what the path is uncertain by."""
+    """Nothing gathered yet, with what the path is uncertain by.
+
+    Waves along estimated paths are on average already damped by the errors of the estimates: that is taken out again.
+    """
     jacobian = solution.jacobians[groups[stretch.segment]]
     far = stretch.end[:-1]
-    known = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-    return Counting(stretch, count, known / count**2 + spread**2, walk / count**2)
+    damped = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
+    most = MOST_DAMPED * walk * float(stretch.limits[1] - stretch.limits[0])
+    return Counting(stretch, count, spread**2 - min(damped, most) / count**2, walk / count**2)

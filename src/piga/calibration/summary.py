@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.drift import include_drift
@@ -201,7 +202,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         wish = replace(request, terms=terms)
         groups, per_segment = phase_groups(run, wish)
         try:
-            fit = include_drift(fit_run(run, wish, groups, per_segment), groups)
+            fit = include_drift(refine_counted(fit_run(run, wish, groups, per_segment), groups), groups)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -276,7 +277,7 @@ def _source(source: Source, parts: tuple[Reduction, ...]) -> SourceSummary:
 
 def reduce_groups(design: Design, fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
     """One summary per phase group, of rows of unit variance."""
-    summaries = reduce_segments(design, fit.mode, fit.noise)
+    summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.noise)
     parts = [
         merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(max(groups) + 1)
     ]

@@ -14,6 +14,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.errors import CalibrationError
 from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
+from piga.records.limits import read_whole
 from piga.records.terms import check_name
 
 if TYPE_CHECKING:
@@ -159,10 +160,8 @@ def read_summary(path: Path) -> RunSummary:
 
 
 def _decode(path: Path) -> _Summary:
+    raw = read_whole(path, MAX_BYTES, "a run summary", CalibrationError)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a run summary")
-        raw = path.read_bytes()
         kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
         if kind != SCHEMA:
             raise CalibrationError(
@@ -170,10 +169,6 @@ def _decode(path: Path) -> _Summary:
                 remedy="name a run file (.toml), or a summary that --summary wrote",
             )
         return msgspec.json.decode(raw, type=_Summary)
-    except OSError as error:
-        raise CalibrationError(
-            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
-        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CalibrationError(
             f"{path}: not a valid run summary: {error}", remedy="summarise the run again"

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.control_chart import LIMIT, moving_average
+from piga.calibration.degrees_of_freedom import welch_satterthwaite
 from piga.calibration.trend_line import Groups, LineFit, fit_line, merge_groups
 from piga.errors import ArgumentError
-from piga.records.calibration import Calibration
+from piga.records.calibration import Calibration, coverage_factor
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ class Forecast:
 
     def half_width(self, probability: float = 0.95) -> float:
         """Half the interval of that probability, by Student's t."""
-        return student(self.degrees_of_freedom, probability) * self.std
+        return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * self.std
 
     def score(self, value: float) -> float:
         """Deviation of a value from this forecast, as the standard normal number of the same probability."""
@@ -361,21 +362,5 @@ def common_contributions(key: str, calibrations: Sequence[Calibration], common: 
 
 def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
     """Forecast from independent variances with their degrees of freedom."""
-    std = math.sqrt(math.fsum(variance for variance, _ in parts))
-    return Forecast(time, value, std, effective_freedom(parts))
-
-
-def effective_freedom(parts: Sequence[tuple[float, float]]) -> float:
-    """Effective degrees of freedom of a sum of variances (Welch and Satterthwaite; JCGM 100, G.4.1)."""
-    total = math.fsum(variance for variance, _ in parts)
-    below = math.fsum(variance**2 / freedom for variance, freedom in parts if math.isfinite(freedom))
-    return total**2 / below if below > 0.0 else math.inf
-
-
-def student(degrees_of_freedom: float, probability: float = 0.95) -> float:
-    """Student's t for a two-sided interval of that probability."""
-    from scipy.special import ndtri, stdtrit
-
-    if math.isinf(degrees_of_freedom):
-        return float(ndtri(0.5 + probability / 2.0))
-    return float(stdtrit(max(degrees_of_freedom, 1.0), 0.5 + probability / 2.0))
+    own = np.sqrt([variance for variance, _ in parts])
+    return Forecast(time, value, math.hypot(*own), welch_satterthwaite(own, [freedom for _, freedom in parts]))

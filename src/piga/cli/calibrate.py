@@ -52,9 +52,9 @@ def calibrate(
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate the coefficients of an instrument: calibration.json, residuals.parquet, report.html.
+    """Estimate the coefficients of an instrument from its runs.
 
-    Several runs of one instrument are calibrated together.
+    Leaves calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
@@ -148,20 +148,25 @@ def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path
 
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:
-    """Write the three results, each by rename; says so when the report extra is not installed."""
+    """Write the results, each by rename; says so when the report extra is not installed.
+
+    A calibration of summaries alone has no residuals to write.
+    """
     from concurrent.futures import ThreadPoolExecutor
+    from functools import partial
 
     from piga.records.residuals_parquet import write_residuals
 
     with ThreadPoolExecutor(1) as beside:
         written = [write_by_rename(directory / "calibration.json", calibration.to_json)]
-        residuals = beside.submit(
-            write_by_rename, directory / "residuals.parquet", lambda path: write_residuals(calibration, path)
-        )
+        residuals = []
+        if calibration.residuals is not None:
+            work = partial(write_residuals, calibration)
+            residuals = [beside.submit(write_by_rename, directory / "residuals.parquet", work)]
+        pages = []
         if report and report_available():
             from piga.reports.calibration import write_calibration_report
 
-            page = directory / "report.html"
-            write_by_rename(page, lambda path: write_calibration_report(calibration, path))
-            return [*written, residuals.result(), page]
-        return [*written, residuals.result()]
+            page = partial(write_calibration_report, calibration)
+            pages = [write_by_rename(directory / "report.html", page)]
+        return [*written, *(job.result() for job in residuals), *pages]

@@ -34,7 +34,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
-    help="Issue a calibration certificate (ISO/IEC 17025, DCC), verify one, read one back. "
+    help="Issue, verify and read back calibration certificates.\n\nBy ISO/IEC 17025, and as DCC. "
     "'piga certificate CALIBRATION.json ...' issues.",
 )
 
@@ -59,7 +59,10 @@ def issue(
     certificate: PemOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write certificate.html (prints on A4), and certificate.xml with --dcc; refused while anything is missing."""
+    """Write certificate.html (A4), with --dcc certificate.xml.
+
+    Refused while anything is missing.
+    """
     import hashlib
 
     from piga.records.calibration_json import calibration_from_bytes
@@ -90,13 +93,9 @@ def issue(
 def _bytes(path: Path) -> bytes:
     """The bytes of a calibration.json, read once: the digest on the certificate is of what was certified."""
     from piga.records.calibration_json import MAX_BYTES
+    from piga.records.limits import read_whole
 
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise PigaError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
-        return path.read_bytes()
-    except OSError as error:
-        raise PigaError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+    return read_whole(path, MAX_BYTES, "a calibration.json", PigaError)
 
 
 def _before(file: CertificateFile, data: Path) -> Calibration | None:
@@ -130,7 +129,10 @@ def verify(
     ],
     as_json: JsonOption = False,
 ) -> None:
-    """Verify the signature of a DCC made by piga against the laboratory's certificate, and that it agrees with itself."""
+    """Verify a DCC made by piga.
+
+    Its signature against the laboratory's certificate, and that it agrees with itself.
+    """
     from piga.records.dcc_reader import calibration_of
     from piga.records.xml_signature import verify_signature
 
@@ -161,7 +163,10 @@ def read(
     out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="Where the calibration goes.")],
     certificate: PemOption = None,
 ) -> None:
-    """Read a DCC back into calibration.json, ready for 'piga compensate'; --certificate verifies it first."""
+    """Read a DCC back into calibration.json.
+
+    Ready for 'piga compensate'; --certificate verifies it first.
+    """
     from piga.records.dcc_reader import calibration_of
     from piga.records.xml_file import read_xml
     from piga.records.xml_signature import verify_signature

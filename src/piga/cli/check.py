@@ -25,7 +25,7 @@ def check(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Read a recorded test and show what is found in it; nothing is calibrated."""
+    """Show what is found in a recorded test; nothing is calibrated."""
     from piga.records import suggestions
     from piga.stand import read_run
 
@@ -55,7 +55,10 @@ def convert(
     run: RunFileArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="Where the clean record goes.")],
 ) -> None:
-    """Write a recorded test as clean Parquet in SI, with units and everything that was found."""
+    """Write a recorded test as clean Parquet in SI.
+
+    Units and everything that was found are in the file, too.
+    """
     from piga.records.run_parquet import data_table, write_run_parquet
     from piga.stand import read_run
 

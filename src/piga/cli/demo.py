@@ -20,7 +20,7 @@ def demo(
         "piga-demo"
     ),
 ) -> None:
-    """Calibrate the shipped dividing-head record, compensate it and write the report."""
+    """Calibrate and compensate the shipped record, with a report."""
     from piga.compensation import compensate
     from piga.reports.calibration import calibration_text
     from piga.stand import read_run

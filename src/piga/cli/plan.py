@@ -20,7 +20,10 @@ def plan(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a test: plan.json, report.html, and scenario.toml for 'piga simulate'."""
+    """Plan a test: which positions, how long, what it will give.
+
+    Leaves plan.json, report.html, and scenario.toml for 'piga simulate'.
+    """
     import json
 
     from piga.calibration.mounting import plan_mounting

@@ -21,7 +21,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
-    help="Simulate, align, identify, navigate and compare on a space-stable platform with case rotation.",
+    help="Analyse a space-stable platform with case rotation.",
 )
 
 Scenario = Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)]
@@ -31,7 +31,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 @app.command()
 def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
-    """Simulate: readouts.parquet, truth.parquet and a page."""
+    """Simulate the readouts, and the truth beside them.
+
+    Leaves readouts.parquet, truth.parquet and a page.
+    """
     from piga.reports.platform import simulation_page
     from piga.stable_platform.output import readouts_table, truth_table
 
@@ -55,7 +58,10 @@ def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
 
 @app.command()
 def align(scenario: Scenario, out: Out, json: Json = False) -> None:
-    """Align on the first stretch of a static base: alignment.json and a page."""
+    """Align on the first stretch of a static base.
+
+    Leaves alignment.json and a page.
+    """
     from piga.errors import PigaError
     from piga.reports.platform import alignment_page
     from piga.stable_platform.alignment import align as align_platform
@@ -84,7 +90,10 @@ def align(scenario: Scenario, out: Out, json: Json = False) -> None:
 
 @app.command()
 def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
-    """Identify misalignments, phases and harmonics: identification.json and a page."""
+    """Identify misalignments, phases and harmonics.
+
+    Leaves identification.json and a page.
+    """
     from piga.reports.platform import identification_page
     from piga.stable_platform.chain import identified
     from piga.stable_platform.observability import observability
@@ -107,7 +116,10 @@ def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
 
 @app.command()
 def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
-    """Navigate with every model of the scenario: navigation-MODEL.parquet and a page."""
+    """Navigate with every model of the scenario.
+
+    Leaves navigation-MODEL.parquet and a page.
+    """
     from piga.reports.platform_models import navigation_page
     from piga.stable_platform.output import navigation_table
 
@@ -133,7 +145,10 @@ def compare(
     budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
     seeds: Annotated[int, typer.Option(help="Repeat the chain with so many seeds (Monte Carlo).", min=0)] = 0,
 ) -> None:
-    """Compare the compensation models day by day with each other and with the theory."""
+    """Compare the models of compensation, and each with the theory.
+
+    Leaves comparison.json and a page, day by day.
+    """
     from piga.stable_platform.budget import error_budget, monte_carlo, standard_sources
     from piga.stable_platform.output import budget_document, scatter_document
 

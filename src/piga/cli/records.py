@@ -36,7 +36,7 @@ app = typer.Typer(
     cls=Group,
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Keep calibrations as evidence: append-only, chained, verifiable, recomputable.",
+    help="Keep calibrations as evidence.\n\nThe store is append-only, chained, verifiable, and can be recomputed.",
 )
 
 StoreOption = Annotated[
@@ -142,7 +142,10 @@ def show(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show a record: who, when, why, from what, with what, and the coefficients."""
+    """Show a record.
+
+    Who, when, why, from what, with what, and the coefficients.
+    """
     from piga.records.calibration_json import to_document
 
     with opened(store) as kept:
@@ -171,7 +174,10 @@ def show(
 def diff(
     first: RecordArgument, second: RecordArgument, store: StoreOption, as_json: JsonOption = False
 ) -> None:
-    """Compare two records: coefficients with the uncertainty of the difference, inputs, software."""
+    """Compare two records.
+
+    Coefficients with the uncertainty of the difference, inputs, software.
+    """
     from piga.records.store.difference import difference
 
     with opened(store) as kept:
@@ -198,7 +204,10 @@ def verify(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check every link, record and file; exit 2 and say what is wrong when something is."""
+    """Check every link, record and file.
+
+    Exit 2, and says what is wrong, when something is.
+    """
     from piga.records.store import open_store  # noqa: F401 - says so when the extra is missing
     from piga.records.store.verify import verify as check
 
@@ -221,7 +230,10 @@ def export(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write records into one file that explains itself and can be checked without piga."""
+    """Write records into one file that explains itself.
+
+    It can be checked without piga.
+    """
     from piga.records.store.transfer import export_records
 
     with opened(store) as kept, progress("exporting"):
@@ -237,7 +249,10 @@ def import_export(
     reason: ReasonOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Append the records of an export that the store does not have: all of them, verified, or none."""
+    """Append the records of an export that the store does not have.
+
+    All of them, verified, or none.
+    """
     from piga.records.store.transfer import import_records
 
     with opened(store, create=True) as kept, progress("importing"):
@@ -258,7 +273,10 @@ def reproduce(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Recompute records from their stored inputs; exit 2 when the numbers are not the same."""
+    """Recompute records from their stored inputs.
+
+    Exit 2 when the numbers are not the same.
+    """
     from piga.evidence import reproduce as recompute
 
     found = []
@@ -286,7 +304,10 @@ def backup(
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a verified copy of the store while it is in use (PostgreSQL: a complete export)."""
+    """Write a verified copy of the store while it is in use.
+
+    Of PostgreSQL it is a complete export.
+    """
     from piga.records.store.transfer import backup as copy
 
     with opened(store) as kept, progress("copying"):
@@ -300,7 +321,10 @@ def restore(
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a store from a backup: same links, same head. The store must not exist yet."""
+    """Make a store from a backup: same links, same head.
+
+    The store must not exist yet.
+    """
     from piga.records.store import open_store  # noqa: F401 - says so when the extra is missing
     from piga.records.store.transfer import restore as make
 

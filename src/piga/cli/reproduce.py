@@ -26,7 +26,10 @@ def reproduce(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the cases as JSON.")] = False,
 ) -> None:
-    """Reproduce every published case: published, computed, difference, verdict; exit 1 if one disagrees."""
+    """Reproduce every published case, and judge it.
+
+    Published, computed, difference, verdict; exit 1 if one disagrees.
+    """
     from piga.reports.reproduction import Reproduction, chosen, run_chapters
     from piga.reports.reproduction.page import summary
 

@@ -21,7 +21,7 @@ def simulate(
     force: Annotated[bool, typer.Option("--force", help="Simulate an unstable servo loop as well.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the truth as JSON.")] = False,
 ) -> None:
-    """Simulate a test: a run that 'piga calibrate' takes as it is, and the truth beside it."""
+    """Simulate a test: a run to calibrate, and the truth beside it."""
     from piga.reports.simulation import simulation_text, write_simulation_report
     from piga.stand.scenario import read_scenario, run_scenario
     from piga.stand.write_run import run_file_text, truth_document, truth_text, write_data

@@ -55,7 +55,10 @@ def trend(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show stability, drift per year, control limits and a forecast of each coefficient, with alarms in words."""
+    """Show drift, stability and a forecast of each coefficient.
+
+    Stability over time, drift per year, control limits, a forecast, and alarms in words.
+    """
     from piga.calibration.trend import find_trend
     from piga.reports.trend import trend_document, trend_text
 

@@ -16,6 +16,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+def coverage_factor(degrees_of_freedom: float, probability: float = 0.95) -> float:
+    """Student's t for a two-sided interval of this probability (JCGM 100, G.3).
+
+    Infinite degrees of freedom give that of the normal distribution; none, or an unknown number, give nan.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 * (1.0 + probability)
+    return float(ndtri(tail) if math.isinf(degrees_of_freedom) else stdtrit(degrees_of_freedom, tail))
+
+
 @dataclass(frozen=True)
 class Coefficient:
     """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json).
@@ -47,11 +58,8 @@ class Coefficient:
 
     @property
     def coverage_factor(self) -> float:
-        """Student's t for 95 % and these degrees of freedom (JCGM 100, G.3)."""
-        from scipy.special import ndtri, stdtrit
-
-        nu = self.degrees_of_freedom
-        return float(ndtri(0.975) if math.isinf(nu) else stdtrit(nu, 0.975))
+        """Student's t for 95 % and these degrees of freedom."""
+        return coverage_factor(self.degrees_of_freedom)
 
     @property
     def expanded(self) -> float:

@@ -21,6 +21,7 @@ from piga.records.calibration import (
     RunRecord,
     SegmentSummary,
 )
+from piga.records.limits import read_whole
 from piga.units import conversion_factor, from_si
 
 Array = NDArray[np.float64]
@@ -214,15 +215,7 @@ def read_calibration(path: Path) -> Calibration:
     CalibrationError
         If the file is missing, is no calibration record, or is of a newer schema.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CalibrationError(f"{path}: larger than {MAX_BYTES} bytes", remedy="name a calibration.json")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise CalibrationError(
-            f"{path}: cannot be read ({error.strerror})", remedy="check the file name"
-        ) from None
-    return calibration_from_bytes(raw, path)
+    return calibration_from_bytes(read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError), path)
 
 
 def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:

@@ -19,7 +19,7 @@ from piga.records.array_columns import (
     split_name,
     vector,
 )
-from piga.records.limits import check_unpacked, extra_missing
+from piga.records.limits import check_unpacked, extra_missing, first_line
 from piga.records.table import RawTable
 
 PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
@@ -63,9 +63,8 @@ def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
             if label is not None:
                 labels[label] = as_label(_read(source, path, label, budget)[0].tolist())
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(
-            f"{path}: not a readable HDF5 file ({reason})",
+            f"{path}: not a readable HDF5 file ({first_line(error)})",
             remedy="was it closed by the logger? copy or export it again",
         ) from None
     return make_table(path, numbers, labels, units)

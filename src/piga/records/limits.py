@@ -20,6 +20,28 @@ CPU_BASE, CPU_PER_MIB = 5.0, 4.0
 """CPU time for reading a container [s], and per MiB of file."""
 
 
+def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
+    """All bytes of a file of at most ``most`` bytes; ``wanted`` is what to name instead of a larger one.
+
+    Raises
+    ------
+    error
+        If the file cannot be read or is larger.
+    """
+    try:
+        if path.stat().st_size > most:
+            raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
+        return path.read_bytes()
+    except OSError as reason:
+        raise error(f"{path}: cannot be read ({reason.strerror})", remedy="check the file name") from None
+
+
+def first_line(error: Exception) -> str:
+    """What a library says of a damaged file, in one line; the kind of error where it says nothing."""
+    text = str(error)
+    return text.splitlines()[0] if text else type(error).__name__
+
+
 def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
     """Refuse a container that unpacks to too much.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError
 from piga.records.array_columns import Label, as_label, as_numbers, make_table, no_column, split_name, vector
 from piga.records.hdf5_reader import read_hdf5
-from piga.records.limits import check_unpacked
+from piga.records.limits import check_unpacked, first_line
 from piga.records.table import RawTable
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
@@ -63,9 +63,9 @@ def _load(path: Path, names: list[str]) -> dict[str, Any]:
     except MemoryError:
         raise
     except Exception as error:  # SciPy lets whatever a damaged file provokes through
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(
-            f"{path}: not a readable MATLAB file ({reason})", remedy="save it again with -v7 or -v7.3"
+            f"{path}: not a readable MATLAB file ({first_line(error)})",
+            remedy="save it again with -v7 or -v7.3",
         ) from None
     return {name: found.get(name) for name in present}
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from piga.errors import DataError
 from piga.records.calibration import Event
+from piga.records.limits import first_line
 from piga.records.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
 
 
@@ -69,8 +70,9 @@ def _open(path: Path) -> Iterator[Any]:
         with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20) as source:
             yield source
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        message = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DataError(f"{path}: not a readable Parquet file ({message})", remedy="export it again") from None
+        raise DataError(
+            f"{path}: not a readable Parquet file ({first_line(error)})", remedy="export it again"
+        ) from None
 
 
 def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[str, ...]) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.array_columns import Label, as_label, as_numbers, make_table, no_column
-from piga.records.limits import MAX_UNPACKED, check_unpacked, extra_missing
+from piga.records.limits import MAX_UNPACKED, check_unpacked, extra_missing, first_line
 from piga.records.table import RawTable
 
 UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit")
@@ -46,9 +46,9 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
     except (DataError, MemoryError):
         raise
     except Exception as error:  # the library lets whatever a damaged file provokes through
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(
-            f"{path}: not a readable TDMS file ({reason})", remedy="was the logger stopped? copy it again"
+            f"{path}: not a readable TDMS file ({first_line(error)})",
+            remedy="was the logger stopped? copy it again",
         ) from None
     return make_table(path, numbers, labels, units)
 

@@ -6,16 +6,26 @@ import difflib
 import re
 import tomllib
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from piga.errors import RunFileError
+from piga.records.limits import read_whole
 
 T = TypeVar("T", bound=msgspec.Struct)
 
 MAX_BYTES = 1 << 20
 """Largest TOML file read [bytes]; run files are a few kilobytes."""
+
+KINDS = {
+    "plan": "a plan: give it to 'piga plan'",
+    "truth": "a scenario: 'piga simulate' makes a run file of it",
+    "polar": "a platform scenario: give it to 'piga platform'",
+    "laboratory": "what a certificate says: give it to 'piga certificate' as --data",
+    "data": "a run file: give it to 'piga check' or 'piga calibrate'",
+}
+"""Top-level tables that tell one kind of file from another, and what takes that kind; the first that fits."""
 
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
 _MISSING = re.compile(r"missing required field `([^`]*)`")
@@ -32,13 +42,7 @@ def read_toml(path: Path, kind: type[T]) -> T:
         the wrong type.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise RunFileError(
-                f"{path}: larger than {MAX_BYTES} bytes", remedy="name the TOML file, not the data file"
-            )
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+        text = read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RunFileError(
             f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
@@ -52,10 +56,10 @@ def read_toml(path: Path, kind: type[T]) -> T:
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
-        raise _explain(path, str(error), kind) from None
+        raise _explain(path, str(error), kind, raw) from None
 
 
-def _explain(path: Path, message: str, kind: type[msgspec.Struct]) -> RunFileError:
+def _explain(path: Path, message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> RunFileError:
     """Turn a validation message into one that a test engineer understands."""
     where_match = _PATH.search(message)
     keys = [key for key in (where_match.group(1) if where_match else "").split(".") if key]
@@ -64,7 +68,10 @@ def _explain(path: Path, message: str, kind: type[msgspec.Struct]) -> RunFileErr
     if unknown:
         allowed = _field_names(kind, keys)
         near = difflib.get_close_matches(unknown.group(1), allowed, n=1)
+        other = next((words for table, words in KINDS.items() if table in raw and table not in allowed), None)
         remedy = f"did you mean '{near[0]}'?" if near else f"allowed here: {', '.join(allowed)}"
+        if other and not keys:
+            remedy = f"it looks like {other}"
         return RunFileError(f"{path}: {where} has the unknown key '{unknown.group(1)}'", remedy=remedy)
     if missing:
         return RunFileError(f"{path}: {where} lacks the key '{missing.group(1)}'", remedy="add it")

@@ -13,7 +13,7 @@ import numpy as np
 from piga.errors import DataError
 from piga.records.array_columns import as_label
 from piga.records.calibration import Event
-from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing
+from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line
 from piga.records.table import RawTable, column_letter
 from piga.records.text_format import INFINITE, MISSING, check_names, is_units_row, units_in_names
 
@@ -55,9 +55,8 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
     except (DataError, MemoryError):
         raise
     except Exception as error:  # the library lets whatever a damaged file provokes through
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DataError(
-            f"{path}: not a readable XLSX file ({reason})", remedy="save it again as .xlsx"
+            f"{path}: not a readable XLSX file ({first_line(error)})", remedy="save it again as .xlsx"
         ) from None
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piga.errors import DataError
+from piga.records.limits import read_whole
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -22,12 +23,7 @@ def read_xml(path: Path) -> tuple[bytes, etree._Element]:
     DataError
         If the file cannot be read, is too large, is no XML, or declares a document type or entities.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DataError(f"{path}: larger than {MAX_BYTES >> 20} MiB", remedy="name a certificate in XML")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None
+    raw = read_whole(path, MAX_BYTES, "a certificate in XML")
     return raw, parse_xml(raw, path)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piga.errors import DataError
+from piga.records.limits import read_whole
 from piga.records.xml_file import read_xml
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def sign_xml(
     from signxml.signer import XMLSigner
 
     try:
-        private: Any = load_pem_private_key(_pem(key), passphrase)
+        private: Any = load_pem_private_key(read_whole(key, _MAX_PEM, "a PEM file"), passphrase)
     except (ValueError, TypeError) as error:
         raise DataError(f"{key}: no private key that can be used: {error}", remedy="give a PEM file") from None
     if not isinstance(private, rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey):
@@ -179,15 +180,6 @@ def load_certificate(path: Path) -> Any:
     from cryptography import x509
 
     try:
-        return x509.load_pem_x509_certificate(_pem(path))
+        return x509.load_pem_x509_certificate(read_whole(path, _MAX_PEM, "a PEM file"))
     except ValueError as error:
         raise DataError(f"{path}: no X.509 certificate in PEM: {error}", remedy="check the file") from None
-
-
-def _pem(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > _MAX_PEM:
-            raise DataError(f"{path}: larger than {_MAX_PEM} bytes", remedy="name a PEM file")
-        return path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})", remedy="check the file name") from None

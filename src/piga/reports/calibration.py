@@ -225,10 +225,6 @@ def _coefficients(cal: Calibration) -> Section:
     return Section("Coefficients", "coefficients", tuple(blocks))
 
 
-def _shown(figures: dict[str, Figure], key: str, missing: str) -> Block:
-    return FigureBlock(figures[key]) if key in figures else Notice("info", missing)
-
-
 def _residuals(figures: dict[str, Figure]) -> Section:
     lead = (
         "What is left of the measured angle when the model is taken away: what the calibration explains is "

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration import Calibration, Coefficient, coverage_factor
 from piga.records.certificate_file import CertificateFile, missing_items
 from piga.reports.calibration_budget import budget_table
 from piga.reports.calibration_tables import common_coefficients, correlation_table, meaning
 from piga.reports.certificate_statements import Verdict, decision_rule, statements, verdicts
 from piga.reports.numbers import (
     count,
-    coverage_factor,
     friendly,
     pretty_unit,
     printed,

@@ -6,9 +6,8 @@ import datetime as dt
 from dataclasses import dataclass
 from typing import Literal
 
-from piga.records.calibration import Calibration
+from piga.records.calibration import Calibration, coverage_factor
 from piga.records.certificate_file import CertificateFile, limits_in_file_units
-from piga.reports.numbers import coverage_factor
 
 Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration import Calibration, Coefficient, coverage_factor
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.certificate_file import CertificateFile, ConditionTable, quantity_text
 from piga.records.dcc_reader import JOINT, RECORD, label_of
@@ -21,7 +21,6 @@ from piga.records.dsi_units import dsi_unit, power_of_g, to_dsi
 from piga.records.terms import meaning_of
 from piga.reports.certificate_statements import verdicts
 from piga.reports.dcc_elements import dcc, given, rich, si, software, text
-from piga.reports.numbers import coverage_factor
 from piga.units import parse_unit
 
 if TYPE_CHECKING:

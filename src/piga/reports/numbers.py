@@ -162,17 +162,3 @@ def pretty_unit(unit: str) -> str:
         if text == name or text.startswith((f"{name}/", f"{name}·")):
             text = "µ" + text[1:]
     return text
-
-
-def coverage_factor(degrees_of_freedom: float, probability: float = 0.95) -> float:
-    """Coverage factor of Student's t distribution (JCGM 100, G.3) for an interval of that probability.
-
-    Infinite degrees of freedom give the normal value 1.96; fewer than one, or an unknown number, give nan.
-    """
-    from scipy.special import ndtri, stdtrit
-
-    if math.isinf(degrees_of_freedom):
-        return float(ndtri(0.5 + probability / 2.0))
-    if not degrees_of_freedom >= 1.0:
-        return math.nan
-    return float(stdtrit(degrees_of_freedom, 0.5 + probability / 2.0))

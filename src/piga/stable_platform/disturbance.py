@@ -128,12 +128,6 @@ class Stretch:
         flat = white.reshape(len(white), -1)
         return (flat - self.slow @ (self.slow.T @ flat)).reshape(white.shape)
 
-    def slow_force(self, x: Unknowns) -> Array:
-        """Direction (n, 3) of the slow force in the triad at the samples."""
-        r = self.readouts
-        attitude, _ = exact_platform(x, *(_halved(v)[1::2] for v in (r.times, r.encoder1, r.encoder2)))
-        return np.einsum("nji,nj->ni", attitude, r.increments)
-
 
 def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[Stretch, ...]:
     """Cut a record; ``turns`` (2,) are the periods [s] of the faster and the slower case."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-import msgspec
-
 from piga.errors import RunFileError
+from piga.records.toml_file import read_toml
 from piga.stable_platform.scenario_file import GyroFile, Quantity, ScenarioFile
 from piga.units import to_si
 
@@ -172,18 +170,7 @@ def load_scenario(path: Path) -> Scenario:
     UnitError
         If a quantity lacks its unit or has one of another kind.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        parsed = msgspec.convert(document, ScenarioFile)
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read ({error.strerror})", remedy="check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RunFileError(f"{path}: not a valid TOML file: {error}") from None
-    except msgspec.ValidationError as error:
-        raise RunFileError(
-            f"{path}: {error}", remedy="see examples/platform-published.toml for every key"
-        ) from None
-    return _Reader(path).scenario(parsed)
+    return _Reader(path).scenario(read_toml(path, ScenarioFile))
 
 
 class _Reader:

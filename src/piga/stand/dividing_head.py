@@ -12,7 +12,7 @@ from piga.errors import ArgumentError
 from piga.frames import axis_turn
 from piga.stand.geometry import horizontal_axis_frame, small_turn, smooth_step, turned
 from piga.stand.imperfections import Imperfections
-from piga.stand.profile import Segment, plan
+from piga.stand.profile import Segment, plan_holds
 
 Array = NDArray[np.float64]
 
@@ -64,12 +64,7 @@ class DividingHead:
 
     def segments(self) -> tuple[Segment, ...]:
         """Positions ``0, 1, ...``, recorded, with moves between them, not recorded."""
-        parts: list[tuple[str, float, bool]] = []
-        for k in range(len(self.positions)):
-            if k:
-                parts.append((f"move to {k}", self.move, False))
-            parts.append((str(k), self.dwell, True))
-        return plan(parts)
+        return plan_holds(len(self.positions), self.dwell, "move", self.move)
 
     def angle(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Angle [rad] and rate [rad/s] of the head at ``t`` [s], (n,)."""

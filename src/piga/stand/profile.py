@@ -84,14 +84,22 @@ class Profile:
         return np.array([s.recorded for s in self.segments])[self.segment]
 
 
-def plan(parts: list[tuple[str, float, bool]], start: float = 0.0) -> tuple[Segment, ...]:
+def plan(parts: list[tuple[str, float, bool]]) -> tuple[Segment, ...]:
     """Segments one after the other from (label, duration, recorded); empty ones are left out."""
-    segments = []
+    segments, start = [], 0.0
     for label, duration, recorded in parts:
         if duration > 0.0:
             segments.append(Segment(label, start, duration, recorded))
             start += duration
     return tuple(segments)
+
+
+def plan_holds(count: int, dwell: float, way: str, move: float) -> tuple[Segment, ...]:
+    """Holds ``0, 1, ...``, recorded, with moves between them (``way to 1``, ...), not recorded."""
+    parts = [("0", dwell, True)]
+    for k in range(1, count):
+        parts += [(f"{way} to {k}", move, False), (str(k), dwell, True)]
+    return plan(parts)
 
 
 def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.stand.imperfections import Imperfections
-from piga.stand.profile import Segment, plan
+from piga.stand.profile import Segment, plan_holds
 
 Array = NDArray[np.float64]
 
@@ -46,12 +46,7 @@ class SpinPlan:
 
     def segments(self) -> tuple[Segment, ...]:
         """Levels ``0, 1, ...``, recorded, with ramps between them, not recorded."""
-        parts: list[tuple[str, float, bool]] = []
-        for k in range(len(self.rates)):
-            if k:
-                parts.append((f"ramp to {k}", self.ramp, False))
-            parts.append((str(k), self.dwell, True))
-        return plan(parts)
+        return plan_holds(len(self.rates), self.dwell, "ramp", self.ramp)
 
     def nominal(self, t: Array) -> Spin:
         """The spin as set."""

@@ -77,13 +77,13 @@ def _counting() -> Iterator[Pair]:
     literal = np.empty((3, 3))
     for j in range(3):
         for k in range(3):
-            v = q_w * abs(t[j] - t[k]) + u**2 * (t[j] - t[k]) ** 2
+            v = q_w * abs(t[j] - t[k]) - u**2 * (t[j] - t[k]) ** 2
             wave = np.cos(2 * np.pi * m * (psi[j] - psi[k]) / c) * np.exp(-2 * np.pi**2 * m**2 * v / c**2)
             literal[j, k] = np.sum(c**2 / (2 * np.pi**2 * m**2) * wave)
     phase = 2 * np.pi * np.outer(m, psi) / c
     found = np.zeros((9, 3, 3))
     power = c**2 / (2 * np.pi**2 * m**2)
-    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, u**2 / c**2, found)
+    saw_tooth_covariance(np.cos(phase), np.sin(phase), power, t, t, q_w / c**2, -(u**2) / c**2, found)
     yield literal, found.sum(axis=0), 1e-6
 
 

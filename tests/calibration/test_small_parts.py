@@ -1,0 +1,306 @@
+"""Parts of a calibration that whole records seldom reach: each against its definition, with the JIT off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration import degrees_of_freedom
+from piga.calibration.advice import with_advice
+from piga.calibration.coefficients import name_parameters
+from piga.calibration.counted import count_of
+from piga.calibration.cross_validation import predict
+from piga.calibration.drift import _whitened_means, quick_look
+from piga.calibration.drift_basis import KNOTS, DriftBasis
+from piga.calibration.identifiability import notes_in_words, refuse_useless
+from piga.calibration.monte_carlo import standard_draws
+from piga.calibration.mounting import plan_mounting
+from piga.calibration.noise import Noise
+from piga.calibration.reduction import Reduction
+from piga.calibration.solution import Estimate, Layout
+from piga.calibration.trend import Forecast
+from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.records.calibration import Coefficient
+from piga.units import G0
+from tests.calibration.synthetic import BETA, SCALE, TERMS, record
+from tests.calibration.test_planning import mounting_request
+
+ARCSECOND = math.pi / 648000.0
+
+
+def test_a_negative_coupling_is_a_positive_one_half_a_turn_away() -> None:
+    """The columns behind the coefficients, hence all that was measured, stay as they were; odd harmonics turn, too."""
+    layout = Layout(True, (1, 2), (("scale_factor", None), ("k0", None)), (np.array([0, 1]),))
+    amplitudes = np.array([-0.3e-3, 2e-5, -3e-5, 1e-5, 4e-5, 0.0906, 1.4e-4])
+    phases = np.array([2.9])
+    spread = np.random.default_rng(7).standard_normal((8, 8))
+    estimate = Estimate(amplitudes, phases, 1e-12 * spread @ spread.T, 0.0, ())
+    coefficients, covariance = name_parameters(
+        layout, estimate, estimate.covariance, 0.0906, ("scale_factor", "tan_beta", "s1", "c1", "s2", "c2", "k0"),
+        [(None, None)],
+    )  # fmt: skip
+    found = {c.name: c.value for c in coefficients}
+    assert found["tan_beta"] > 0.0
+    assert -math.pi < found["phi"] <= math.pi
+    K = amplitudes[5]
+    unit = {c.name: c.unit for c in coefficients}
+    assert unit["k0"] == "g"
+    same = np.array([K * found["tan_beta"], *amplitudes[1:5], *amplitudes[5:]])
+    same[1:5] = [K * found[name] * (G0 if unit[name] == "g" else 1.0) for name in ("s1", "c1", "s2", "c2")]
+    before = layout.linear(amplitudes, phases[0], 0)
+    np.testing.assert_allclose(layout.linear(same, found["phi"], 0), before, rtol=1e-12, atol=1e-18)
+    names = [c.name for c in coefficients]
+    plain = estimate.covariance
+    at = names.index("tan_beta"), names.index("phi")
+    # d tan_beta = -(d A - tan dK)/K: the sign of its covariance with the phase turns with its own
+    tangent = amplitudes[0] / K
+    assert covariance[at] == pytest.approx(-(plain[0, 7] - tangent * plain[5, 7]) / K, rel=1e-9)
+
+
+def coefficient(
+    name: str, value: float, std: float, unit: str = "1", segment: str | None = None
+) -> Coefficient:
+    return Coefficient(name, value, std, unit, segment)
+
+
+def notes(coefficients: list[Coefficient], correlation: float = 0.0, **options: object) -> str:
+    std = np.array([c.std for c in coefficients])
+    covariance = np.outer(std, std) * (correlation + (1.0 - correlation) * np.eye(std.size))
+    wanted = {"condition": 10.0, "phase": "shared", "scatter": {}} | options
+    return "\n".join(notes_in_words(tuple(coefficients), covariance, **wanted))
+
+
+def test_doubts_are_said_when_there_are_and_only_then() -> None:
+    sure = [
+        coefficient("scale_factor", 0.9, 1e-6),
+        coefficient("tan_beta", 1e-3, 1e-6),
+        coefficient("k0", 1.0, 0.1),
+    ]
+    assert notes(sure) == ""
+    assert "tan_beta and k0 are hard to tell apart" in notes(sure, 0.97)
+    assert "(correlation -0.970)" in notes([sure[0], sure[2]], -0.97)
+    assert "condition number 2e+05" in notes(sure, condition=2e5)
+    assert "k0 is smaller than twice" in notes([*sure[:2], coefficient("k0", 0.19, 0.1)])
+    assert "tan_beta is not well above" in notes([coefficient("tan_beta", 3.9e-6, 1e-6)])
+    assert "scatter 2.1 times" in notes(sure, scatter={"segment_scatter_ratio": 2.1, "segment_scatter_g": 1e-6})
+    assert "scatter" not in notes(sure, scatter={"segment_scatter_ratio": 1.9, "segment_scatter_g": 1e-6})
+    loose = [*sure, coefficient("phi", 0.1, 0.6, "rad", "7"), coefficient("phi", 0.1, 0.01, "rad", "8")]
+    assert "phi is not determined in segment 7:" in notes(loose, phase="per-segment")
+    assert "has its own phase" not in notes(loose, phase="per-segment")
+    assert "has its own phase" in notes([*sure, loose[-1]], phase="per-segment")
+
+
+@pytest.mark.parametrize(
+    ("name", "largest", "unit_error"),
+    [
+        ("scale_factor", 4.0, 1.0 / 0.9),  # relative
+        ("k0", 4.0, 0.25),  # of 4 g
+        ("k0_t", 4.0, 0.5 * 600.0 / 4.0),  # at the ends of 600 s, zero in the middle
+        ("k0_T", 4.0, 0.5 * 8.0 / 4.0),
+        ("k1_T", 4.0, 0.5 * 8.0),
+        ("k2", 4.0, 4.0),  # g^2 per g
+        ("k3", 4.0, 16.0),
+        ("k_YY", 4.0, 4.0),
+        ("m_Y", 4.0, 1.0),
+        ("s2", 4.0, 0.25),
+    ],
+)
+def test_an_estimate_is_useless_from_a_twentieth_of_the_largest_force(
+    name: str, largest: float, unit_error: float
+) -> None:
+    limit = 0.05 / unit_error
+    refuse_useless((coefficient(name, 0.9, 0.99 * limit),), largest * G0, 600.0, 8.0)
+    with pytest.raises(IdentifiabilityError, match=f"does not determine {name}: {name} = 0.9"):
+        refuse_useless((coefficient(name, 0.9, 1.01 * limit),), largest * G0, 600.0, 8.0)
+    refuse_useless((coefficient("phi", 0.9, 100.0),), largest * G0, 600.0, 8.0)
+
+
+@pytest.mark.parametrize(
+    ("distribution", "fourth", "largest"),
+    [
+        ("normal", 3.0, math.inf),
+        ("rectangular", 1.8, math.sqrt(3.0)),
+        ("triangular", 2.4, math.sqrt(6.0)),
+        ("arcsine", 1.5, math.sqrt(2.0)),
+    ],
+)
+def test_draws_have_unit_variance_and_the_kurtosis_of_their_distribution(
+    distribution: str, fourth: float, largest: float
+) -> None:
+    x = standard_draws(distribution, math.inf, 40_000, np.random.default_rng(3))
+    assert abs(x.mean()) < 0.025
+    assert np.mean(x**2) == pytest.approx(1.0, abs=0.035)
+    assert np.mean(x**4) == pytest.approx(fourth, rel=0.08)
+    assert np.abs(x).max() <= largest
+
+
+def test_draws_of_students_t_have_its_wider_spread() -> None:
+    x = standard_draws("t", 10.0, 40_000, np.random.default_rng(4))
+    assert np.mean(x**2) == pytest.approx(10.0 / 8.0, rel=0.04)
+
+
+def residual_of(d: np.ndarray, noise: Noise, stretches: int = 1) -> SimpleNamespace:
+    """What the quick look needs of a fit: stretches of a record at 10 Hz, with residual increments ``d``."""
+    t = 0.1 * np.arange(d.size)
+    run = SimpleNamespace(t=t, size=d.size, begins=np.arange(d.size) % (d.size // stretches) == 0)
+    return SimpleNamespace(design=SimpleNamespace(run=run), noise=noise, d=d)
+
+
+def test_means_of_bins_are_whitened_as_angle_noise_and_random_walk_say() -> None:
+    """Against the covariance of every single sample: white noise 4e-10 rad^2 and a walk that is as large within a bin."""
+    size, bins = 800, 8
+    noise = Noise(4e-8, 1e-10)
+    rows = []
+    for k in range(size):  # the map is linear: its columns from unit angles
+        d = np.zeros(size)
+        d[k] = 1.0
+        if k + 1 < size:
+            d[k + 1] = -1.0
+        fit = residual_of(d, noise)
+        rows.append(_whitened_means(fit, DriftBasis.of(fit.design.run), 0, size, bins)[:, -1])
+    linear = np.array(rows).T
+    t = 0.1 * np.arange(size)
+    covariance = noise.white * np.eye(size) + noise.walk * np.minimum.outer(t, t)
+    np.testing.assert_allclose(linear @ covariance @ linear.T, np.eye(bins - 1), atol=0.02)
+
+
+def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
+    rng = np.random.default_rng(11)
+    size, noise = 4000, Noise(1e-12, 1e-12)
+
+    def gain(drift: float) -> float:
+        angle = np.cumsum(np.sqrt(0.1 * noise.walk) * rng.standard_normal(size))
+        rate = np.cumsum(np.sqrt(0.1 * drift) * rng.standard_normal(size))
+        angle += np.cumsum(0.1 * rate) + np.sqrt(noise.white) * rng.standard_normal(size)
+        return quick_look(residual_of(np.diff(angle, prepend=0.0), noise, 8)).gain  # type: ignore[arg-type]
+
+    assert np.median([gain(0.0) for _ in range(20)]) < 0.3
+    assert np.median([gain(1e-15) for _ in range(20)]) > 3.0
+
+
+def test_a_quick_look_at_few_bins_sees_nothing() -> None:
+    """Fewer rows than steps of the drift: whatever the residuals are, they are no evidence."""
+    d = np.linspace(0.0, 1.0, KNOTS)
+    assert quick_look(residual_of(d, Noise(1e-12, 1e-12))).gain == 0.0  # type: ignore[arg-type]
+
+
+def test_spikes_of_a_log_of_rates() -> None:
+    """Each sample of a rate stands for itself: exactly the spoilt ones go, and the rest decides."""
+    t = 0.1 * np.arange(600)
+    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
+    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True)
+    rate += 1e-5 * np.random.default_rng(21).standard_normal(t.size)
+    terms = ["scale_factor", "tan_beta", "k0"]
+
+    def found(output: np.ndarray) -> piga.Calibration:
+        return piga.calibrate(piga.Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate"), terms)
+
+    spoilt = rate.copy()
+    spoilt[[17, 18, 101, 333]] += [0.5, -0.4, 0.9, -0.7]
+    with_spikes, without = found(spoilt), found(rate)
+    assert not without.outliers
+    assert [outlier.samples for outlier in with_spikes.outliers] == [2, 1, 1]
+    assert [outlier.time for outlier in with_spikes.outliers] == pytest.approx([1.7, 10.1, 33.3])
+    assert [outlier.size for outlier in with_spikes.outliers] == pytest.approx([0.5, 0.9, 0.7], rel=1e-3)
+    assert with_spikes.quality.used == 596
+    for name in terms:
+        assert with_spikes[name].value == pytest.approx(without[name].value, abs=0.5 * without[name].std)
+        assert with_spikes[name].std == pytest.approx(without[name].std, rel=0.05)
+
+
+def part_of(rows: np.ndarray) -> Reduction:
+    part = Reduction.empty(("a", "b"))
+    part.absorb(np.ascontiguousarray(rows.T))
+    return part
+
+
+def test_what_cannot_be_predicted_from_the_rest_is_not() -> None:
+    rng = np.random.default_rng(5)
+    rows = [np.column_stack([x := rng.standard_normal((6, 2)), x @ [2.0, 3.0] + 0.1]) for _ in range(3)]
+    parts, probe = [part_of(r) for r in rows], (0, 1.0)
+    assert predict(parts[:1], [0, 1], probe, None) is None
+    whole = predict(parts, [0, 1], probe, None)
+    assert whole is not None
+    expected = 0.0
+    for k in range(3):
+        rest = np.vstack([r for i, r in enumerate(rows) if i != k])
+        x = np.linalg.lstsq(rest[:, :2], rest[:, 2], rcond=None)[0]
+        expected += float(np.sum((rows[k][:, 2] - rows[k][:, :2] @ x) ** 2))
+    assert whole.chi_square == pytest.approx(expected, rel=1e-9)
+    only_here = [part_of(r * [1.0, float(k == 0), 1.0]) for k, r in enumerate(rows)]
+    assert predict(only_here, [0, 1], probe, None) is None  # b is seen in the first part alone
+    twice = [part_of(np.column_stack([r[:, 0], 2.0 * r[:, 0], r[:, 2]])) for r in rows]
+    assert predict(twice, [0, 1], probe, None) is None
+
+
+def test_the_score_of_a_value_is_the_normal_number_of_its_probability() -> None:
+    forecast = Forecast(0.0, 10.0, 2.0, math.inf)
+    assert forecast.score(14.0) == 2.0
+    few = Forecast(0.0, 10.0, 2.0, 4.0)
+    # Student, 4 degrees: 2.776 at 97.5 %; normal: 1.960
+    assert few.score(10.0 + 2.0 * 2.776445) == pytest.approx(1.959964, abs=1e-5)
+    assert few.score(10.0 - 2.0 * 2.776445) == pytest.approx(-1.959964, abs=1e-5)
+    assert few.half_width() == pytest.approx(2.0 * 2.776445, rel=1e-6)
+
+
+def test_advice_goes_behind_the_remedy_of_an_error() -> None:
+    error = with_advice(
+        CalibrationError("no result", remedy="change this"), ("swap Y0 and Z0", "halve the unit")
+    )
+    assert error.message == "no result"
+    assert error.remedy == "change this; or swap Y0 and Z0; or halve the unit"
+    assert with_advice(CalibrationError("no result"), ("swap Y0 and Z0",)).remedy == "swap Y0 and Z0"
+    assert with_advice(CalibrationError("no result", remedy="change this"), ()).remedy == "change this"
+
+
+def log_of_angles(output: np.ndarray, resolution: float = 0.0) -> piga.Run:
+    t = 0.1 * np.arange(output.size)
+    f = np.tile([G0, 0.0, 0.0], (output.size, 1))
+    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, resolution=resolution, serial="angles")
+
+
+def test_the_count_of_a_log_that_does_not_state_it() -> None:
+    count = 20.0 * ARCSECOND
+    t = 0.1 * np.arange(900)
+    turn = 0.003 * t + 1e-4 * np.sin(0.4 * t)
+    assert count_of(log_of_angles(np.round(turn / count) * count)) == pytest.approx(count, rel=1e-6)
+    assert count_of(log_of_angles(turn)) == 0.0  # no two steps alike
+    assert count_of(log_of_angles(0.003 * t)) == 0.0  # one step only: a steady turn says nothing
+    steps = np.random.default_rng(2).choice([1.0, 1.7, 2.0], t.size) * count
+    assert count_of(log_of_angles(np.cumsum(steps))) == 0.0  # few steps, but no multiples of one
+    assert count_of(log_of_angles(turn, resolution=5e-5)) == 5e-5  # what is stated counts
+
+
+def test_long_records_have_the_fewest_degrees_of_freedom_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = record(np.random.default_rng(8), walk=2e-5, seconds=10.0, rate=2.0, count=4)
+    exact = [c.degrees_of_freedom for c in piga.calibrate(run, TERMS).coefficients]
+    monkeypatch.setattr(degrees_of_freedom, "LARGE", 100)
+    least = {c.degrees_of_freedom for c in piga.calibrate(run, TERMS).coefficients}
+    assert len(least) == 1
+    assert 0.3 * min(exact) < min(least) <= 1.01 * min(exact)
+
+
+def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
+    wish = mounting_request(tmp_path, '"0 deg", "80 deg"')
+    table = wish.table.mounting
+    assert table is not None
+
+    def planned(**changes: object) -> None:
+        changed = msgspec.structs.replace(table, **changes)
+        plan_mounting(replace(wish, table=msgspec.structs.replace(wish.table, mounting=changed)))
+
+    with pytest.raises(ArgumentError, match=r"\[mounting\] step: must be positive"):
+        planned(step="0 s")
+    with pytest.raises(ArgumentError, match=r"\[mounting\] skew: '0:90 deg' is no range(?s:.*)0:91:1 deg"):
+        planned(skew="0:90 deg")
+    scenario = wish.scenario
+    straight = replace(scenario.specimen, instrument=piga.Instrument(scale_factor=SCALE, beta=0.0))
+    with pytest.raises(CalibrationError, match=r"without it there is no lock zone"):
+        plan_mounting(replace(wish, scenario=replace(scenario, specimen=straight)))
