@@ -14,8 +14,6 @@ import piga
 from piga.cli.main import main
 from piga.compensation import file_to_file
 from piga.compensation.live import compensate_arrow, compensate_lines
-from piga.records import text_reader
-from piga.records.parquet_reader import ParquetStream
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -62,8 +60,8 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 
 def small_chunks(monkeypatch, rows: int) -> None:
     """Readers give so many rows at a time."""
-    monkeypatch.setattr(ParquetStream.__init__, "__defaults__", (rows,))
-    monkeypatch.setattr(text_reader, "BLOCK_BYTES", 100 * rows)
+    monkeypatch.setattr("piga.records.stream.SMALL_ROWS", rows)
+    monkeypatch.setattr("piga.records.stream.SMALL_PIECE", 100 * rows)
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:

@@ -165,9 +165,6 @@ def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):
     )
     assert code == 2
     assert "--report is not for a live stream" in err
-    code, _, err = command(monkeypatch, capsys, run, run, run, "--report", tmp_path / "page.html")
-    assert code == 2
-    assert "--report is not for several instruments" in err
     assert not (tmp_path / "page.html").exists()
     assert not (tmp_path / "out.parquet").exists()
 

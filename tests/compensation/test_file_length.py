@@ -14,6 +14,7 @@ from piga.compensation import identify_phase
 from piga.compensation.compensate import compensate_in_pieces
 from piga.compensation.file_length import holds_more
 from piga.compensation.phase import identify_phase_of_file
+from piga.compensation.writers import TableWriter
 from piga.records.run_file import read_run_file
 from piga.records.stream import nulls_of, numbers_of
 
@@ -170,3 +171,21 @@ def test_numbers_of_every_kind_of_column():
         )
         assert nulls_of(column).tolist() == [value is None for value in column.to_pylist()]
         assert numbers_of(column).flags.writeable
+
+
+@pytest.mark.parametrize("sizes", [(250,), (99, 1, 150), (37,) * 6 + (28,), (100, 100, 50)])
+def test_row_groups_do_not_depend_on_the_pieces(tmp_path, monkeypatch, sizes):
+    """250 rows in groups of 100: the same bytes however they come."""
+    monkeypatch.setattr("piga.compensation.writers.GROUP_ROWS", 100)
+    whole = {"t": np.arange(250.0), "flags": np.arange(250, dtype=np.int32)}
+    with TableWriter(tmp_path / "whole.parquet") as writer:
+        writer.write(whole)
+    start = 0
+    with TableWriter(tmp_path / "pieces.parquet") as writer:
+        for size in sizes:
+            writer.write({name: values[start : start + size] for name, values in whole.items()})
+            start += size
+        assert writer.rows == 250
+    found = pa.parquet.ParquetFile(tmp_path / "pieces.parquet").metadata
+    assert [found.row_group(i).num_rows for i in range(found.num_row_groups)] == [100, 100, 50]
+    assert (tmp_path / "pieces.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()

@@ -76,8 +76,8 @@ def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
     run = write(tmp_path, rows=200_000)
     script = (
         "import sys\nfrom piga.compensation import parts\nimport piga.cli.compensate as c\n"
-        "from piga.cli.main import main\nfrom piga.records.parquet_reader import ParquetStream\n"
-        "parts.PART_ROWS = 20_000\nc.STREAM_ROWS = 0\nParquetStream.__init__.__defaults__ = (5000,)\n"
+        "from piga.cli.main import main\nfrom piga.records import stream\n"
+        "parts.PART_ROWS = 20_000\nc.STREAM_ROWS = 0\nstream.SMALL_ROWS = 5000\n"
         f"sys.argv = ['piga', 'compensate', {str(run)!r}, '--calibration', {str(tmp_path / 'run.json')!r}, '--out',"
         " *sys.argv[1:]]\nmain()\n"
     )

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import subprocess
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,13 +11,42 @@ from piga.compensation import warm_up
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_kernels_are_compiled_apart_only_when_they_are_not_there(monkeypatch, kind):
-    """Where they are (or are interpreted) no process is started; where not, it is told the kind."""
-    called = []
-    monkeypatch.setattr(subprocess, "run", lambda words, **_: called.append(words))
+    """Where they are (or are interpreted) no process is started; where not, it is told the kind, until all is done."""
+    called, status = [], [warm_up.MORE, warm_up.MORE, 0]
+
+    def run(words, **_):
+        called.append(words)
+        return SimpleNamespace(returncode=status[len(called) - 1])
+
+    monkeypatch.setattr(subprocess, "run", run)
     monkeypatch.setattr(warm_up, "_is_compiled", lambda _kind: True)
     warm_up.compile_apart(kind)
     assert not called
     monkeypatch.setattr(warm_up, "_is_compiled", lambda _kind: False)
     warm_up.compile_apart(kind)
-    assert called[0][1:] == ["-m", "piga.compensation.warm_up", kind]
+    assert called == [[called[0][0], "-m", "piga.compensation.warm_up", kind]] * 3
     warm_up.compile_here(kind)
+
+
+def test_a_process_that_has_grown_leaves_when_a_kernel_is_done(monkeypatch):
+    """Never before one is on disk, or there would be no end; not while it is small."""
+    left = []
+    monkeypatch.setattr(os, "_exit", left.append)
+    monkeypatch.setattr(warm_up, "_memory", lambda: warm_up.MOST_BYTES + 1)
+    watch = warm_up._Leave()
+    for event in ("start", "start", "start"):
+        getattr(watch, f"on_{event}")(None)
+    assert not left
+    watch.on_end(None)
+    watch.on_start(None)
+    assert left == [warm_up.MORE]
+    watch.on_start(None)
+    assert left == [warm_up.MORE]
+    monkeypatch.setattr(warm_up, "_memory", lambda: 0)
+    watch.on_end(None)
+    watch.on_start(None)
+    assert left == [warm_up.MORE]
+
+
+def test_memory_of_this_process_is_told_in_bytes():
+    assert 20e6 < warm_up._memory() < 100e9 or os.name == "nt"

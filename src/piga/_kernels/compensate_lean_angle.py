@@ -1,9 +1,10 @@
 """Angle records to force, increments, uncertainty and flags: tile by tile, from column to column.
 
-Two loops over tiles of constant size: sine and cosine of the angles read, then the interval mean of
-:mod:`piga._kernels.compensate_near`. Tiles that hold a rare row (an interval that turns far or differs from the one before, a flag,
-the beginning of a stretch) are done by the same loops and mended row by row behind them, so that a row is computed alike wherever
-it stands in a chunk. For calibrations whose only error term is ``k0``.
+Three loops over tiles of constant size: sine and cosine of the angles read, the interval mean of
+:mod:`piga._kernels.compensate_near` for constant input, the force (one loop for both is slower: its rows wait
+longer than the processor looks ahead). Tiles that hold a rare row (an interval that turns far or differs from the one
+before, a flag, the beginning of a stretch) are done by the same loops and mended row by row behind them, so that a row
+is computed alike wherever it stands in a chunk. For calibrations whose only error term is ``k0``.
 """
 
 from __future__ import annotations
@@ -67,31 +68,34 @@ def change_of(x: float, u0: float, u1: float, u2: float, u3: float) -> float:
     """Change of ``u_x`` over an interval by backward differences of its means, see ``invert_near``."""
     change, before = u0 - u1, u1 - u2
     second = change - before
-    return change * (1.0 - x + x * x) + 0.5 * second + 0.25 * (second - (before - (u2 - u3)))
+    return change - change * x + 0.5 * second + 0.25 * (second - (before - (u2 - u3)))
 
 
 @inline
-def bent_mean(early: float, h: float, rise: float, g0: float, g1: float, q0: float, q1: float) -> float:
-    """Mean of ``u_x`` that changes by ``rise`` over the interval."""
-    bend, turned = h * rise, h * early
-    share = (1 / 24) * (q0 + q1) * (1.0 + 0.1 * turned * turned - (1 / 12) * (h * (q0 - q1)))
+def bent_mean(early: float, turn: float, bend: float, g0: float, g1: float, q0: float, q1: float) -> float:
+    """Mean of ``u_x`` whose integral from the beginning bends by ``bend``, its change over the interval times ``h``."""
+    share = (q0 + q1) * (1 / 24 + (1 / 240) * (turn * turn))
     return early + bend * (share + (1 / 480) * bend * (g0 + g1))
 
 
 @kernel
-def tiles(
+def tiles(  # noqa: C901, PLR0915 - loops over one tile; calls would keep their constants out of registers
     t: Array, psi: Array, y: Array, z: Array, begins: Marks, p: Array, m: Weights, limits: Array, base_flag: int,
-    w: Array, ax: Array, dv: Array, u: Array | None, flags: Flags,
+    w: Array, ax: Array, dv: Array, u: Array | None, flags: Flags | None,
 ) -> int:  # fmt: skip
     """Whole tiles up to the first that holds a rare row (included); returns the rows before it.
 
     Entries 0 and 1 of every array are the samples before the tiles; in ``w`` the past stands at the end of a tile.
+    ``flags`` may be empty where ``u`` is wanted; with neither, a row is rare by its interval only.
     """
     phi, coupling = p[at.P_PHI], p[at.P_K] * p[at.P_TAN_BETA]
     offset_y, offset_z, inverse_K, bias = p[at.P_OFFSET_Y], p[at.P_OFFSET_Z], 1.0 / p[at.P_K], p[at.P_TERMS]
     white, walk = 2.0 * p[at.P_WHITE] * (inverse_K * inverse_K), p[at.P_WALK] * (inverse_K * inverse_K)
-    critical, most = (known.NEAR * p[at.P_TAN_BETA]) ** 2 * (1.0 + SAFE), limits[2] * limits[2] * (1.0 - SAFE)
-    low, high = limits[0], limits[1]
+    critical = (
+        0.25 * (known.NEAR * p[at.P_TAN_BETA]) ** 2 * (1.0 + SAFE)
+    )  # of sums over both ends, as the next ones
+    most, low, high = 4.0 * limits[2] * limits[2] * (1.0 - SAFE), limits[0], limits[1]
+    of_sums = (0.5 * m[0], 0.25 * m[1], m[2], m[3], 0.25 * m[4], m[5], m[6], m[7], m[8], m[9])
     for tile in range((t.size - PAST) // TILE):
         base = tile * TILE + PAST - 1
         for line in range(TILE // LINE):
@@ -105,7 +109,7 @@ def tiles(
         w[at.NODE_SINE], w[at.NODE_COSINE] = w[at.NODE_SINE + TILE], w[at.NODE_COSINE + TILE]
         w[at.COUPLING], w[at.ACROSS] = w[at.COUPLING + TILE], w[at.ACROSS + TILE]
         rare = (w[at.STEP] == 0.0) | (w[at.STEP - 1] == 0.0) | (w[at.STEP - 2] == 0.0)
-        far = 0
+        far = False
         for i in range(1, TILE + 1):
             alpha = phi + psi[base + i]
             w[at.NODE_SINE + i], w[at.NODE_COSINE + i] = fast_sine_cosine(alpha)
@@ -114,10 +118,7 @@ def tiles(
             alpha = phi + psi[base + i]
             if abs(alpha) > LIMIT:
                 w[at.NODE_SINE + i], w[at.NODE_COSINE + i] = math.sin(alpha), math.cos(alpha)
-        e1, e2, e3, h1, g0, q0 = (
-            w[at.EARLY], w[at.EARLY - 1], w[at.EARLY - 2], w[at.STEP], w[at.COUPLING], w[at.ACROSS],
-        )  # fmt: skip
-        y0, z0 = coupled(coupling, y[base], offset_y), coupled(coupling, z[base], offset_z)
+        g0, q0 = w[at.COUPLING], w[at.ACROSS]
         for i in range(1, TILE + 1):
             j = base + i
             sine, cosine = w[at.NODE_SINE + i], w[at.NODE_COSINE + i]
@@ -127,28 +128,39 @@ def tiles(
             inverse = 1.0 / h if h != 0.0 else 0.0
             g1, q1 = y1 * sine - z1 * cosine, y1 * cosine + z1 * sine
             output = rate_of(turn, inverse)
-            swing = (y1 - y0) * (before_sine - sine) - (z1 - z0) * (before_cosine - cosine)
-            early = early_mean(output, turn, h, swing, g0, g1, q0, q1)
-            x = 0.5 * (h1 * inverse - 1.0)
-            a = less(bent_mean(early, h, change_of(x, early, e1, e2, e3), g0, g1, q0, q1) * inverse_K, bias)
-            ax[j], dv[j] = a, a * h + 0.0  # never a negative zero
+            swing = (y[j] - y[j - 1]) * (before_sine - sine) - (z[j] - z[j - 1]) * (before_cosine - cosine)
+            early = early_mean(output, turn, h, coupling * swing, g0, g1, q0, q1)
             w[at.EARLY + i], w[at.STEP + i], w[at.COUPLING + i], w[at.ACROSS + i] = early, h, g1, q1
-            mean_y, mean_z = 0.5 * (y[j - 1] + y[j]), 0.5 * (z[j - 1] + z[j])
+            w[at.INVERSE + i] = inverse
+            rare |= (abs(turn) > near.NEAR_TURN) | (abs(h) * (abs(y1) + abs(z1)) > near.NEAR_COUPLING)
             if u is not None:
-                s, c = 0.5 * (before_sine + sine), 0.5 * (before_cosine + cosine)
-                square = variance(y1 * c + z1 * s, mean_y * s - mean_z * c, output, m)
+                s, c = before_sine + sine, before_cosine + cosine
+                square = variance(
+                    y1 * c + z1 * s, (y[j - 1] + y[j]) * s - (z[j - 1] + z[j]) * c, output, of_sums
+                )
                 u[j] = with_noise(square, inverse, white, walk)
-            across = mean_y * mean_y + mean_z * mean_z
-            rare |= (
-                (abs(x) > near.EVEN) | (abs(turn) > near.NEAR_TURN)
-                | (abs(h) * (abs(y1) + abs(z1)) > near.NEAR_COUPLING)
-                | (a * a < critical * across) | (a < low) | (a > high) | (across > most)
-            )  # fmt: skip
-            e3, e2, e1, h1, g0, q0, y0, z0 = e2, e1, early, h, g1, q1, y1, z1
+            g0, q0 = g1, q1
+        e1, e2, e3, h1, g0, q0 = (
+            w[at.EARLY], w[at.EARLY - 1], w[at.EARLY - 2], w[at.STEP], w[at.COUPLING], w[at.ACROSS],
+        )  # fmt: skip
+        for i in range(1, TILE + 1):
+            j = base + i
+            early, h, g1, q1 = w[at.EARLY + i], w[at.STEP + i], w[at.COUPLING + i], w[at.ACROSS + i]
+            x, turn = 0.5 * (h1 * w[at.INVERSE + i] - 1.0), psi[j] - psi[j - 1]
+            bent = bent_mean(early, turn, h * change_of(x, early, e1, e2, e3), g0, g1, q0, q1)
+            a = less(bent * inverse_K, bias)
+            ax[j], dv[j] = a, a * h + 0.0  # never a negative zero
+            rare |= abs(x) > near.EVEN
+            if flags is not None:
+                sum_y, sum_z = y[j - 1] + y[j], z[j - 1] + z[j]
+                across = sum_y * sum_y + sum_z * sum_z
+                rare |= (a * a < critical * across) | (a < low) | (a > high) | (across > most)
+            e3, e2, e1, h1, g0, q0 = e2, e1, early, h, g1, q1
         for j in range(base + 1, base + 1 + (TILE if begins.size else 0)):
             rare |= begins[j]
-        for j in range(base + 1, base + 1 + (TILE if flags.size else 0)):
-            flags[j] = base_flag
+        if flags is not None:
+            for j in range(base + 1, base + 1 + (TILE if flags.size else 0)):
+                flags[j] = base_flag
         if rare:
             return tile * TILE
     return t.size - PAST
@@ -234,10 +246,15 @@ def whole_tiles(
                 t[first:], psi[first:], y[first:], z[first:], begins[first:], p, m, limits, base_flag, w, ax[first:],
                 dv[first:], u[first:], flags[first:],
             )  # fmt: skip
-        else:
+        elif flags.size:
             first += tiles(
                 t[first:], psi[first:], y[first:], z[first:], begins[first:], p, m, limits, base_flag, w, ax[first:],
                 dv[first:], None, flags[first:],
+            )  # fmt: skip
+        else:
+            first += tiles(
+                t[first:], psi[first:], y[first:], z[first:], begins[first:], p, m, limits, base_flag, w, ax[first:],
+                dv[first:], None, None,
             )  # fmt: skip
         if first < t.size - PAST:
             mend_tile(

@@ -29,7 +29,7 @@ NEAR_TURN = 0.03
 NEAR_COUPLING = 1e-3
 """Angle that the transverse input could turn in an interval [rad] up to which the formula holds."""
 EVEN = 1e-4
-"""Half the relative change of the interval up to which a series takes the place of a division (1e-12 of the rise)."""
+"""Half the relative change of the interval up to which a series takes the place of a division (1e-8 of the rise)."""
 
 
 @kernel
@@ -101,11 +101,9 @@ def invert_near(stop: int, K: float, w: Array) -> None:
         x = 0.5 * (w[at.STEP + j - 1] * w[at.INVERSE + j] - 1.0)
         change, before = u0 - u1, u1 - u2
         second = change - before
-        rise = (
-            change * (1.0 - x + x * x) + 0.5 * second + 0.25 * (second - (before - (u2 - w[at.EARLY + j - 3])))
-        )
+        rise = change - change * x + 0.5 * second + 0.25 * (second - (before - (u2 - w[at.EARLY + j - 3])))
         odd |= abs(x) > EVEN
-        mean = u0 + curved(h, h * rise, j, w)
+        mean = u0 + curved(h * rise, j, w)
         w[at.INPUT + j] = mean * inverse_K
         w[at.FIRST + j] = mean
         w[at.SLOPE + j] = rise * inverse_K
@@ -114,11 +112,11 @@ def invert_near(stop: int, K: float, w: Array) -> None:
 
 
 @inline
-def curved(h: float, bend: float, j: int, w: Array) -> float:
+def curved(bend: float, j: int, w: Array) -> float:
     """What a change ``bend`` of ``h u_x`` over interval ``j`` adds to the mean of ``u_x``."""
     g0, g1, q0, q1 = w[at.COUPLING + j - 1], w[at.COUPLING + j], w[at.ACROSS + j - 1], w[at.ACROSS + j]
-    turn = h * w[at.EARLY + j]
-    share = (1 / 24) * (q0 + q1) * (1.0 + 0.1 * turn * turn - (1 / 12) * (h * (q0 - q1)))
+    turn = w[at.PSI + j] - w[at.PSI + j - 1]
+    share = (q0 + q1) * (1 / 24 + (1 / 240) * (turn * turn))
     return bend * (share + (1 / 480) * bend * (g0 + g1))
 
 
@@ -141,7 +139,7 @@ def invert_odd(stop: int, K: float, w: Array) -> None:
         u0, u1, u2 = w[at.EARLY + j], w[at.EARLY + j - 1], w[at.EARLY + j - 2]
         rise = (u0 - u1) * 2.0 * s0 / (s0 + s1) if s1 != 0.0 else 0.0
         rise += 0.5 * ((u0 - u1) - (u1 - u2)) if s2 != 0.0 and not uneven else 0.0
-        mean = u0 + curved(s0, s0 * rise, j, w)
+        mean = u0 + curved(s0 * rise, j, w)
         w[at.INPUT + j], w[at.FIRST + j], w[at.SLOPE + j] = mean / K, mean, rise / K
 
 

@@ -164,12 +164,15 @@ def compensate_set(
     u: Array,
     residual: Array,
     flags: NDArray[np.int32],
+    misfits: Array,
+    each: NDArray[np.int32],
 ) -> None:
     """Specific force (n, 3) [m/s^2] in the common frame and velocity increments (n, 3) [m/s].
 
     ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only; ``omega`` (N, n or 0, 3); ``temperature`` (N, n or
     0); ``u`` (n, 3) or (0, 3): not wanted, empty ``flags`` alike. ``residual`` is the
     root of the sum of squared misfits [m/s^2], a fault is flagged where the weighted sum exceeds ``threshold``.
+    ``misfits`` (N, n) [m/s^2] and ``each`` (N, n), the flags, of the single instruments; (N, 0): not wanted.
     """
     count = psi.shape[0]
     sampled = rate.shape[1] > 0
@@ -177,7 +180,7 @@ def compensate_set(
     block_flags = np.zeros(at.BLOCK, dtype=np.int32)
     weighed = u.shape[0] > 0 or count > 3
     bare = omega.shape[1] == 0 and temperature.shape[1] == 0 and sines.size == 0
-    if sampled and bare and not weighed and not has_terms.any():
+    if sampled and bare and not weighed and not has_terms.any() and each.shape[1] == 0:
         triad.compensate_triad(
             t, psi, rate, begins, parameters, axes, limits, base_flag, states, set_state, c, force, dv, residual,
             flags,
@@ -216,6 +219,11 @@ def compensate_set(
             )  # fmt: skip
             for j in range(n):
                 flags[start + j] |= block_flags[j]
+            for j in range(n if each.shape[1] else 0):
+                begins_here = w[i, at.STEP + 1 + j] == 0.0
+                misfits[i, start + j] = math.nan if begins_here and not sampled else w[i, at.INPUT + 1 + j]
+                inside = 0 if begins_here and not sampled else block_flags[j]
+                each[i, start + j] = inside | (at.NO_INCREMENT if begins_here else 0)
         flag_set(sampled, threshold if count > 3 else math.inf, w[0], c, flags[start:stop])
         for axis in range(3):
             for k in range(3):

@@ -88,12 +88,11 @@ def compensate(
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
-    page = None
+    page = _page(report, resume)
+    options = _Options(method, given, uncertainty, max_age, force, period)
     if several:
-        summary = _together(run, calibrations, out, uncertainty, max_age, force, period, method)
+        summary = _together(run, calibration or [], calibrations, out, options, page)
     else:
-        options = _Options(method, given, uncertainty, max_age, force, period)
-        page = _page(report, resume)
         summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume, page)
     if json:
         print_json({"file": str(out)} | summary)
@@ -111,7 +110,7 @@ ONE_RECORD = {
     "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
     "phase": ("", "several", "give each [[triad.instrument]] its phase"),
     "rate": ("live", "", "resample with piga.compensation.Resampler"),
-    "report": ("live", "several", "record the stream, or compensate the instruments one by one, for a page"),
+    "report": ("live", "", "record the stream, then compensate the record"),
 }
 """Options that a live stream or several instruments do not take, and what to do instead."""
 
@@ -179,9 +178,11 @@ class _Options:
         phase = "of the calibration"
         if self.phase is not None:
             phase = f"{self.phase.value:.6g} rad, standard uncertainty {self.phase.std:.2g} rad"
+        return {"method": check_method(self.method, calibration), "phase used": phase} | self.common()
+
+    def common(self) -> dict[str, str]:
+        """What a page says of one instrument and of a set alike."""
         return {
-            "method": check_method(self.method, calibration),
-            "phase used": phase,
             "rate": "as recorded"
             if self.period is None
             else f"written at {1.0 / self.period:.6g} Hz, shown as recorded",
@@ -314,17 +315,11 @@ def _spare_memory() -> None:
 
 
 def _together(
-    runs: list[Path],
-    calibrations: list[Calibration],
-    out: Path,
-    uncertainty: bool,
-    max_age: float | None,
-    force: bool,
-    period: float | None,
-    method: str | None,
-) -> dict[str, Any]:
+    runs: list[Path], sources: list[Path], calibrations: list[Calibration], out: Path, options: _Options,
+    page: Path | None,
+) -> dict[str, Any]:  # fmt: skip
     from piga.compensation.set_files import compensate_set_files
-    from piga.compensation.triad_file import orthogonal_triad, read_triad
+    from piga.compensation.triad_file import calibration_files, orthogonal_triad, read_triad
     from piga.compensation.writers import format_of
 
     _spare_memory()
@@ -338,18 +333,27 @@ def _together(
             f"{len(runs)} runs with {len(calibrations)} calibrations: the mounting is not known",
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
+    report = None
+    if page is not None:
+        from piga.cli.compensate_report import SetReport
+
+        named = [*runs, *paths, *sources, *(calibration_files(runs[0]) if len(runs) == 1 else [])]
+        report = SetReport(page, paths, mounted, named)
     found: dict[str, Any] = {}
 
     def write(path: Path) -> None:
         with progress("compensating") as advance:
             found.update(
                 compensate_set_files(
-                    paths, mounted, path, kind, uncertainty=uncertainty, max_age_days=max_age, force=force,
-                    period=period, method=method or "exact", large=STREAM_ROWS, advance=advance,
+                    paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
+                    force=options.force, period=options.period, method=options.method or "exact", large=STREAM_ROWS,
+                    advance=advance, watch=None if report is None else report.found.piece,
                 )
             )  # fmt: skip
 
     write_by_rename(out, write)
+    if report is not None:
+        report.write({"method": options.method or "exact"} | options.common())
     return found
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from piga.cli.common import write_by_rename
-from piga.compensation import Compensated
-from piga.records import Calibration, Run
+from piga.compensation import Compensated, Mounted
+from piga.records import Calibration, Run, read_run_file
 from piga.reports.compensation import CompensationFacts, outline_of, write_compensation_report
+from piga.reports.compensation_set import SetFacts, write_set_report
+from piga.reports.compensation_set_outline import SetOutline
 
 
 class Report:
@@ -29,3 +31,22 @@ class Report:
         write_by_rename(
             self._page, lambda path: write_compensation_report(self.found, facts, path, self._whole)
         )
+
+
+class SetReport:
+    """Watches the compensation of a set; ``runs`` are its run files, ``files`` all that is named on the page."""
+
+    def __init__(self, page: Path, runs: list[Path], mounted: list[Mounted], files: list[Path]) -> None:
+        self._page, self._files = page, files
+        kinds = [read_run_file(run).data for run in runs]
+        self._files = [*files, *(run.parent / data.file for run, data in zip(runs, kinds, strict=True))]
+        serials = [item.calibration.serial for item in mounted]
+        self._names = tuple(
+            f"{run.stem} ({serial})" if serial else run.stem for run, serial in zip(runs, serials, strict=True)
+        )
+        self.found = SetOutline("rate" if kinds[0].output.kind == "rate" else "angle", mounted)
+
+    def write(self, options: dict[str, str]) -> None:
+        """Write the page by rename."""
+        facts = SetFacts(self._names, tuple(dict.fromkeys(self._files)), options)
+        write_by_rename(self._page, lambda path: write_set_report(self.found, facts, path))

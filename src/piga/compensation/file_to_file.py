@@ -31,7 +31,7 @@ from piga.records.run_file import read_run_file
 AHEAD = 2
 """Pieces read before they are computed, and rows written behind: a stage that waits once is caught up with."""
 T = TypeVar("T")
-Watch = Callable[[str, Chunk, Compensated], None]
+Watch = Callable[[str, Chunk, Compensated], object]
 """Sees the label of a segment, its samples, and what became of them."""
 
 

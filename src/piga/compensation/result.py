@@ -91,6 +91,8 @@ class CompensatedSet:
     u_f: Array
     residual: Array
     flags: NDArray[np.int32]
+    misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
 
     @property
     def size(self) -> int:

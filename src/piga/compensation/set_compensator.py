@@ -38,6 +38,8 @@ class SetCompensator:
         is the mean over each interval.
     uncertainty, flags:
         Whether these columns are computed.
+    details:
+        Whether misfits and flags of the single instruments are kept (with ``flags`` only).
     max_age_days, limits:
         As for one instrument.
 
@@ -54,12 +56,14 @@ class SetCompensator:
         sampled: bool = False,
         uncertainty: bool = True,
         flags: bool = True,
+        details: bool = False,
         limits: Limits | None = None,
         max_age_days: float | None = None,
     ) -> None:
         self._axes = np.array([rotation(item.axes, i) for i, item in enumerate(instruments)])
         check_spread(self._axes)
         self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
+        self._details = details and flags
         models = [
             make_model(
                 item.calibration,
@@ -129,6 +133,8 @@ class SetCompensator:
             u,
             np.empty(n),
             np.zeros(n if self._flags else 0, np.int32),
+            np.empty((count, n if self._details else 0)),
+            np.zeros((count, n if self._details else 0), np.int32),
         )
         before = self._states.copy(), self._set_state.copy()
         parameters, has_terms, orders, sines, cosines, codes, factors, limits = self._arrays
@@ -136,6 +142,7 @@ class SetCompensator:
             time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines,
             codes, factors, limits, self._flag, self._threshold, self._states, self._set_state, self._weights,
             self._scratch, self._work, self._common, found.f, found.dv, found.u_f, found.residual, found.flags,
+            found.misfit, found.each,
         )  # fmt: skip
         last = psi[:, -1:].sum() + (found.f if self._sampled else found.dv).sum()
         if not math.isfinite(last):

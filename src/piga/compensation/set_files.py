@@ -42,6 +42,10 @@ class Rows:
     temperature: list[Array] | None
 
 
+Watch = Callable[[str, Rows, CompensatedSet], None]
+"""Sees the label of the first instrument's segment, what was read, and what became of it."""
+
+
 def compensate_set_files(
     runs: Sequence[Path],
     instruments: Sequence[Mounted],
@@ -55,11 +59,13 @@ def compensate_set_files(
     method: str = "exact",
     large: int = 0,
     advance: Callable[[int], None] = lambda _rows: None,
+    watch: Watch | None = None,
 ) -> dict[str, Any]:
     """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
 
     When the data files together have no more than ``large`` rows they are read whole, with all repairs; longer ones
-    go through chunk by chunk. With a ``period`` [s] the increments are brought to that interval.
+    go through chunk by chunk. With a ``period`` [s] the increments are brought to that interval. ``watch`` is shown
+    every piece before that.
 
     Raises
     ------
@@ -70,13 +76,15 @@ def compensate_set_files(
     """
     resampler = None if period is None else Resampler(period)
     if any(holds_more(run.parent, read_run_file(run).data, large // len(runs)) for run in runs):
-        parts = _streamed(runs, instruments, uncertainty, max_age_days, force, method)
+        parts = _streamed(runs, instruments, uncertainty, max_age_days, force, method, watch is not None)
     else:
-        parts = _whole(runs, instruments, uncertainty, max_age_days, force, method)
+        parts = _whole(runs, instruments, uncertainty, max_age_days, force, method, watch is not None)
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
     with TableWriter(out, kind) as writer:
-        for part in parts:
+        for label, read, part in parts:
             advance(part.size)
+            if watch is not None and part.size:
+                watch(label, read, part)
             for name in FLAGS:
                 counts[name] += int(part.flagged(name).sum())
             velocity += part.dv.sum(axis=0)
@@ -95,13 +103,19 @@ def _whole(
     max_age: float | None,
     force: bool,
     method: str,
-) -> Iterator[CompensatedSet]:
+    details: bool,
+) -> Iterator[tuple[str, Rows, CompensatedSet]]:
     from piga.stand import read_run
 
     records = [read_run(run, need_reference=False) for run in runs]
-    yield compensate_triad(
-        records, instruments, uncertainty=uncertainty, max_age_days=max_age, force=force, method=method
+    found = compensate_triad(
+        records, instruments, uncertainty=uncertainty, max_age_days=max_age, force=force, method=method,
+        details=details,
     )  # fmt: skip
+    first, outputs = records[0], np.array([record.output for record in records])
+    base = [np.zeros((first.size, 3)) if r.base_rate is None else r.base_rate for r in records]
+    begins = np.logical_or.reduce([record.begins for record in records])
+    yield first.labels[0], Rows(first.t, outputs, begins, base, None), found
 
 
 def _streamed(
@@ -111,7 +125,8 @@ def _streamed(
     max_age: float | None,
     force: bool,
     method: str,
-) -> Iterator[CompensatedSet]:
+    details: bool,
+) -> Iterator[tuple[str, Rows, CompensatedSet]]:
     files = [LargeFile(run, read_run_file(run)) for run in runs]
     for file, item in zip(files, instruments, strict=True):
         check_serial_names(file.run_file.instrument.serial, item.calibration.serial, force)
@@ -123,24 +138,28 @@ def _streamed(
     followers = [RateAngle() for _ in files]
     stream: SetCompensator | PublishedSet | None = None
     waiting: Rows | None = None
+    labels: list[str] = []
     for labels, rows in _aligned(files):
         if stream is None:
             mounted = [
                 replace(item, segment=item.segment or label)
                 for item, label in zip(instruments, labels, strict=True)
             ]
-            stream = set_stream(mounted, method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age)
+            stream = set_stream(
+                mounted, method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age, details=details
+            )  # fmt: skip
         if not sampled:
-            yield stream.push(
+            part = stream.push(
                 rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
             )
+            yield labels[0], rows, part
             continue
         psi = [f.push(rows.t, rate, rows.begins) for f, rate in zip(followers, rows.output, strict=True)]
         known = rows if waiting is None else _joined(waiting, rows)
         ready, waiting = _split(known, known.t.size - 1)
-        yield _push_sampled(stream, ready, psi)
+        yield labels[0], ready, _push_sampled(stream, ready, psi)
     if stream is not None and waiting is not None:
-        yield _push_sampled(stream, waiting, [f.finish() for f in followers])
+        yield labels[0], waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
 
 
 def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[Array]) -> CompensatedSet:

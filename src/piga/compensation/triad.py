@@ -31,11 +31,12 @@ def compensate_triad(
     max_age_days: float | None = None,
     force: bool = False,
     method: str = "exact",
+    details: bool = False,
 ) -> CompensatedSet:
     """Specific force of whole records of three or more instruments, sampled at the same times.
 
     Records of angles give the mean over each interval; records of rates the force at the samples, the angles
-    integrated from the rates.
+    integrated from the rates. ``details`` keeps misfits and flags of the single instruments, too.
 
     Raises
     ------
@@ -55,8 +56,9 @@ def compensate_triad(
     ]
     sampled = first.kind == "rate"
     stream = set_stream(
-        mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days
-    )
+        mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
+        details=details,
+    )  # fmt: skip
     outputs = np.array([record.output for record in records])
     base, warm = [r.base_rate for r in records], [r.temperature for r in records]
     return stream.push(
@@ -75,7 +77,7 @@ def compensate_triad(
 
 def set_stream(
     mounted: Sequence[Mounted], method: str, *, sampled: bool, uncertainty: bool, limits: Limits | None = None,
-    max_age_days: float | None = None,
+    max_age_days: float | None = None, details: bool = False,
 ) -> SetCompensator | PublishedSet:  # fmt: skip
     """The compensator of a set by its method.
 
@@ -89,8 +91,9 @@ def set_stream(
     if method == "published":
         return PublishedSet(mounted, sampled=sampled, max_age_days=max_age_days)
     return SetCompensator(
-        mounted, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days
-    )
+        mounted, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
+        details=details,
+    )  # fmt: skip
 
 
 def _check_records(records: Sequence[Run]) -> None:

@@ -75,6 +75,11 @@ def read_triad(path: Path) -> tuple[list[Path], list[Mounted]]:
     return [path.parent / item.run for item in items], mounted
 
 
+def calibration_files(path: Path) -> list[Path]:
+    """Files of the calibrations that a triad file names."""
+    return [path.parent / item.calibration for item in read_toml(path, TriadFile).triad.instrument]
+
+
 def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
     """Three instruments whose input axes are x, y and z of the common frame, in this order.
 

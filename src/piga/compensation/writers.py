@@ -20,7 +20,8 @@ UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
 """Kind of file by suffix."""
 
-GROUP_ROWS = 1 << 18
+GROUP_ROWS = 1 << 16
+"""Rows of a row group, however they come."""
 
 
 def unit_of_column(name: str) -> str:
@@ -84,6 +85,7 @@ class TableWriter:
         self._kind = kind or format_of(path)
         self._writer: Any = None
         self._schema: Any = None
+        self._held: Any = None
         self.rows = 0
 
     def write(self, columns: Mapping[str, NDArray]) -> None:
@@ -95,9 +97,13 @@ class TableWriter:
         arrays = [arrow_array(column) for column in columns.values()]
         if self._kind == "csv":
             arrays = [_empty_where_nan(array) for array in arrays]
-        batch = pa.Table.from_arrays(arrays, schema=self._schema)
-        self._writer.write_table(batch, GROUP_ROWS)
-        self.rows += batch.num_rows
+        table = pa.Table.from_arrays(arrays, schema=self._schema)
+        self.rows += table.num_rows
+        self._held = table if self._held is None else pa.concat_tables((self._held, table))
+        whole = self._held.num_rows // GROUP_ROWS * GROUP_ROWS
+        if whole:
+            self._writer.write_table(self._held.slice(0, whole), GROUP_ROWS)
+            self._held = self._held.slice(whole)
 
     def _open(self, columns: Mapping[str, NDArray]) -> None:
         import pyarrow as pa
@@ -118,8 +124,10 @@ class TableWriter:
     def close(self) -> None:
         """Finish the file."""
         if self._writer is not None:
+            if self._held.num_rows or self.rows == 0:
+                self._writer.write_table(self._held, GROUP_ROWS)
             self._writer.close()
-            self._writer = None
+            self._writer = self._held = None
 
     def __enter__(self) -> Self:
         return self

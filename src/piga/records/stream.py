@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 CHUNK_ROWS = 1 << 16
 """Rows of a chunk of Parquet or a container."""
+SMALL_ROWS = 1 << 15
+"""Rows of a chunk of Parquet where memory is short."""
 SMALL_PIECE = 2 << 20
-"""Bytes of a text file read at a time where memory is short."""
+"""Bytes of a text file read at a time there."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def open_stream(
     see:
         Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
     small:
-        Chunks of a text file as small as those of the other kinds, for work that holds several at a time.
+        Smaller chunks of text and Parquet, for work that holds several at a time.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def open_stream(
     if kind in (".parquet", ".pq"):
         from piga.records.parquet_reader import ParquetStream
 
-        return ParquetStream(path, numeric, data.segment)
+        return ParquetStream(path, numeric, data.segment, *((SMALL_ROWS,) if small else ()))
     from piga.records.container import SUFFIXES, ContainerStream
 
     if kind in SUFFIXES:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from piga.compensation import FLAGS
 from piga.reports.compensation_errors import in_windows
 from piga.reports.compensation_outline import CompensationOutline
+from piga.reports.compensation_set_outline import SetOutline
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.orders import TURNS_NEEDED, order_grid, segment_slices
@@ -93,21 +94,30 @@ def _demodulated(h: Array, psi: Array, velocity: Array, order: Array) -> tuple[A
 
 
 def correction_figure(order: Array, amplitude: Array) -> Figure:
-    """The spectrum of the correction, over at most six decades."""
+    """The spectrum of the correction of one instrument."""
+    return orders_figure((order_panel(order, amplitude),))
+
+
+def order_panel(order: Array, amplitude: Array, title: str = "") -> Panel:
+    """The spectrum of one correction, over at most six decades."""
     shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
-    series = Series(order, shown / MICRO_G, "correction")
     axis = Axis("amplitude of the correction", "µg", log=True)
+    return Panel(Axis("revolution order", "1"), axis, (Series(order, shown / MICRO_G, "correction"),), title)
+
+
+def orders_figure(panels: tuple[Panel, ...]) -> Figure:
+    """Spectra of corrections."""
     return Figure(
         "compensation-orders",
         "What was taken out, by revolution order.",
-        (Panel(Axis("revolution order", "1"), axis, (series,)),),
+        panels,
         "The cross-coupling turns with the output and stands at order 1, pulling at order 2, harmonics of the "
         "calibration at theirs.",
         height=2.8,
     )
 
 
-def flag_figure(found: CompensationOutline) -> Figure | None:
+def flag_figure(found: CompensationOutline | SetOutline) -> Figure | None:
     """Where every raised flag stands; None when no flag is raised."""
     series = []
     for name, marks in found.marks.items():

@@ -33,20 +33,22 @@ CURVES = ("indicated", "ax", "correction", "u_ax")
 
 @dataclass
 class Outline:
-    """Rows that keep the outline of all curves against time: ``rows`` by name, and rows per bucket."""
+    """Rows that keep the outline of all ``curves`` against time: ``rows`` by name, and rows per bucket."""
 
-    rows: dict[str, Array] = field(
-        default_factory=lambda: {name: np.zeros(0) for name in ("row", "t", *CURVES)}
-    )
+    curves: tuple[str, ...] = CURVES
+    rows: dict[str, Array] = field(default_factory=dict)
     bucket: int = 1
+
+    def __post_init__(self) -> None:
+        self.rows = {name: np.zeros(0) for name in ("row", "t", *self.curves)}
 
     def add(self, part: dict[str, Array]) -> None:
         """Take rows behind those that are there."""
-        part = _extremes(part, self.bucket)
+        part = _extremes(part, self.curves, self.bucket)
         self.rows = {name: np.concatenate((self.rows[name], part[name])) for name in self.rows}
         while self.rows["row"].size > KEPT:
             self.bucket *= GROWTH
-            self.rows = _extremes(self.rows, self.bucket)
+            self.rows = _extremes(self.rows, self.curves, self.bucket)
 
 
 @dataclass
@@ -95,8 +97,8 @@ class CompensationOutline:
         self._psi, self._angle = 0.0, 0.0
         self._label, self._segment = "", -1
 
-    def piece(self, label: str, chunk: Chunk, result: Compensated) -> None:
-        """Take the samples of one segment, and what became of them."""
+    def piece(self, label: str, chunk: Chunk, result: Compensated) -> Array:
+        """Take the samples of one segment, and what became of them; gives back the indicated force [m/s^2]."""
         if label != self._label or self._segment < 0:
             self._label, self._segment = label, self._segment + 1
         turn, indicated, psi = self._indicated(chunk, (result.flags & FLAGS["no_increment"]) != 0)
@@ -110,6 +112,7 @@ class CompensationOutline:
         if self.size == 0:
             self.start = float(chunk.t[0])
         self._count(chunk.t, indicated, result)
+        return indicated
 
     def record(self, record: Run, result: Compensated) -> None:
         """Take a whole record."""
@@ -176,7 +179,7 @@ class CompensationOutline:
         self.size += t.size
 
 
-def _extremes(rows: dict[str, Array], bucket: int) -> dict[str, Array]:
+def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> dict[str, Array]:
     """Lowest, highest and a missing row of every curve in each bucket of rows."""
     if bucket == 1 or rows["row"].size == 0:
         return {name: np.array(values) for name, values in rows.items()}
@@ -184,7 +187,7 @@ def _extremes(rows: dict[str, Array], bucket: int) -> dict[str, Array]:
     first = np.concatenate(([True], np.diff(key) != 0.0))
     last = np.concatenate((first[1:], [True]))
     some = []
-    for name in CURVES:
+    for name in curves:
         up, down = np.lexsort((rows[name], key)), np.lexsort((-rows[name], key))
         some += [up[first], up[last], down[first]]
     kept = np.unique(np.concatenate(some))
