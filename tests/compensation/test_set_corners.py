@@ -9,7 +9,7 @@ import pytest
 
 import piga
 from piga._kernels.compensate_layout import TILE
-from piga.compensation import SetCompensator, compensate_triad, identify_phase
+from piga.compensation import Mounted, SetCompensator, compensate_triad, identify_phase
 from piga.units import G0
 
 from .test_triad import SKEWED, made, orthogonal, rotation
@@ -146,3 +146,20 @@ def test_three_sampled_instruments_without_uncertainty_say_the_same(mounting: li
     np.testing.assert_allclose(plain.f, full.f, rtol=0.0, atol=1e-13 * G0)
     np.testing.assert_allclose(plain.dv, full.dv, rtol=0.0, atol=1e-15 * G0)
     assert plain.flags.tolist() == full.flags.tolist()
+
+
+def test_axes_that_span_a_plane_only() -> None:
+    """No two along each other, and yet nothing is known across the plane."""
+    cal = calibration_of({"k0": 0.0})
+    turned = [rotation((0.0, 0.0, angle)) for angle in (0.0, 1.0, 2.0)]
+    with pytest.raises(piga.ArgumentError, match="the input axes lie in one plane"):
+        SetCompensator([Mounted(cal, axes) for axes in turned])
+    SetCompensator([Mounted(cal, axes) for axes in (*turned[:2], rotation((0.0, 1.0, 0.0)))])
+
+
+def test_a_young_calibration_raises_no_flag() -> None:
+    t = 0.01 * np.arange(30)
+    run = run_of(t, np.tile(np.array([1.0, 0.5, 0.2]) * G0, (t.size, 1)), phi=0.4)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4})
+    young, any_age = piga.compensate(run, cal, max_age_days=1e6), piga.compensate(run, cal)
+    assert young.flags.tolist() == any_age.flags.tolist()
