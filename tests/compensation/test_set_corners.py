@@ -130,3 +130,19 @@ def test_a_first_harmonic_does_not_move_the_phase() -> None:
     assert identify_phase(run, calibration_of(values, angle_rms=1e-8), 30.0).value == pytest.approx(
         2.5, abs=1e-4
     )
+
+
+@pytest.mark.parametrize(
+    "mounting", [orthogonal(), [rotation(a) for a in SKEWED[:3]]], ids=["orthogonal", "skewed"]
+)
+def test_three_sampled_instruments_without_uncertainty_say_the_same(mounting: list[np.ndarray]) -> None:
+    t = np.arange(130) * 0.01
+    angles, mounted = made(t, moving(t), mounting)
+    rates, _ = made(t, moving(t), mounting, "rate")
+    psi, rate = ([r.output for r in part] for part in (angles, rates))
+    plain = SetCompensator(mounted, sampled=True, uncertainty=False).push(t, psi, rate=rate)
+    full = SetCompensator(mounted, sampled=True).push(t, psi, rate=rate)
+    assert np.abs(plain.f - moving(t)).max() < 1e-12 * G0
+    np.testing.assert_allclose(plain.f, full.f, rtol=0.0, atol=1e-13 * G0)
+    np.testing.assert_allclose(plain.dv, full.dv, rtol=0.0, atol=1e-15 * G0)
+    assert plain.flags.tolist() == full.flags.tolist()

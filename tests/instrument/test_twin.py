@@ -276,6 +276,21 @@ def test_k2_comes_from_the_floats_inertia(design):
         )
 
 
+def test_wheel_spins_up_and_hunts_by_definition():
+    """``H (1 - (1 - s0) exp(-t/t_s)) (1 + h sin(2 pi f t + phi))`` and its derivative by a central difference."""
+    p = replace(
+        EXAMPLE, spin_start=0.8, spin_time=0.3, hunting=1e-2, hunting_frequency=2.0, hunting_phase=0.7
+    ).constants()
+
+    def defined(t):
+        return p.H * (1.0 - 0.2 * np.exp(-t / 0.3)) * (1.0 + 1e-2 * np.sin(4.0 * np.pi * t + 0.7))
+
+    for t in (0.0, 0.1, 0.4, 2.0):
+        momentum, change = servo.wheel(p, t)
+        assert momentum == pytest.approx(defined(t), rel=1e-14)
+        assert change == pytest.approx((defined(t + 1e-5) - defined(t - 1e-5)) / 2e-5, rel=1e-6)
+
+
 def test_wheel_speed_changes_the_scale_factor():
     p = replace(EXAMPLE, spin_start=0.8, spin_time=0.1, hunting=1e-3, hunting_frequency=5.0)
     t, f, _ = constant((G0, 0.0, 0.0), 0.4, 1e-3)
