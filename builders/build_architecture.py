@@ -18,13 +18,11 @@ ROOT = Path(__file__).parents[1]
 TARGET = ROOT / "docs" / "figures" / "architecture.svg"
 SENTENCES = {
     "cli": "the command line",
-    "web": "the workbench in the browser",
+    "evidence": "keep, compare, recompute",
     "reports": "figures as data, tables, pages",
     "stable_platform": "the platform that carries the instruments",
     "calibration": "coefficients from runs; planning",
     "compensation": "force from output, live too",
-    "certificate": "digital calibration certificates",
-    "store": "calibrations over the years",
     "stand": "test stands as machines with errors",
     "instrument": "motion, regimes, servo twin",
     "records": "files in and out, plain data",

@@ -10,6 +10,7 @@ import pytest
 
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
+from piga.calibration.coefficients import name_coefficients
 from piga.calibration.drift import include_drift, quick_look
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
@@ -26,18 +27,19 @@ DRIFT = SCENARIOS["drift"]
 assert isinstance(DRIFT, Scenario)
 
 
-def fitted(scenario: Scenario, seed: int) -> tuple[Fit, tuple[int, ...]]:
+def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> tuple[Fit, tuple[int, ...]]:
     run = scenario.record(np.random.default_rng([seed, 77]))
-    request = make_request(run, scenario.terms, None, None, None)
+    request = make_request(run, scenario.terms, None, phase, None)
     groups, per_segment = phase_groups(run, request)
     return fit_run(run, request, groups, per_segment), groups
 
 
-def test_known_drift_is_found_on_average() -> None:
+@pytest.mark.parametrize("phase", ["shared", "per-segment"])
+def test_known_drift_is_found_on_average(phase: str) -> None:
     """Twelve records, each of some ten degrees of freedom: the mean of the variances within four deviations."""
     found = []
     for seed in range(12):
-        fit, groups = fitted(DRIFT, seed)
+        fit, groups = fitted(DRIFT, seed, phase)
         noise = include_drift(fit, groups).noise
         found.append([noise.drift / DRIFT.drift**2, noise.walk / DRIFT.walk**2])
     drift, walk = np.mean(found, axis=0)
@@ -59,6 +61,50 @@ def test_covariance_is_that_of_the_dense_matrix() -> None:
     std = np.sqrt(solution.covariance[amplitude, amplitude]) / unit
     assert std == pytest.approx(np.sqrt(bound[0, 0]), rel=0.03)
     assert np.sqrt(without.covariance[amplitude, amplitude]) / unit < 0.8 * std
+
+
+def test_phases_of_segments_cost_little_beside_a_drift() -> None:
+    """Levels given: a phase for each segment instead of one takes 16 coefficients more, and little of the rest.
+
+    The shared phase is the constraint of the same estimate: its variances are no larger, its values within them.
+    """
+    noise = Noise(DRIFT.white**2, DRIFT.walk**2, DRIFT.drift**2)
+    found = {}
+    for phase in ("shared", "per-segment"):
+        fit, groups = fitted(DRIFT, 3, phase)
+        found[phase] = solve(fit.design, reduce_segments(fit.design, fit.mode, noise), groups)
+    count = found["shared"].amplitudes.size
+    std = [np.sqrt(np.diag(found[phase].covariance)[:count]) for phase in ("shared", "per-segment")]
+    assert (std[1] >= 0.999 * std[0]).all()
+    assert (std[1] < 1.2 * std[0]).all()
+    shift = found["per-segment"].amplitudes - found["shared"].amplitudes
+    assert (np.abs(shift) < 3.0 * np.sqrt(np.maximum(std[1] ** 2 - std[0] ** 2, (0.05 * std[0]) ** 2))).all()
+
+
+def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
+    """Weights of the other noise: the dense covariance of that estimate with the drift, for the levels found."""
+    fit, groups = fitted(DRIFT, 3)
+    found = include_drift(fit, groups, clear=np.inf)
+    noise, steps, h = found.noise, round(DRIFT.seconds * DRIFT.rate), 1.0 / DRIFT.rate
+    V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
+    V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
+    run, count = found.design.run, len(DRIFT.forces)
+    X = np.concatenate(
+        [DRIFT._derivatives(run.output[run.segment == s] + DRIFT.phi, s, h) for s in range(count)]
+    )
+    white = np.kron(np.eye(count), np.linalg.inv(V)) @ X
+    gain = np.linalg.solve(X.T @ white, white.T)
+    t = DRIFT._times().ravel()
+    together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
+    dense = gain @ (np.kron(np.eye(count), V) + noise.drift * h**2 * together) @ gain.T
+    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance, False)[1]))
+    assert noise.drift > 0.0
+    assert found.weights == replace(noise, drift=0.0)
+    assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
+    plain = np.sqrt(
+        np.diag(name_coefficients(found.design, found.solution, found.solution.covariance, False)[1])
+    )
+    assert std[0] > 1.2 * plain[0]
 
 
 def test_intervals_are_wider_and_the_result_says_so(tmp_path: Path) -> None:

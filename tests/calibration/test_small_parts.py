@@ -14,12 +14,13 @@ import pytest
 import piga
 from piga.calibration import degrees_of_freedom
 from piga.calibration.advice import with_advice
+from piga.calibration.candidates import _without_phase, coefficient_names
 from piga.calibration.coefficients import name_parameters
 from piga.calibration.counted import count_of
 from piga.calibration.cross_validation import predict
 from piga.calibration.drift import _whitened_means, quick_look
 from piga.calibration.drift_basis import KNOTS, DriftBasis
-from piga.calibration.identifiability import notes_in_words, refuse_useless
+from piga.calibration.identifiability import _aligned, notes_in_words, refuse_useless
 from piga.calibration.monte_carlo import standard_draws
 from piga.calibration.mounting import plan_mounting
 from piga.calibration.noise import Noise
@@ -29,6 +30,7 @@ from piga.calibration.trend import Forecast
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.records.calibration import Coefficient
 from piga.units import G0
+from tests.calibration.planning_cases import request
 from tests.calibration.synthetic import BETA, SCALE, TERMS, record
 from tests.calibration.test_planning import mounting_request
 
@@ -304,3 +306,35 @@ def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
     straight = replace(scenario.specimen, instrument=piga.Instrument(scale_factor=SCALE, beta=0.0))
     with pytest.raises(CalibrationError, match=r"without it there is no lock zone"):
         plan_mounting(replace(wish, scenario=replace(scenario, specimen=straight)))
+
+
+def test_groups_are_turned_to_their_own_phases() -> None:
+    """Exact data of one coupling at two phases: turned, both have it in the first column and nothing in the second."""
+    rng = np.random.default_rng(14)
+    layout = Layout(True, (), (), (np.zeros(0, dtype=np.int64),) * 2)
+    parts = []
+    for phase in (0.4, -2.1):
+        x = rng.standard_normal((40, 2)) @ np.array([[1.0, 0.8], [0.0, 0.5]])  # columns that are correlated
+        part = Reduction.empty(("p", "q"))
+        part.absorb(
+            np.ascontiguousarray(np.column_stack([x, x @ [0.7 * math.cos(phase), 0.7 * math.sin(phase)]]).T)
+        )
+        parts.append(part)
+    factor = _aligned(layout, parts).factor
+    np.testing.assert_allclose(np.linalg.solve(factor[:2, :2], factor[:2, 2]), [0.7, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("phase", ["shared", "per-segment"])
+def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> None:
+    """What is known of the others is the inverse of their part of the covariance, a phase that is shared among them."""
+    wish = request(tmp_path, phase=phase)
+    names = coefficient_names(wish)
+    size = len([name for name in names if name != "phi"]) + 1
+    spread = np.random.default_rng(6).standard_normal((3, size, size + 3))
+    information = spread @ spread.swapaxes(1, 2)
+    design = SimpleNamespace(names=("p", "q"), request=SimpleNamespace(harmonics=()))
+    found = _without_phase(information, wish, design)  # type: ignore[arg-type]
+    covariance = np.linalg.inv(information)
+    order = [name for name in names if name != "phi"] + ["phi"]
+    kept = [order.index(name) for name in names]
+    np.testing.assert_allclose(found, np.linalg.inv(covariance[:, kept][:, :, kept]), rtol=1e-9, atol=1e-9)

@@ -191,4 +191,4 @@ def test_other_kinds_of_files_are_streamed_too(tmp_path, monkeypatch, capsys, st
     code, _, text = command(monkeypatch, capsys, run, *words, tmp_path / "b.parquet")
     assert code == 0, text
     a, b = (pa.parquet.read_table(tmp_path / n)["ax"].to_numpy() for n in ("a.parquet", "b.parquet"))
-    assert np.nanmax(np.abs(a - b)) < 1e-12
+    assert np.nanmax(np.abs(a - b)) < 1e-11  # a cell of XLSX holds 16 digits

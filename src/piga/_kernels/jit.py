@@ -17,19 +17,24 @@ from numba import types
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def _compiled(function: F, fastmath: bool | set[str]) -> F:
+    made = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    return cast("F", made)
+
+
 def kernel(function: F) -> F:
     """Compile a hot loop (cached on disk, releases the GIL)."""
-    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+    return _compiled(function, {"contract"})
 
 
 def inline(function: F) -> F:
     """Compile a small scalar function that is inlined into the kernels that call it."""
-    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})(function))
+    return _compiled(function, {"contract"})
 
 
 def exact(function: F) -> F:
     """Compile arithmetic whose rounding errors are part of the method: nothing is contracted."""
-    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=False)(function))
+    return _compiled(function, False)
 
 
 def reducing_kernel(function: F) -> F:
@@ -37,8 +42,7 @@ def reducing_kernel(function: F) -> F:
 
     Used only where the last bits of a sum do not matter for how results compare between chunkings.
     """
-    flags = {"contract", "reassoc", "nsz"}
-    return cast("F", numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=flags)(function))
+    return _compiled(function, {"contract", "reassoc", "nsz"})
 
 
 def _no_prefetch(_array: Any, _index: int) -> None:

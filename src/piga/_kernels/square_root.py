@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 NOTHING = 1e-29
 """Share of an element that is rounding of double-double arithmetic when it is all that is left."""
+SMALLEST = 1e-250
+"""Square of a column that is nothing but rounding of rounding: equal columns leave ever smaller ones."""
 
 
 @reducing_kernel
@@ -49,10 +51,11 @@ def absorb(R: Array, block: Array) -> None:
     for j in range(m):
         column = block[j]
         below = _dot(column, column)
-        if below == 0.0:
-            continue
         alpha = R[j, j]
-        norm = math.sqrt(alpha * alpha + below)
+        square = alpha * alpha + below
+        if below == 0.0 or square < SMALLEST:
+            continue
+        norm = math.sqrt(square)
         if alpha > 0.0:
             norm = -norm
         top = alpha - norm

@@ -34,7 +34,9 @@ def make_budget(
 
     def estimate(run: Run) -> Array:
         design = Design(run, fit.design.request, fit.design.scale_factor)
-        summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.noise)
+        summaries = (
+            fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
+        )
         solution = solve(design, summaries, groups)
         named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
         values = np.array([coefficient.value for coefficient in named])

@@ -152,10 +152,14 @@ def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable
 
     def variances(noise: Noise) -> Array:
         if fit.counted is None:
-            summaries = reduce_segments(fit.design, fit.mode, noise)
+            weights = noise if fit.drift_part is None else replace(noise, drift=0.0)
+            summaries = reduce_segments(fit.design, fit.mode, weights)
         else:
             summaries = fit.counted.with_walk(noise.walk).reduce(fit.design)
         solution = solve(fit.design, summaries, groups)
-        return np.diag(name_coefficients(fit.design, solution, solution.covariance, per_segment)[1]).copy()
+        added = 0.0 if fit.drift_part is None else noise.drift * fit.drift_part
+        return np.diag(
+            name_coefficients(fit.design, solution, solution.covariance + added, per_segment)[1]
+        ).copy()
 
     return variances

@@ -21,19 +21,24 @@ from piga._kernels.whitening import LANES
 from piga.calibration.drift_basis import KNOTS, DriftBasis
 from piga.calibration.fit import SMALL, Fit
 from piga.calibration.noise import Noise, deviance_sums, least_on_grid
+from piga.calibration.reduction import solve_upper
 from piga.calibration.solution import solve
-from piga.calibration.weighting import drifting_factor, reduce_segments
+from piga.calibration.weighting import reduce_segments, weighted_blocks
 
 Array = NDArray[np.float64]
 
 SUSPECTED = 0.3
 """Gain in twice the log-likelihood, the other levels as found, from which a drift is looked for with all of them."""
 SIGNIFICANT = 2.0
-"""Gain from which a drift is taken as real."""
+"""Gain from which a drift is taken into the covariance."""
+CLEAR = 9.0
+"""Gain from which it is weighted by, too: weights for a drift that is not there cost up to six times the variance."""
 BELOW, ABOVE = 0.7, 0.35
 """Decades below and above the random walk found without a drift in which it is looked for with one."""
 LEVELS = 41
 """Levels tried, over eight decades."""
+UNDETERMINED = 1e-9
+"""Part of a parameter's column that the others leave, below which nothing is said of it."""
 BINS, MOST_BINS = 16, 2048
 """Bins of a stretch at the quick look, and of all stretches together."""
 
@@ -47,50 +52,86 @@ class Steps:
     gain: float
 
 
-def include_drift(fit: Fit, groups: tuple[int, ...]) -> Fit:
+def include_drift(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) -> Fit:
     """The same fit with a bias drift in its covariance, where the record shows one.
 
-    Left out with several phases, coarse counts, given noise levels and methods other than whitened least
-    squares in one go.
+    Weighted by from a gain of ``clear`` on; below, the weights stay those of the other noise, and what the drift adds to
+    the estimates is added to their covariance. Left out with coarse counts, given noise levels and methods
+    other than whitened least squares in one go.
     """
     request = fit.design.request
     able = fit.mode == "increments" and request.method == "information" and fit.counted is None
-    if not able or max(groups) > 0 or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
+    if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
         return fit
     if fit.design.rows > SMALL and quick_look(fit).gain < SUSPECTED:
         return fit
-    if likely_steps(drifting_factor(fit.design, fit.noise)).gain < SUSPECTED:
+    if likely_steps(drifting_factor(fit, groups, fit.noise)).gain < SUSPECTED:
         return fit
-    noise, gain = _levels_together(fit)
+    noise, gain = _levels_together(fit, groups)
     if gain < SIGNIFICANT:
         return fit
-    basis = DriftBasis.of(fit.design.run)
-    steps = likely_steps(drifting_factor(fit.design, noise))
-    noise = replace(noise, drift=steps.variance / basis.spacing)
-    summaries = reduce_segments(fit.design, fit.mode, noise)
+    spacing = DriftBasis.of(fit.design.run).spacing
+    factor = drifting_factor(fit, groups, noise)
+    steps = likely_steps(factor)
+    drifting = replace(noise, drift=steps.variance / spacing)
+    moved = _moved_by_steps(factor, len(fit.solution.amplitudes) + len(fit.solution.phases))
+    part = None if gain >= clear or moved is None else spacing * moved @ moved.T
+    summaries = reduce_segments(fit.design, fit.mode, drifting if part is None else noise)
     solution = solve(fit.design, summaries, groups)
     return replace(
         fit,
-        noise=noise,
+        noise=drifting,
         summaries=summaries,
         solution=solution,
-        covariance=solution.covariance,
-        drift_deviation=steps.deviation / basis.spacing,
+        covariance=solution.covariance + (0.0 if part is None else drifting.drift * part),
+        drift_deviation=steps.deviation / spacing,
+        drift_part=part,
     )
 
 
-def _levels_together(fit: Fit) -> tuple[Noise, float]:
+def drifting_factor(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Array:
+    """Triangular factor of the weighted rows ``[drift | model | y]``, the drift left free.
+
+    The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual.
+    """
+    design, solution, m = fit.design, fit.solution, len(fit.design.names)
+    size = KNOTS + len(solution.amplitudes) + len(solution.phases) + 1
+    factor = np.zeros((0, size))
+    for block, columns in weighted_blocks(design, fit.mode, noise, DriftBasis.of(design.run)):
+        model, drift = columns[:m], columns[m:-1]
+        y = columns[-1] - solution.values[block.segment] @ model
+        turned = solution.jacobians[groups[block.segment]].T @ model
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, np.vstack([drift, turned, y]).T]), mode="r"))
+    kept = np.ones(size, dtype=bool)
+    kept[KNOTS:-1] = factor[:, KNOTS:-1].any(axis=0)
+    return factor[:, kept]
+
+
+def _moved_by_steps(factor: Array, parameters: int) -> Array | None:
+    """By how much a unit step moves each parameter (parameters, KNOTS); None where one is not determined."""
+    model = factor[:, KNOTS:-1]
+    size = np.linalg.norm(model, axis=0)
+    if model.shape[1] < parameters:
+        return None
+    rows = np.asarray(np.linalg.qr(np.hstack([model / size, factor[:, :KNOTS]]), mode="r"))[:parameters]
+    if np.abs(np.diag(rows)).min() < UNDETERMINED:
+        return None
+    return solve_upper(rows[:, :parameters], rows[:, parameters:]) / size[:, None]
+
+
+def _levels_together(fit: Fit, groups: tuple[int, ...]) -> tuple[Noise, float]:
     """White noise and random walk beside a drift, and the gain by it: restricted likelihood of all three.
 
     On a grid of ``log10(q h/r)``, concentrated over the scale, the drift at its best for each.
     """
-    step, freedom = fit.design.run.median_step, fit.design.rows - len(fit.design.names)
+    step = fit.design.run.median_step
+    freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
     centre = math.log10(max(fit.noise.walk * step / fit.noise.white, 1e-9))
     grid = np.linspace(centre - BELOW, centre + ABOVE, LANES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
     table = []
     for ratio, logarithm in zip(grid, logarithms, strict=True):
-        factor = drifting_factor(fit.design, Noise(1.0, 10.0**ratio / step))
+        factor = drifting_factor(fit, groups, Noise(1.0, 10.0**ratio / step))
         values, square, rest, model = projected(factor)
         levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0])
         size = 1.0 + levels[:, None] * values

@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 KNOTS = 32
 """Steps in which the rate wanders over a record; it is linear in time between them."""
+DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
+"""Names of their columns in a summary."""
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,8 @@ class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
     ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
-    ``drift_deviation`` is the standard uncertainty of ``noise.drift``.
+    ``drift_deviation`` is the standard uncertainty of ``noise.drift``; ``drift_part`` what a unit of drift adds to the
+    covariance, where the fit is not weighted by it.
     """
 
     design: Design
@@ -67,6 +68,12 @@ class Fit:
     outliers: tuple[Outlier, ...] = ()
     counted: Counted | None = None
     drift_deviation: float = 0.0
+    drift_part: Array | None = field(default=None, repr=False)
+
+    @property
+    def weights(self) -> Noise:
+        """The noise that the rows are weighted by."""
+        return self.noise if self.drift_part is None else replace(self.noise, drift=0.0)
 
     @property
     def sample_variance(self) -> float:

@@ -92,6 +92,29 @@ class Reduction:
         result.count = self.count
         return result
 
+    @classmethod
+    def of_factor(cls, names: tuple[str, ...], factor: Array, count: int) -> Reduction:
+        """That of a triangular factor (m + 1, m + 1)."""
+        found = cls.empty(names)
+        found.absorb(np.ascontiguousarray(factor.T), count=count)
+        return found
+
+    @classmethod
+    def stacked(cls, parts: list[Reduction]) -> Reduction:
+        """One summary of several by reflections, in double precision.
+
+        For columns that are nearly dependent in every part, where rotations without square roots lose their digits.
+        """
+        factor = np.linalg.qr(np.vstack([part.factor for part in parts]), mode="r")
+        return cls.of_factor(parts[0].names, np.asarray(factor), sum(part.count for part in parts))
+
+    def without(self, names: tuple[str, ...]) -> Reduction:
+        """The summary of the other columns, these at their best for each estimate: nothing is set to zero."""
+        rest = tuple(name for name in self.names if name not in names)
+        order = [*(self.names.index(name) for name in (*names, *rest)), len(self.names)]
+        factor = np.asarray(np.linalg.qr(self.factor[:, order], mode="r"))
+        return self.of_factor(rest, factor[len(names) :, len(names) :], self.count)
+
     def less(self, name: str, multiple: float) -> Reduction:
         """The summary of the observations less ``multiple`` times a column."""
         unit = self.unit.copy()

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.design import Design
+from piga.calibration.drift_basis import DRIFT_NAMES, KNOTS
 from piga.calibration.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
 
@@ -128,10 +129,10 @@ class Layout:
         return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
 
 
-def layout_of(design: Design, groups: int) -> Layout:
-    """The layout of one run: every shared column is its own parameter in all groups."""
-    tail = np.arange(len(design.shared_names))
-    keys = tuple((name, None) for name in design.shared_names)
+def layout_of(design: Design, groups: int, extra: tuple[str, ...] = ()) -> Layout:
+    """The layout of one run: every shared column, and every ``extra`` one, is its own parameter in all groups."""
+    keys = tuple((name, None) for name in (*design.shared_names, *extra))
+    tail = np.arange(len(keys))
     return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * groups)
 
 
@@ -159,8 +160,15 @@ class Solution(Estimate):
     values: Array
 
 
+def drift_columns(summary: Reduction) -> tuple[str, ...]:
+    """Names of the columns of a bias drift, behind those of the model; none where there is no drift."""
+    return summary.names[-KNOTS:] if summary.names[-KNOTS:] == DRIFT_NAMES else ()
+
+
 def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
     """One summary of several."""
+    if drift_columns(summaries[0]):
+        return Reduction.stacked([summaries[index] for index in indices])
     total = Reduction.empty(summaries[0].names)
     for index in indices:
         total.merge(summaries[index])
@@ -168,12 +176,17 @@ def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
 
 
 def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -> Solution:
-    """Estimate for the given phase group of each segment (all 0: one phase)."""
+    """Estimate for the given phase group of each segment (all 0: one phase).
+
+    What the summaries hold behind the columns of the design, a bias drift, is estimated with them and left out.
+    """
     count = max(groups) + 1 if design.local_names else 1
     grouped = groups if design.local_names else (0,) * len(groups)
     parts = [merged(summaries, [s for s, g in enumerate(grouped) if g == group]) for group in range(count)]
-    layout = layout_of(design, count)
-    found = solve_parts(layout, parts)
+    layout, extra = layout_of(design, count), drift_columns(summaries[0])
+    found = solve_parts(layout_of(design, count, extra), parts)
+    if extra:
+        found = _without_last(found, layout.size, len(extra))
     if count == 1:
         linear = found.jacobians[0] @ np.append(found.amplitudes, np.zeros(found.phases.size))
         values = np.tile(linear, (len(groups), 1))
@@ -181,6 +194,18 @@ def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -
         values = np.array([layout.linear(found.amplitudes, found.phases[g], g) for g in groups])
     jacobians = found.jacobians * (max(groups) + 1 if count == 1 else 1)
     return Solution(found.amplitudes, found.phases, found.covariance, found.cost, jacobians, values)
+
+
+def _without_last(found: Estimate, size: int, extra: int) -> Estimate:
+    """The estimate less the ``extra`` amplitudes behind the first ``size``, their columns and their covariance."""
+    behind = np.arange(size, size + extra)
+    return Estimate(
+        found.amplitudes[:size],
+        found.phases,
+        np.delete(np.delete(found.covariance, behind, axis=0), behind, axis=1),
+        found.cost,
+        tuple(np.delete(jacobian[:-extra], behind, axis=1) for jacobian in found.jacobians),
+    )
 
 
 def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
@@ -249,10 +274,9 @@ def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
     """Shared parameters and coupling amplitude with the local columns of every group left free."""
     local = layout.local
     factors = [part.factor for part in parts]
-    free = Reduction.empty(tuple(layout.columns[local:]))
-    for group, factor in enumerate(factors):
-        free.absorb(layout.embedded(factor, group)[local:, local:].T)
-    shared = _least_squares(free.factor) if layout.keys else np.zeros(0)
+    rest = [layout.embedded(factor, group)[local:, local:] for group, factor in enumerate(factors)]
+    free = np.asarray(np.linalg.qr(np.vstack(rest), mode="r"))
+    shared = _least_squares(free) if layout.keys else np.zeros(0)
     squares, weights = 0.0, 0.0
     for group, factor in enumerate(factors):
         right = factor[:local, -1] - factor[:local, local:-1] @ shared[layout.tails[group]]

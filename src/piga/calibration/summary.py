@@ -16,12 +16,13 @@ from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.drift import include_drift
+from piga.calibration.drift_basis import DRIFT_NAMES
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
-from piga.calibration.solution import merged
+from piga.calibration.solution import drift_columns, merged
 from piga.calibration.uncertainty import Source, sources
 from piga.calibration.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
@@ -195,14 +196,19 @@ def run_name(run: Run, index: int) -> str:
 
 
 def prepare(run: Run, request: Request, name: str) -> LiveRun:
-    """Find the noise levels of a run by its own fit; what it cannot determine alone is left out of that."""
+    """Find the noise levels of a run by its own fit; what it cannot determine alone is left out of that.
+
+    A bias drift ties the segments together: it is not looked for where each has a summary of its own, and weighted by
+    wherever it is seen, for all that is known of it is in the summary.
+    """
     undetermined: list[str] = []
     terms = request.terms
     while True:
         wish = replace(request, terms=terms)
         groups, per_segment = phase_groups(run, wish)
         try:
-            fit = include_drift(refine_counted(fit_run(run, wish, groups, per_segment), groups), groups)
+            fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
+            fit = fit if per_segment else include_drift(fit, groups, clear=0.0)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -281,6 +287,8 @@ def reduce_groups(design: Design, fit: Fit, groups: tuple[int, ...]) -> tuple[Re
     parts = [
         merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(max(groups) + 1)
     ]
+    if drift_columns(parts[0]):
+        parts = [part.without(DRIFT_NAMES) for part in parts]
     if fit.mode == "samples":
         return tuple(part.scaled(1.0 / fit.sample_variance) for part in parts)
     return tuple(parts)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
-from piga.calibration.drift_basis import KNOTS, DriftBasis
+from piga.calibration.drift_basis import DRIFT_NAMES, KNOTS, DriftBasis
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.workers import workers
@@ -36,12 +36,8 @@ class Whitener:
         self._state = np.zeros(self.size)
         self._variance = 0.0
 
-    def apply(self, block: Block) -> Array:
-        """Weighted columns of a block, a new array (m + 1, n)."""
-        return self.apply_columns(block.columns, block.h)
-
     def apply_columns(self, columns: Array, h: Array) -> Array:
-        """Weighted columns for intervals ``h``."""
+        """Weighted columns for intervals ``h``, a new array."""
         if self.mode == "samples":
             return columns.copy()
         if self.mode == "rates":
@@ -60,55 +56,54 @@ def weighting_mode(design: Design, method: str) -> str:
     return "rates" if method == "rate" else "increments"
 
 
-def weighted_blocks(design: Design, mode: str, noise: Noise) -> Iterator[tuple[Block, Array]]:
-    """Blocks with their weighted columns, in order."""
-    whitener = Whitener(mode, noise, len(design.names) + 1)
+def weighted_blocks(
+    design: Design, mode: str, noise: Noise, basis: DriftBasis | None = None
+) -> Iterator[tuple[Block, Array]]:
+    """Blocks with their weighted columns, in order; those of a bias drift come before the last."""
+    whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else KNOTS) + 1)
     for block in design.blocks():
-        yield block, whitener.apply(block)
+        yield block, whitener.apply_columns(_with_drift(design, block, basis), block.h)
+
+
+def _with_drift(design: Design, block: Block, basis: DriftBasis | None) -> Array:
+    """Columns of the model, of the drift if there is one, and of the observation."""
+    if basis is None:
+        return block.columns
+    drift = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
+    return np.vstack([block.columns[:-1], drift, block.columns[-1:]])
 
 
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     """One summary per segment of the weighted rows.
 
-    The reduction of a block runs beside the whitening of the next. With a bias drift the segments are not
-    independent: the first summary then holds them all.
+    The reduction of a block runs beside the whitening of the next. With a bias drift the summaries have its columns
+    behind those of the model, and what is known of its steps beforehand is in the first one;
+    :func:`~piga.calibration.solution.solve` integrates it out.
     """
-    if noise.drift > 0.0 and mode == "increments":
-        return _reduce_drifting(design, noise)
-    summaries = [Reduction.empty(design.names) for _ in design.run.labels]
+    basis = DriftBasis.of(design.run) if noise.drift > 0.0 and mode == "increments" else None
+    names = design.names if basis is None else (*design.names, *DRIFT_NAMES)
+    summaries = [Reduction.empty(names) for _ in design.run.labels]
     with workers(design.run.size, 1) as pool:
         jobs = []
-        for block, columns in weighted_blocks(design, mode, noise):
+        for block, columns in weighted_blocks(design, mode, noise, basis):
             count = int(np.count_nonzero(block.h > 0.0))
             jobs.append(pool.submit(summaries[block.segment].absorb, columns, count=count))
             if len(jobs) > 4:
                 jobs.pop(0).result()
         for job in jobs:
             job.result()
+    if basis is not None:
+        summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * basis.spacing)])
     return summaries
 
 
-def drifting_factor(design: Design, noise: Noise) -> Array:
-    """Triangular factor of the weighted rows ``[drift | model | y]``, the drift left free."""
-    basis = DriftBasis.of(design.run)
-    factor = np.zeros((0, KNOTS + len(design.names) + 1))
-    whitener = Whitener("increments", noise, factor.shape[1])
-    for block in design.blocks():
-        drift = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
-        rows = whitener.apply_columns(np.vstack([drift, block.columns]), block.h).T
-        factor = cast("Array", np.linalg.qr(np.vstack([factor, rows]), mode="r"))
-    return factor
-
-
-def _reduce_drifting(design: Design, noise: Noise) -> list[Reduction]:
-    """Summaries with the drift integrated out: what its steps, of known variance, leave to the model."""
-    factor = drifting_factor(design, noise)
-    prior = np.zeros((KNOTS, factor.shape[1]))
-    prior[:, :KNOTS] = np.eye(KNOTS) / np.sqrt(noise.drift * DriftBasis.of(design.run).spacing)
-    rest = cast("Array", np.linalg.qr(np.vstack([factor, prior]), mode="r"))[KNOTS:, KNOTS:]
-    summaries = [Reduction.empty(design.names) for _ in design.run.labels]
-    summaries[0].absorb(np.ascontiguousarray(rest.T), count=design.rows)
-    return summaries
+def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:
+    """Rows that say: the steps of the drift, the last columns, are zero with this variance."""
+    size = len(names)
+    known = np.zeros((size + 1, size + 1))
+    at = np.arange(size - KNOTS, size)
+    known[at, at] = 1.0 / math.sqrt(variance)
+    return Reduction.of_factor(names, known, 0)
 
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
