@@ -22,7 +22,7 @@ from tests.calibration.scenarios import SCENARIOS, Array
 
 HEAD = "| scenario | tests | coverage | bias/sigma | variance/bound | NEES |\n|---|---|---|---|---|---|"
 
-BOUNDS = 40
+BOUNDS = 200
 """Records over which the Cramer-Rao bound is averaged: the gimbal starts anywhere."""
 
 

@@ -9,7 +9,7 @@ import pytest
 from piga.compensation import warm_up
 
 
-@pytest.mark.parametrize("kind", ["angle", "rate"])
+@pytest.mark.parametrize("kind", ["angle", "rate", "set"])
 def test_kernels_are_compiled_apart_only_when_they_are_not_there(monkeypatch, kind):
     """Where they are (or are interpreted) no process is started; where not, it is told the kind, until all is done."""
     called, status = [], [warm_up.MORE, warm_up.MORE, 0]
@@ -29,22 +29,25 @@ def test_kernels_are_compiled_apart_only_when_they_are_not_there(monkeypatch, ki
 
 
 def test_a_process_that_has_grown_leaves_when_a_kernel_is_done(monkeypatch):
-    """Never before one is on disk, or there would be no end; not while it is small."""
+    """Never before one of ours is on disk, or there would be no end; not while it is small."""
     left = []
+    ours, other = (
+        SimpleNamespace(data={"dispatcher": SimpleNamespace(py_func=SimpleNamespace(__module__=name))})
+        for name in ("piga._kernels.motion", "numba.np.arraymath")
+    )
     monkeypatch.setattr(os, "_exit", left.append)
     monkeypatch.setattr(warm_up, "_memory", lambda: warm_up.MOST_BYTES + 1)
     watch = warm_up._Leave()
-    for event in ("start", "start", "start"):
-        getattr(watch, f"on_{event}")(None)
+    watch.on_start(ours)
+    watch.on_start(other)
+    watch.on_end(other)
+    watch.on_start(ours)
     assert not left
-    watch.on_end(None)
-    watch.on_start(None)
-    assert left == [warm_up.MORE]
-    watch.on_start(None)
+    watch.on_end(ours)
+    watch.on_start(ours)
     assert left == [warm_up.MORE]
     monkeypatch.setattr(warm_up, "_memory", lambda: 0)
-    watch.on_end(None)
-    watch.on_start(None)
+    watch.on_start(ours)
     assert left == [warm_up.MORE]
 
 

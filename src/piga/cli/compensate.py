@@ -207,6 +207,7 @@ def _single(
     from piga.compensation import identify_phase
     from piga.compensation.file_length import holds_more
     from piga.compensation.phase import identify_phase_of_file
+    from piga.compensation.warm_up import compile_apart
     from piga.records import read_run_file
     from piga.stand import read_run
 
@@ -225,6 +226,7 @@ def _single(
         found, repairs = _in_chunks(run, data, calibration, source, out, options, resume, report)
     else:
         record = read_run(run)
+        compile_apart(record.kind)
         options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
         found, repairs = _from_record(record, calibration, out, options, report)
     if report is not None:
@@ -320,9 +322,12 @@ def _together(
 ) -> dict[str, Any]:  # fmt: skip
     from piga.compensation.set_files import compensate_set_files
     from piga.compensation.triad_file import calibration_files, orthogonal_triad, read_triad
+    from piga.compensation.warm_up import compile_apart
     from piga.compensation.writers import format_of
 
     _spare_memory()
+    if options.method != "published":
+        compile_apart("set")
     kind = format_of(out)
     if len(runs) == 1:
         paths, mounted = read_triad(runs[0])

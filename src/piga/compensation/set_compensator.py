@@ -78,7 +78,7 @@ class SetCompensator:
         for item in instruments:
             self._flag |= age_flag(item.calibration, max_age_days)
         self._count = len(models)
-        self._arrays = _stacked(models)
+        self._arrays = stacked(models)
         self._threshold = fault_threshold(self._count - 3)
         self._states = np.zeros((self._count, at.STATE))
         self._set_state = np.zeros(SET_STATE)
@@ -180,7 +180,7 @@ def _check_finite(**columns: Array) -> None:
             )
 
 
-def _stacked(models: list[Model]) -> tuple[NDArray, ...]:
+def stacked(models: list[Model]) -> tuple[NDArray, ...]:
     """Arrays of all instruments, padded to one size: order 1 and amplitude 0, code of k0 and weight 0."""
     count = len(models)
     harmonics = max(model.orders.size for model in models)

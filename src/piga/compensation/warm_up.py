@@ -6,6 +6,7 @@ ends, and the next one goes on from there.
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -15,20 +16,24 @@ from typing import Any
 import numpy as np
 from numba.core.event import Listener, install_listener
 
+from piga._kernels import compensate_layout as at
 from piga._kernels.compensate_record import compensate_angles, compensate_rates
+from piga._kernels.compensate_set import SET_STATE, SET_WORK
+from piga._kernels.compensate_set_record import compensate_set
 from piga.compensation.model import Model
+from piga.compensation.set_compensator import stacked
 from piga.compensation.step import NO_RATES, NONE, Chunk, empty_step, init_state, run_kernel, work_array
 
-KERNELS = {"angle": compensate_angles, "rate": compensate_rates}
+KERNELS = {"angle": compensate_angles, "rate": compensate_rates, "set": compensate_set}
 MOST_BYTES = 230_000_000
 """Memory of a compiling process above which the next kernel is left to another one."""
 MORE = 75
 """Exit status of a process that leaves kernels to the next one."""
-MOST_PROCESSES = 40
+MOST_PROCESSES = 12
 
 
 def compile_apart(kind: str) -> None:
-    """Let another process compile the kernel of an ``angle`` or ``rate`` record, unless its compiled form is on disk."""
+    """Let others compile the kernel of an ``angle`` or ``rate`` record or of a ``set``, unless it stands on disk."""
     if _is_compiled(kind):
         return
     for _ in range(MOST_PROCESSES):
@@ -51,18 +56,16 @@ class _Leave(Listener):
     """Ends the process before a kernel is compiled when it has grown too large, and one at least is on disk."""
 
     def __init__(self) -> None:
-        self._depth = self._before = 0
+        self._saved = False
 
     def on_start(self, _event: Any) -> None:
-        """A kernel is about to be compiled; those that call it are under way."""
-        if self._before > self._depth and _memory() > MOST_BYTES:
+        """A kernel is about to be compiled."""
+        if self._saved and _memory() > MOST_BYTES:
             os._exit(MORE)
-        self._depth += 1
-        self._before = self._depth
 
-    def on_end(self, _event: Any) -> None:
-        """It is compiled, and is put on the disk after this."""
-        self._depth -= 1
+    def on_end(self, event: Any) -> None:
+        """It is compiled; one of ours is put on the disk after this, parts of Numba itself are not."""
+        self._saved |= event.data["dispatcher"].py_func.__module__.startswith("piga.")
 
 
 def _memory() -> int:
@@ -76,14 +79,25 @@ def _memory() -> int:
 
 def compile_here(kind: str) -> None:
     """Compile the kernel: run it on a few samples."""
-    rows = np.zeros(4)
-    no_codes = np.zeros(0, dtype=np.int64)
+    rows, marks = np.zeros(4), np.ones(4, dtype=np.bool_)
     model = Model(
-        parameters=np.ones(64), has_terms=False, orders=NONE, sines=NONE, cosines=NONE, codes=no_codes,
-        factor=np.zeros((0, 0)), limits=np.zeros(5), formula=0, base_flag=0, needs_temperature=False,
+        parameters=np.ones(at.PARAMETERS), has_terms=False, orders=NONE, sines=NONE, cosines=NONE,
+        codes=np.zeros(0, dtype=np.int64), factor=np.zeros((0, 0)), limits=np.zeros(5), formula=0, base_flag=0,
+        needs_temperature=False,
     )  # fmt: skip
-    chunk = Chunk(rows, rows, rows, rows, np.ones(4, dtype=np.bool_), NO_RATES, NONE, NONE)
-    run_kernel(model, init_state(), chunk, kind, 1.0, work_array(), empty_step(4, True, True))
+    if kind != "set":
+        chunk = Chunk(rows, rows, rows, rows, marks, NO_RATES, NONE, NONE)
+        run_kernel(model, init_state(), chunk, kind, 1.0, work_array(), empty_step(4, True, True))
+        return
+    axes, flags = np.array([np.roll(np.eye(3), -i, axis=0) for i in range(3)]), np.zeros(4, dtype=np.int32)
+    parameters, has_terms, orders, sines, cosines, codes, factors, limits = stacked([model] * 3)
+    compensate_set(
+        rows, np.zeros((3, 4)), np.zeros((3, 0)), marks, np.zeros((3, 0, 3)), np.zeros((3, 0)), parameters, axes,
+        has_terms, orders, sines, cosines, codes, factors, limits, 0, math.inf, np.zeros((3, at.STATE)),
+        np.zeros(SET_STATE), np.ones((3, at.STRIDE)), np.zeros(at.BLOCK), np.zeros((3, at.WORK)), np.zeros(SET_WORK),
+        np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), flags, np.zeros((3, 0)),
+        np.zeros((3, 0), dtype=np.int32),
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

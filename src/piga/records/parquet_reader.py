@@ -67,7 +67,7 @@ def _open(path: Path) -> Iterator[Any]:
     from pyarrow import parquet
 
     try:
-        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20) as source:
+        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 18) as source:
             yield source
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise DataError(
