@@ -71,7 +71,10 @@ def compensate(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
 ) -> None:
-    """Compensate a recorded run: columns t, ax, dv, u_ax, flags; or several instruments together."""
+    """Compensate runs or live data: specific force and velocity.
+
+    Columns t, ax, dv, u_ax, flags of one run; several instruments are solved together.
+    """
     from piga.compensation.model import Phase
     from piga.records import Calibration
     from piga.units import to_si
