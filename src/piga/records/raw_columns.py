@@ -69,6 +69,24 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
     return raw
 
 
+def read_labels(folder: Path, data: DataTable) -> tuple[str, ...]:
+    """The ``labels`` that :func:`read_columns` gives, no row held.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as the run file says.
+    """
+    if data.segment is None:
+        return ("all",)
+    stream = open_stream(folder, data, small=True, numbers=False)
+    visits = Visits(stream.label_names)
+    for chunk in stream.chunks():
+        if chunk.codes is not None:
+            visits.segment(chunk.codes, chunk.rows)
+    return tuple(visits.names)
+
+
 def _collect(path: Path, data: DataTable, stream: RecordStream, arrays: Arrays) -> RawColumns:
     names = data.number_columns()
     numbers = {name: arrays.growing() for name in names}
