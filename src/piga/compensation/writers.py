@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from piga.compensation.flags import FLAGS, MEANING
 from piga.errors import ArgumentError
+from piga.records.arrow_columns import number_column
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is no force and no increment."""
@@ -65,15 +66,6 @@ def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False) -> Any:
     return pa.schema(fields, metadata=metadata)
 
 
-def arrow_array(column: NDArray) -> Any:
-    """Arrow array over the memory of a column."""
-    import pyarrow as pa
-
-    values = np.ascontiguousarray(column)
-    kind = pa.int32() if values.dtype == np.int32 else pa.float64()
-    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
-
-
 class TableWriter:
     """Write rows to a Parquet or CSV file; a context manager.
 
@@ -94,7 +86,7 @@ class TableWriter:
 
         if self._writer is None:
             self._open(columns)
-        arrays = [arrow_array(column) for column in columns.values()]
+        arrays = [number_column(column) for column in columns.values()]
         if self._kind == "csv":
             arrays = [_empty_where_nan(array) for array in arrays]
         table = pa.Table.from_arrays(arrays, schema=self._schema)
