@@ -21,6 +21,11 @@ def test_numbers(kind: str) -> None:
     assert np.isnan(number_column(np.array([np.nan])).to_numpy()).all()
 
 
+def test_empty_cells() -> None:
+    values = np.array([1.0, np.nan, 3.0] * 5)
+    assert number_column(values, empty_cells=True).to_pylist() == [1.0, None, 3.0] * 5
+
+
 @pytest.mark.parametrize("texts", [[], ["a", "", "δ 45°", "a"], ["0"]])
 def test_texts(texts: list[str]) -> None:
     made = text_column(texts)

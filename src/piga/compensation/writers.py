@@ -86,9 +86,7 @@ class TableWriter:
 
         if self._writer is None:
             self._open(columns)
-        arrays = [number_column(column) for column in columns.values()]
-        if self._kind == "csv":
-            arrays = [_empty_where_nan(array) for array in arrays]
+        arrays = [number_column(column, empty_cells=self._kind == "csv") for column in columns.values()]
         table = pa.Table.from_arrays(arrays, schema=self._schema)
         self.rows += table.num_rows
         self._held = table if self._held is None else pa.concat_tables((self._held, table))
@@ -128,15 +126,6 @@ class TableWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _empty_where_nan(array: Any) -> Any:
-    import pyarrow as pa
-    from pyarrow import compute
-
-    if not pa.types.is_floating(array.type):
-        return array
-    return compute.if_else(compute.is_nan(array), pa.scalar(None, array.type), array)
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray], kind: str) -> None:

@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def number_column(values: NDArray) -> pa.Array:
-    """Array over the memory of numbers (n,); it holds as long as the array is used."""
+def number_column(values: NDArray, empty_cells: bool = False) -> pa.Array:
+    """Array over the memory of numbers (n,); with ``empty_cells`` it is null where they are nan."""
     import pyarrow as pa
 
     held = np.ascontiguousarray(values)
-    return pa.Array.from_buffers(pa.from_numpy_dtype(held.dtype), held.size, [None, pa.py_buffer(held)])
+    known = pa.py_buffer(np.packbits(~np.isnan(held), bitorder="little")) if empty_cells else None
+    return pa.Array.from_buffers(pa.from_numpy_dtype(held.dtype), held.size, [known, pa.py_buffer(held)])
 
 
 def text_column(values: Sequence[str]) -> pa.StringArray:
