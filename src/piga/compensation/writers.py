@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from piga.compensation.flags import FLAGS, MEANING
 from piga.errors import ArgumentError
+from piga.records.arrow_columns import number_column
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is no force and no increment."""
@@ -65,16 +66,6 @@ def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False) -> Any:
     return pa.schema(fields, metadata=metadata)
 
 
-def arrow_array(column: NDArray, empty_cells: bool = False) -> Any:
-    """Arrow array over the memory of a column; with ``empty_cells`` it is null where that is nan."""
-    import pyarrow as pa
-
-    values = np.ascontiguousarray(column)
-    kind = pa.int32() if values.dtype == np.int32 else pa.float64()
-    known = pa.py_buffer(np.packbits(~np.isnan(values), bitorder="little")) if empty_cells else None
-    return pa.Array.from_buffers(kind, values.size, [known, pa.py_buffer(values)])
-
-
 class TableWriter:
     """Write rows to a Parquet or CSV file; a context manager.
 
@@ -95,7 +86,7 @@ class TableWriter:
 
         if self._writer is None:
             self._open(columns)
-        arrays = [arrow_array(column, empty_cells=self._kind == "csv") for column in columns.values()]
+        arrays = [number_column(column, empty_cells=self._kind == "csv") for column in columns.values()]
         table = pa.Table.from_arrays(arrays, schema=self._schema)
         self.rows += table.num_rows
         self._held = table if self._held is None else pa.concat_tables((self._held, table))
