@@ -93,7 +93,7 @@ def open_stream(
     see:
         Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
     small:
-        Smaller chunks of text and Parquet, for work that holds several at a time.
+        Smaller chunks, for work that holds several at a time.
     numbers:
         False: the segment column alone, of the same rows.
 
@@ -123,7 +123,9 @@ def open_stream(
     from piga.records.container import SUFFIXES, ContainerStream
 
     if kind in SUFFIXES:
-        return ContainerStream(path, kind, numeric, data.segment, data.sheet)
+        return ContainerStream(
+            path, kind, numeric, data.segment, data.sheet, SMALL_ROWS if small else CHUNK_ROWS
+        )
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: files of kind '{kind}' are not read",
