@@ -14,8 +14,9 @@ import openpyxl
 import pytest
 
 import piga
-from piga.records import container, limits
+from piga.records import container, hdf5_reader, limits
 from piga.records.container_child import READERS
+from piga.records.spool import arrays_like
 from piga.records.xlsx_reader import read_xlsx
 from tests.records.containers import WRITERS, columns, write_h5, write_mat, write_mat73, write_tdms, write_xlsx
 from tests.records.files import events, lines, read, write_run
@@ -184,6 +185,31 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
         read_xlsx(path, NAMES, None, "log")
 
 
+@pytest.mark.parametrize("shape", [(700,), (700, 1), (1, 700)])
+@pytest.mark.parametrize("kind", ["f8", "f4", "i4", "u8"])
+@pytest.mark.parametrize("matlab", [False, True])
+def test_a_column_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: tuple[int, ...], kind: str, matlab: bool
+) -> None:
+    """Standing or lying, in chunks or not, and longer than what is held in memory."""
+    values = (1000.0 * np.random.default_rng(1).random(700)).astype(kind)
+    with h5py.File(tmp_path / "a.h5", "w") as out:
+        for name, more in (
+            ("plain", {}),
+            ("packed", {"chunks": tuple(min(n, 90) for n in shape), "compression": 4}),
+        ):
+            out.create_dataset(name, data=values.reshape(shape), **more)
+            if matlab:
+                out[name].attrs["MATLAB_class"] = np.bytes_("double")
+    for rows in (64, 1 << 18):
+        monkeypatch.setattr(hdf5_reader, "PIECE_ROWS", rows)
+        found = READERS[".h5"](tmp_path / "a.h5", ("plain", "packed"), None).numbers
+        for name in ("plain", "packed"):
+            assert found[name].dtype == ("f8" if kind.startswith("f") else "i8")
+            assert (arrays_like(found[name]).folder is not None) == (rows == 64)
+            np.testing.assert_array_equal(found[name], values.astype(found[name].dtype))
+
+
 def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     for row in ([], ["t", "n [1]"], ["s", None], [0.0, 1], [], [0.1, 2]):
@@ -191,7 +217,7 @@ def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
     book.save(tmp_path / "a.xlsx")
     table = direct(tmp_path / "a.xlsx", ("t", "n"))
     assert table.units == {"t": "s", "n": "1"}
-    assert table.file_rows().tolist() == [4, 6]
+    assert table.file_rows(slice(0, 2)).tolist() == [4, 6]
 
 
 def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:

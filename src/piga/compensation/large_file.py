@@ -46,10 +46,14 @@ class Piece:
 
 @dataclass
 class LargeFile:
-    """A data file as described by its run file, read piece by piece; ``found`` counts repairs by kind."""
+    """A data file as described by its run file, read piece by piece; ``found`` counts repairs by kind.
+
+    ``among`` is how many files are read at once: the more, the smaller the pieces.
+    """
 
     path: Path
     run_file: RunFile
+    among: int = 1
     found: Counter[str] = field(default_factory=Counter)
     rows: int = 0
     nominal: float = 0.0
@@ -84,7 +88,7 @@ class LargeFile:
 
     def pieces(self) -> Iterator[Piece]:
         """The samples in order."""
-        stream = open_stream(self.path.parent, self.run_file.data, small=True)
+        stream = open_stream(self.path.parent, self.run_file.data, small=self.among)
         visits = Visits(stream.label_names)
         self._stand = self._follow_stand()
         for chunk in stream.chunks():

@@ -127,7 +127,7 @@ def _streamed(
     method: str,
     details: bool,
 ) -> Iterator[tuple[str, Rows, CompensatedSet]]:
-    files = [LargeFile(run, read_run_file(run)) for run in runs]
+    files = [LargeFile(run, read_run_file(run), len(runs)) for run in runs]
     for file, item in zip(files, instruments, strict=True):
         check_serial_names(file.run_file.instrument.serial, item.calibration.serial, force)
         if file.kind != files[0].kind:

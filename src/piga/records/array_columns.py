@@ -71,9 +71,9 @@ def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | 
                 f"{path}: column '{name}' holds {values.max()}, more than 64 bit integers can",
                 remedy="export the counter as a signed integer",
             )
-        return values.astype(np.int64)
+        return values.astype(np.int64, copy=False)
     if values.dtype.kind == "f" and values.dtype.itemsize <= 8:
-        return values.astype(np.float64)
+        return values.astype(np.float64, copy=False)
     raise DataError(
         f"{path}: column '{name}' holds {values.dtype.name}, not numbers",
         remedy="store it as double or integer",

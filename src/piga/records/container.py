@@ -16,6 +16,7 @@ import numpy as np
 from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.limits import CPU_BASE, CPU_PER_MIB, MEMORY_LIMIT
+from piga.records.spool import mapped, trim
 from piga.records.stream import CHUNK_ROWS, Chunk
 from piga.records.table import RawTable
 
@@ -27,21 +28,23 @@ class ContainerStream:
     """A container, read whole in its own process, handed on in chunks; see :class:`piga.records.stream.RecordStream`."""
 
     def __init__(
-        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
-    ) -> None:
+        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None,
+        chunk_rows: int = CHUNK_ROWS,
+    ) -> None:  # fmt: skip
         self._table = read_container(path, kind, numeric, label, sheet)
-        self._label = label
+        self._label, self._chunk_rows = label, chunk_rows
         self.units, self.expected_rows = self._table.units, self._table.rows
         self.label_names = list(self._table.labels[label][1]) if label else []
 
     def chunks(self) -> Iterator[Chunk]:
         """The rows in order."""
-        table, rows = self._table, self._table.file_rows()
+        table = self._table
         codes = table.labels[self._label][0] if self._label else None
-        for start in range(0, table.rows, CHUNK_ROWS):
-            part = slice(start, start + CHUNK_ROWS)
-            numbers = {name: np.asarray(column[part], dtype=float) for name, column in table.numbers.items()}
-            yield Chunk(numbers, None if codes is None else codes[part], rows[part])
+        for start in range(0, table.rows, self._chunk_rows):
+            part = slice(start, min(start + self._chunk_rows, table.rows))
+            numbers = {name: np.array(column[part], dtype=float) for name, column in table.numbers.items()}
+            yield Chunk(numbers, None if codes is None else np.array(codes[part]), table.file_rows(part))
+            trim()
 
     def events(self) -> list[Event]:
         """What was found."""
@@ -124,17 +127,13 @@ def _answer(path: Path, folder: Path) -> RawTable:
     if "error" in answer:
         message = str(answer["error"]).removeprefix(f"{path.resolve()}")
         raise DataError(f"{path}{message}" if message != answer["error"] else message, remedy=answer["remedy"])
-    numbers = {name: _load(folder / f"{index}.npy") for index, name in enumerate(answer["numbers"])}
-    labels = {name: (_load(folder / "label.npy"), tuple(names)) for name, names in answer["labels"].items()}
+    numbers = {name: mapped(folder / f"{index}.npy") for index, name in enumerate(answer["numbers"])}
+    labels = {name: (mapped(folder / "label.npy"), tuple(names)) for name, names in answer["labels"].items()}
     return RawTable(
         path, numbers, labels, answer["rows"], answer["first_row"], answer["units"],
         tuple(Event(*event) for event in answer["events"]),
-        _load(folder / "rows.npy") if answer["row_numbers"] else None,
+        mapped(folder / "rows.npy") if answer["row_numbers"] else None,
     )  # fmt: skip
-
-
-def _load(path: Path) -> Any:
-    return np.load(path, allow_pickle=False)
 
 
 def _too_long(path: Path, seconds: float) -> DataError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,13 @@ from piga.records.array_columns import (
     vector,
 )
 from piga.records.limits import check_unpacked, extra_missing, first_line
+from piga.records.spool import Arrays
 from piga.records.table import RawTable
 
 PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
 """Filters that the HDF5 library itself brings; no plug-in is ever loaded."""
+PIECE_ROWS = 1 << 18
+"""Rows that are unpacked at a time; as many are held in memory in any case."""
 MAX_NAMES = 200
 MAX_CELL = 4096
 """Characters of one cell of text."""
@@ -98,10 +102,31 @@ def _read(source: Any, path: Path, name: str, budget: _Budget) -> tuple[NDArray,
             f"{path}: '{plain}' holds objects or references", remedy="store numbers or text in a plain dataset"
         )
     budget.take(int(item.size) * kind.itemsize)
+    if column is None and _is_line(item):
+        return _line(path, name, item), _unit(item)
     values = np.asarray(item[field] if field else item[...])
     if _text(item.attrs.get("MATLAB_class")):
         values = _characters(values) if _text(item.attrs.get("MATLAB_class")) == "char" else values.T
     return vector(path, name, values, column), _unit(item)
+
+
+def _is_line(item: Any) -> bool:
+    """One column of numbers, standing or lying."""
+    line = item.ndim == 1 or (item.ndim == 2 and 1 in item.shape)
+    return line and item.dtype.kind in "iuf" and _text(item.attrs.get("MATLAB_class")) != "char"
+
+
+def _line(path: Path, name: str, item: Any) -> NDArray:
+    """The numbers of a dataset of one column, read in pieces of whole chunks; a long one lies on disk."""
+    rows = max(PIECE_ROWS, *(item.chunks or (0,)))
+    found = Arrays(Path(tempfile.gettempdir())).growing(
+        np.float64 if item.dtype.kind == "f" else np.int64, PIECE_ROWS
+    )
+    for start in range(0, item.size, rows):
+        part = slice(start, start + rows)
+        piece = item[part] if item.ndim == 1 else item[0, part] if item.shape[0] == 1 else item[part, 0]
+        found.append(as_numbers(path, name, piece), item.size)
+    return found.finish()
 
 
 def _characters(values: NDArray) -> NDArray:

@@ -7,6 +7,7 @@ there is room.
 
 from __future__ import annotations
 
+import errno
 import math
 import mmap
 import os
@@ -113,6 +114,15 @@ class Arrays:
         return Growing(self.folder, np.dtype(dtype), most)
 
 
+def mapped(path: Path) -> NDArray[Any]:
+    """The array of an ``.npy`` file, mapped where files in use may be deleted, and looked after as all that is."""
+    found = np.load(path, allow_pickle=False, mmap_mode="r")
+    if os.name == "nt" or not isinstance(found, np.memmap):
+        return np.array(found)
+    with path.open("r+b") as stream:
+        return _map(stream.fileno(), 0, path.parent, found.shape, found.dtype, found.offset)
+
+
 def arrays_like(values: NDArray[Any]) -> Arrays:
     """Makes arrays of the kind that ``values`` is: in memory or mapped."""
     owner: Any = values
@@ -199,11 +209,18 @@ def _no_room(folder: Path | None, error: OSError) -> DataError:
     )
 
 
-def _map(number: int, size: int, folder: Path, shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    mapping = _Map(number, size)
+def _map(
+    number: int, size: int, folder: Path, shape: int | tuple[int, ...], dtype: DTypeLike, offset: int = 0
+) -> NDArray[Any]:
+    try:
+        mapping = _Map(number, size)
+    except OSError as error:
+        if error.errno == errno.ENOMEM:
+            raise MemoryError from None
+        raise
     mapping.folder = folder
     _watch.add(mapping)
-    return np.ndarray(shape, dtype, buffer=mapping)
+    return np.ndarray(shape, dtype, buffer=mapping, offset=offset)
 
 
 class _Watch:

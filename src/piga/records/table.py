@@ -29,11 +29,11 @@ class RawTable:
     events: tuple[Event, ...] = ()
     row_numbers: NDArray[np.int64] | None = None
 
-    def file_rows(self) -> NDArray[np.int64]:
-        """1-based file row of every data row (blank lines are counted, as an editor does)."""
+    def file_rows(self, part: slice) -> NDArray[np.int64]:
+        """1-based file rows of some data rows (blank lines are counted, as an editor does)."""
         if self.row_numbers is not None:
-            return self.row_numbers
-        return np.arange(self.first_row, self.first_row + self.rows, dtype=np.int64)
+            return np.array(self.row_numbers[part])
+        return np.arange(self.first_row + part.start, self.first_row + part.stop, dtype=np.int64)
 
 
 def column_letter(index: int) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from piga.compensation import Compensated
 from piga.records.calibration import Residuals
 from piga.records.run import Run
+from piga.records.spool import spans
 from piga.reports.decimate import envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.long_record import leading_part
@@ -87,12 +88,17 @@ def in_windows(residuals: Residuals) -> Residuals:
 
     A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
     """
-    index = residuals.segment
-    change = np.concatenate(([True], np.diff(index) != 0))
-    start = residuals.psi[change][np.cumsum(change) - 1]
-    window = np.floor((residuals.psi - start) / (2.0 * np.pi * WINDOW))
-    new = change | np.concatenate(([False], np.diff(window) != 0.0))
-    return replace(residuals, segment=np.cumsum(new).astype(np.int32))
+    segment = np.empty(residuals.psi.size, dtype=np.int32)
+    index_before, window_before, start, count = -1, 0.0, 0.0, 0
+    for part in spans(segment.size):
+        index, psi = residuals.segment[part], residuals.psi[part]
+        change = np.diff(index, prepend=index_before) != 0
+        starts = np.concatenate(([start], psi[change]))
+        window = np.floor((psi - starts[np.cumsum(change)]) / (2.0 * np.pi * WINDOW))
+        segment[part] = count + np.cumsum(change | (np.diff(window, prepend=window_before) != 0.0))
+        index_before, window_before = int(index[-1]), float(window[-1])
+        start, count = float(starts[-1]), int(segment[part][-1])
+    return replace(residuals, segment=segment)
 
 
 def error_figure(errors: Residuals) -> Figure:

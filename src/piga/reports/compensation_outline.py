@@ -92,7 +92,7 @@ class CompensationOutline:
         self.size, self.flagged, self.velocity, self.start = 0, 0, 0.0, math.nan
         self.squares = {"correction": 0.0, "u_ax": 0.0}
         self.counts = {"correction": 0, "u_ax": 0}
-        self._leading: list[tuple[NDArray, ...]] = []
+        self._leading, self._segments, self._taken = np.empty((3, SHOWN)), np.empty(SHOWN, np.int32), 0
         self._t, self._output, self._omega = 0.0, 0.0, 0.0
         self._psi, self._angle = 0.0, 0.0
         self._label, self._segment = "", -1
@@ -104,11 +104,10 @@ class CompensationOutline:
         turn, indicated, psi = self._indicated(chunk, (result.flags & FLAGS["no_increment"]) != 0)
         angle = self._angle + np.cumsum(turn - self.scale_factor * result.dv)
         self._angle = float(angle[-1])
-        taken = sum(part[0].size for part in self._leading)
-        if taken < SHOWN:
-            rows = slice(0, SHOWN - taken)
-            segment = np.full(chunk.t.size, self._segment, np.int32)
-            self._leading.append(tuple(a[rows].copy() for a in (chunk.t, psi, angle, segment)))
+        rows = slice(self._taken, min(self._taken + chunk.t.size, SHOWN))
+        for column, values in zip(self._leading, (chunk.t, psi, angle), strict=True):
+            column[rows] = values[: rows.stop - rows.start]
+        self._segments[rows], self._taken = self._segment, rows.stop
         if self.size == 0:
             self.start = float(chunk.t[0])
         self._count(chunk.t, indicated, result)
@@ -132,10 +131,11 @@ class CompensationOutline:
 
     def leading(self) -> Residuals:
         """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0."""
-        t, psi, angle, segment = (np.concatenate(column) for column in zip(*self._leading, strict=True))
-        nothing = np.zeros(t.size)
+        t, psi, angle = self._leading[:, : self._taken]
+        segment = self._segments[: self._taken]
+        nothing = np.broadcast_to(0.0, t.size)
         return Residuals(
-            np.arange(1, t.size + 1), t, psi, nothing, angle, nothing, nothing, segment.astype(np.int32)
+            np.arange(1, t.size + 1, dtype=np.int32), t, psi, nothing, angle, nothing, nothing, segment
         )
 
     def rms(self, name: str) -> float:
