@@ -150,6 +150,32 @@ def test_whitening_is_the_inverse_cholesky_factor() -> None:
     np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.parametrize(("white", "walk"), [(2e-10, 3e-3), (2e-10, 1e-12), (2e-10, 0.0), (0.0, 1e-4)])
+def test_weights_are_those_of_the_recursion(white: float, walk: float) -> None:
+    """Over many rows, with new stretches and samples left out, in blocks: ``v_n = q h_n + 2 r - r^2/v_(n-1)``."""
+    rng = np.random.default_rng(9)
+    h = rng.uniform(0.005, 0.02, 2000)
+    h[rng.integers(0, h.size, 9)] = 0.0
+    h[rng.integers(0, h.size, 50)] = -1.0
+    carry, scale, last = np.empty(h.size), np.empty(h.size), 0.0
+    for part in (slice(0, 701), slice(701, 702), slice(702, None)):
+        last = innovation_weights(h[part], white, walk, last, carry[part], scale[part])
+    before = 0.0
+    for i, step in enumerate(h):
+        if step < 0.0:
+            assert (carry[i], scale[i]) == (1.0, 0.0)
+            continue
+        if step == 0.0:
+            assert (carry[i], scale[i]) == (0.0, 0.0)
+            before = 0.0
+            continue
+        share = white / before if before > 0.0 else 0.0
+        before = walk * step + 2.0 * white - share * white
+        assert carry[i] == pytest.approx(share, rel=1e-11, abs=0.0)
+        assert scale[i] == pytest.approx(before**-0.5, rel=1e-11, abs=0.0)
+    assert last == pytest.approx(before, rel=1e-11)
+
+
 def test_likelihood_is_that_of_the_dense_covariance() -> None:
     rng = np.random.default_rng(6)
     h = rng.uniform(0.05, 0.2, 50)

@@ -197,3 +197,32 @@ def test_what_is_left_out_does_not_depend_on_the_blocks(seed: int, monkeypatch: 
     for start in np.flatnonzero(begins & (flags == 1)):
         later = start + int(np.argmax(flags[start:] != 1))
         assert whole.begins[later] or not (flags[start:] != 1).any()
+
+
+@pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
+def test_readings_that_stand_still_are_no_outliers(rate: float) -> None:
+    """A path of so many counts a sample: most readings repeat the one before."""
+    run = slow_counter(rate)
+    calibration = piga.calibrate(run, ["scale_factor"])
+    assert calibration.outliers == ()
+    assert abs(calibration["scale_factor"].value - G0) < 5.0 * calibration["scale_factor"].std
+
+
+@pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
+def test_spikes_are_found_among_readings_that_stand_still(rate: float) -> None:
+    run = slow_counter(rate)
+    bad, where = spiked(run, 12, 0.1, 0.05)
+    calibration = piga.calibrate(bad, ["scale_factor"])
+    assert sum(outlier.samples for outlier in calibration.outliers) == pytest.approx(where.size, rel=0.02)
+    assert abs(calibration["scale_factor"].value - G0) < 5.0 * calibration["scale_factor"].std
+
+
+def slow_counter(rate: float) -> piga.Run:
+    """20 000 samples of a path of ``rate`` counts a sample, swinging by half of it, read in whole counts."""
+    count, n = 1e-4, 20_000
+    t = 0.01 * np.arange(n)
+    f = np.zeros((n, 3))
+    f[:, 0] = rate * count / 0.01 * (1.0 + 0.5 * np.sin(0.1 * t))
+    alpha = np.append(0.0, np.cumsum(0.005 * (f[1:, 0] + f[:-1, 0])))
+    alpha += 0.05 * count * np.random.default_rng(5).standard_normal(n)
+    return piga.Run.from_arrays(t, count * np.round(alpha / count), f, scale_factor=1.0, resolution=count)

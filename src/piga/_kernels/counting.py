@@ -7,32 +7,48 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
+from piga._kernels.jit import kernel, reducing_kernel
+from piga._kernels.sine_cosine import fast_sine_cosine
 
 Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-6
 """Damping factor from which on higher harmonics are left out."""
+LANES = 64
+"""Samples whose waves are raised side by side."""
 
 
-@kernel
+@reducing_kernel
 def add_waves(turned: Array, first: int, edges: NDArray[np.int64], cosines: Array, sines: Array) -> None:
     """Add ``exp(2 pi i m turned)``, m = 1 .. M, of a path [counts] to sums over bins (M, bins).
 
-    The first sample is ``first`` rows behind the start from which ``edges`` (bins + 1,) are counted.
+    The first sample is ``first`` rows behind the start from which ``edges`` (bins + 1,) are counted. Samples of a bin
+    are worked on side by side, up to LANES of them.
     """
     harmonics = cosines.shape[0]
+    c, s, re, im = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
     at = np.searchsorted(edges, first, side="right") - 1
-    for j in range(turned.size):
+    j = 0
+    while j < turned.size:
         if first + j >= edges[at + 1]:
             at += 1
-        phase = 2.0 * math.pi * (turned[j] - math.floor(turned[j]))
-        c, s = math.cos(phase), math.sin(phase)
-        re, im = c, s
+            continue
+        lanes = min(LANES, turned.size - j, edges[at + 1] - first - j)
+        for k in range(lanes):
+            fraction = turned[j + k] - math.floor(turned[j + k])
+            s[k], c[k] = fast_sine_cosine(2.0 * math.pi * fraction)
+            re[k], im[k] = c[k], s[k]
         for m in range(harmonics):
-            cosines[m, at] += re
-            sines[m, at] += im
-            re, im = re * c - im * s, re * s + im * c
+            cosine, sine = 0.0, 0.0
+            for k in range(lanes):
+                cosine += re[k]
+                sine += im[k]
+                real = re[k] * c[k] - im[k] * s[k]
+                im[k] = re[k] * s[k] + im[k] * c[k]
+                re[k] = real
+            cosines[m, at] += cosine
+            sines[m, at] += sine
+        j += lanes
 
 
 @kernel

@@ -27,7 +27,7 @@ from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
-from piga.calibration.remarks import with_remarks
+from piga.calibration.remarks import find_remarks, with_remarks
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.revolutions import (
@@ -41,6 +41,7 @@ from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
+from piga.calibration.workers import beside
 from piga.errors import CalibrationError, DataError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
@@ -110,12 +111,14 @@ def calibrate(
     covariance = covariance + type_b
     coefficients = combined(coefficients, covariance, budget, type_a_degrees(fit, groups, per_segment))
     coefficients, tested = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
-    residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
-    history = _history(fit, groups) if request.method == "recursive" else None
-    scatter = segment_scatter(fit.design, residuals, fit.noise)
-    notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
-    result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
-    result = with_remarks(result, fit, groups, per_segment)
+    with beside(run.size) as other:
+        remarks = other.submit(find_remarks, fit, groups, per_segment, coefficients)
+        residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
+        history = _history(fit, groups) if request.method == "recursive" else None
+        scatter = segment_scatter(fit.design, residuals, fit.noise)
+        notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
+        result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+    result = with_remarks(result, fit, remarks.result())
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
 
 

@@ -27,13 +27,14 @@ from numpy.typing import NDArray
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.saw_tooth import HARMONICS, LOOKED, SawTooth, counting_covariances, follow, looks_white
 from piga.calibration.solution import Solution, solve
 from piga.calibration.stretches import (
-    HARMONICS,
     Stretch,
-    counting_covariances,
+    empty_stretches,
     find_stretches,
     modes_of,
+    most_modes,
     walk_covariance,
     white_covariance,
 )
@@ -64,6 +65,10 @@ WALKS_TRIED = 13
 """Random walks tried in each of three rounds, ever closer to the likely ones."""
 UNLIKELY = 18.0
 """Twice the loss of logarithmic probability beyond which a random walk is looked at no more."""
+LONG = 1 << 16
+"""Rows from which a look at the saw-tooth along the path comes first: one that is white costs nothing else."""
+SAME = 0.05
+"""Counts, over the number of harmonics, by which a path may move before it is followed again."""
 SPREADS = (0.5, 0.2)
 """Uncertainty of the path over a stretch [counts] in the first passes, when there is no estimate to trust."""
 
@@ -100,12 +105,16 @@ class Stretches:
             parts,
         )
 
-    def along(self, solution: Solution, groups: tuple[int, ...], noise: Noise, spread: float) -> Stretches:
-        """The same with the covariances of the counting along the path of a solution."""
-        counting = counting_covariances(
-            self.design, self.parts, self.count, solution, groups, noise.walk, spread
+    def along(self, path: Path, groups: tuple[int, ...], noise: Noise, spread: float) -> Stretches:
+        """The same with the covariances of the counting along a path."""
+        found = counting_covariances(path.teeth, path.solution, groups, noise.walk, spread)
+        return replace(self, counting=found)
+
+    def moved(self, change: Array) -> float:
+        """Largest angle [rad] by which changed column coefficients (segments, m) move the path of a stretch."""
+        return max(
+            float(np.abs(change[part.segment] @ part.mean(part.angle)[:-1]).max()) for part in self.parts
         )
-        return replace(self, counting=counting)
 
     def covariance(self, noise: Noise) -> Array:
         """Covariance of the rows (S, K, K) for noise besides the counting; white noise dithers the harmonics."""
@@ -113,6 +122,28 @@ class Stretches:
         kept = np.exp(-4.0 * np.pi**2 * order**2 * noise.white / self.count**2)
         lost = float(_shares(self.count) @ (1.0 - kept))
         return np.tensordot(kept, self.counting, 1) + noise.walk * self.walk + (noise.white + lost) * self.white
+
+
+@dataclass(frozen=True)
+class Path:
+    """The path of a solution, and the saw-tooth of the counting along it (or one that is nearly the same)."""
+
+    solution: Solution
+    teeth: list[SawTooth] = field(repr=False)
+    followed: Array
+
+    @classmethod
+    def of(cls, stretches: Stretches, solution: Solution) -> Path:
+        """The saw-tooth of every stretch, followed through the record."""
+        teeth = follow(stretches.design, stretches.parts, stretches.count, solution.values)
+        return cls(solution, teeth, solution.values)
+
+    def next(self, stretches: Stretches, solution: Solution) -> Path:
+        """The path of another solution; followed again only where it is another one."""
+        finest = max(len(tooth.cosines) for tooth in self.teeth)
+        if stretches.moved(solution.values - self.followed) < SAME * stretches.count / finest:
+            return replace(self, solution=solution)
+        return Path.of(stretches, solution)
 
 
 def _shares(count: float) -> Array:
@@ -154,7 +185,10 @@ def count_of(run: Run) -> float:
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
     steps = np.abs(np.diff(run.output[:4096]))
-    steps = steps[~run.begins[1 : steps.size + 1]]
+    formed = ~run.begins[1 : steps.size + 1]
+    if run.left_out is not None:
+        formed &= ~(run.left_out[: steps.size] | run.left_out[1 : steps.size + 1])
+    steps = steps[formed]
     different = np.unique(np.round(steps, 12))
     if different.size < 2 or different.size > steps.size // 8:
         return 0.0
@@ -164,26 +198,23 @@ def count_of(run: Run) -> float:
 
 
 def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
-    """The same fit with the covariance of its coarse counts; unchanged where plain whitening is right.
-
-    A record with samples left out keeps the plain whitening: its stretches have holes.
-    """
+    """The same fit with the covariance of its coarse counts; unchanged where plain whitening is right."""
     design, count = fit.design, count_of(fit.design.run)
     step = design.run.median_step
     dithered = fit.noise.white > WHITE * count**2 or fit.noise.walk * step > WALKS * count**2
     if fit.mode != "increments" or count == 0.0 or dithered or design.request.angle_rms is not None:
         return fit
-    if design.run.left_out is not None:
-        return fit
     modes = modes_of(design)
-    if modes < 3:
+    if modes < 3 or (design.run.size > LONG and _is_white(fit, modes, count)):
         return fit
     stretches = Stretches.of(design, modes, count)
     solution, noise = fit.solution, Noise(0.0, 0.0)
+    path = Path.of(stretches, solution)
     for index in range(PASSES):
         spread = SPREADS[index] if index < len(SPREADS) else 0.0
         dither = noise if index >= TRUSTED else Noise(0.0, 0.0)
-        stretches = stretches.along(solution, groups, dither, spread)
+        path = path.next(stretches, solution)
+        stretches = stretches.along(path, groups, dither, spread)
         before = noise
         rows = _rows(stretches, solution.values if max(groups) else None)
         noise, walks = _levels(rows, stretches, noise.white, again=index == TRUSTED)
@@ -202,6 +233,14 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         covariance=solution.covariance,
         counted=counted,
     )
+
+
+def _is_white(fit: Fit, modes: int, count: float) -> bool:
+    """True where the saw-tooth along the path of the plain fit is white."""
+    run = fit.design.run
+    most = min(LOOKED // int(np.count_nonzero(run.begins)), most_modes(run))
+    stretches = empty_stretches(run, max(modes, most), 0)
+    return looks_white(follow(fit.design, stretches, count, fit.solution.values))
 
 
 def _rows(stretches: Stretches, values: Array | None) -> Array:

@@ -53,6 +53,16 @@ class Block:
     h: Array
     columns: Array
 
+    def joins(self, count: int) -> tuple[NDArray[np.int64], Array]:
+        """Where every ``count`` rows joined start, and their intervals (0: a stretch begins, -1: nothing is left)."""
+        begins = self.h == 0.0
+        first = begins.copy()
+        first[1:] |= begins[:-1]
+        first[::count] = True
+        starts = np.flatnonzero(first)
+        h = np.add.reduceat(np.maximum(self.h, 0.0), starts)
+        return starts, np.where((h == 0.0) & (self.h[starts] != 0.0), -1.0, h)
+
 
 @dataclass
 class Design:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from piga.calibration.candidate_columns import candidate_sums, candidate_terms
 from piga.calibration.coefficients import name_coefficients
-from piga.calibration.design import Block
 from piga.calibration.fit import Fit
 from piga.calibration.reduction import solve_upper
 from piga.calibration.segment_parts import has_phases, parameter_rows
@@ -149,7 +148,7 @@ def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
     whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1)
     for block in design.blocks():
         values = fit.solution.values[block.segment]
-        starts, h = _joins(block, count)
+        starts, h = block.joins(count)
         model = np.add.reduceat(block.columns, starts, axis=1)
         others = np.stack(candidate_sums(fit, block, extra, starts, step))
         columns = np.vstack([model[:-1], others, model[-1] - values @ model[:-1]])
@@ -168,17 +167,6 @@ def _joined(fit: Fit) -> int:
     step = float(np.quantile(turn, 0.9)) / every
     most = WIDEST / step if step > 0.0 else math.inf
     return max(1, min(math.ceil(fit.design.rows / ROWS), int(min(most, 1e6))))
-
-
-def _joins(block: Block, count: int) -> tuple[NDArray[np.int64], Array]:
-    """Where joined rows start, and their intervals (0 where a stretch begins, -1 where nothing is left)."""
-    begins = block.h == 0.0
-    first = begins.copy()
-    first[1:] |= begins[:-1]
-    first[::count] = True
-    starts = np.flatnonzero(first)
-    h = np.add.reduceat(np.maximum(block.h, 0.0), starts)
-    return starts, np.where((h == 0.0) & (block.h[starts] != 0.0), -1.0, h)
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:

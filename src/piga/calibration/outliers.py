@@ -21,7 +21,7 @@ from piga.calibration.solution import solve
 from piga.calibration.weighting import Whitener, residual_increments
 from piga.errors import DataError
 from piga.records.run import Run
-from piga.records.spool import arrays_like, spans, steps
+from piga.records.spool import arrays_like, gathered, spans, steps
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -36,8 +36,13 @@ NARROW = 0.6
 """Core of the residual increments over their spread from which bad samples are suspected; 1 for normal noise."""
 LEAST = 1e-7
 """Smallest miss [rad, or rad/s] that makes a sample bad: 0.02 arcsec, finer than any readout."""
+COUNTS = 1.5
+"""Counts by which a sample must miss to be bad: one that toggles on a path known to half a count is not."""
 PAIRS, SMOOTH = 100, 0.8
 """Neighbouring bad increments, and the share of them that miss to the same side, from which the model is at fault."""
+MOVED, PARTS, LOOKED = 3.0, 8, 4096
+"""Counts by which a reading shall move between the ends of an increment of the robust fit, increments of that kind that
+a stretch must have, samples looked at."""
 SAMPLE = 500_000
 """Increments that medians are taken of at most."""
 
@@ -130,13 +135,35 @@ def robust_values(design: Design, groups: tuple[int, ...]) -> Array:
 
 
 def _thinned(design: Design) -> list[tuple[int, Array]]:
-    """Columns of at most about ROWS increments, each divided by the root of its interval; with their segment."""
-    every = max(1, design.rows // ROWS)
+    """Columns of at most about ROWS increments, each divided by the root of its interval; with their segment.
+
+    Increments of a reading that mostly stands still are joined first: nothing moves their median.
+    """
+    count = 1 if design.point else _joined(design.run)
+    every = max(1, design.rows // count // ROWS)
     parts = []
     for block in design.blocks():
-        formed = np.flatnonzero(block.h > 0.0)[::every]
-        parts.append((block.segment, block.columns[:, formed] / np.sqrt(block.h[formed])))
+        starts, h = block.joins(count)
+        formed = np.flatnonzero(h > 0.0)[::every]
+        columns = block.columns if count == 1 else np.add.reduceat(block.columns, starts, axis=1)
+        parts.append((block.segment, columns[:, formed] / np.sqrt(h[formed])))
     return parts
+
+
+def _joined(run: Run) -> int:
+    """Increments to be joined so that the reading moves by MOVED counts in half of them; within a stretch."""
+    least, starts = MOVED * resolution_of(run), np.flatnonzero(run.begins)
+    longest = int(np.median(np.diff(np.append(starts, run.size)))) // PARTS
+    at = np.unique(np.linspace(0, run.size - 1, LOOKED).astype(np.int64))
+    stretch = np.searchsorted(starts, at, side="right")
+    before, count = gathered(run.output, at), 1
+    while least > 0.0 and 2 * count <= longest:
+        after = np.minimum(at + count, run.size - 1)
+        inside = (np.searchsorted(starts, after, side="right") == stretch) & (after > at)
+        if np.median(np.abs(gathered(run.output, after) - before)[inside]) >= least:
+            break
+        count *= 2
+    return count
 
 
 def _miss(columns: Array, values: Array) -> Array:
@@ -212,7 +239,7 @@ def find_flags(misses: Misses, noise: Noise, resolution: float) -> Flags:
         for rows in spans(flags.size):
             flags[rows] = np.abs(misses.d[rows]) > largest
     else:
-        floor = max(1.05 * resolution, LEAST)
+        floor = max(COUNTS * resolution, LEAST)
         scan_samples(misses.d, misses.h, noise.white, noise.walk, bound, floor, flags)
     return flags
 

@@ -8,7 +8,8 @@ in the noise, which joins the segments and takes up what a missing term leaves; 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 from piga.calibration.advice import advise, looks_wrong
 from piga.calibration.fit import Fit
@@ -16,32 +17,51 @@ from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
 from piga.calibration.noise import Noise
 from piga.calibration.weighting import reduce_segments
-from piga.records.calibration import Calibration
+from piga.records.calibration import Calibration, Coefficient
 
 
-def with_remarks(result: Calibration, fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Calibration:
-    """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes.
+@dataclass(frozen=True)
+class Remarks:
+    """Diagnostics of leverage, its remarks on single segments and on moved coefficients, and terms suggested."""
+
+    diagnostics: dict[str, Any]
+    alone: tuple[str, ...]
+    moved: tuple[str, ...]
+    missing: tuple[dict[str, Any], ...]
+
+
+def find_remarks(
+    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
+) -> Remarks:
+    """What the fit behind a result says: it needs neither its residuals nor the rest of it.
 
     Parameters
     ----------
-    result:
-        The finished calibration of one run.
     fit, groups, per_segment:
-        The fit behind it, the phase group of every segment, and whether each has its own.
+        The fit, the phase group of every segment, and whether each has its own.
+    coefficients:
+        Those of the result, with combined standard uncertainties.
     """
-    drifts = fit.noise.drift > 0.0
-    fit = _without_drift(fit) if drifts else fit
-    found, alone, moved = find_leverage(fit, groups, per_segment, result.coefficients)
+    fit = _without_drift(fit) if fit.noise.drift > 0.0 else fit
+    found, alone, moved = find_leverage(fit, groups, per_segment, coefficients)
+    return Remarks(found, alone, moved, suggest_terms(fit, groups, per_segment, coefficients))
+
+
+def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration:
+    """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes."""
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
-    missing = () if advice else suggest_terms(fit, groups, per_segment, result.coefficients)
+    missing = () if advice else remarks.missing
+    found = dict(remarks.diagnostics)
     if advice:
         found |= {"advice": list(advice)}
     if missing:
         found |= {"missing_terms": list(missing)}
-    also = "; the bias drift found may be the same effect" if drifts else ""
+    also = "; the bias drift found may be the same effect" if fit.noise.drift > 0.0 else ""
     suggested = tuple(words + also for words in suggestions_in_words(missing))
-    cause = (*advice, *suggested) or moved
-    return replace(result, notes=(*cause, *result.notes, *alone), diagnostics=result.diagnostics | found)
+    cause = (*advice, *suggested) or remarks.moved
+    return replace(
+        result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=result.diagnostics | found
+    )
 
 
 def _without_drift(fit: Fit) -> Fit:

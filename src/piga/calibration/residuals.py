@@ -19,6 +19,7 @@ from piga.records.spool import arrays_like, extent, mean, means, spans, square_s
 from piga.units import G0
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
 def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Residuals:
@@ -71,20 +72,27 @@ def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
     """Running sum of increments, with the mean of every stretch taken off; in place."""
     stretches = max(int(np.count_nonzero(begins)), 1)
     sums, counts = np.zeros(stretches), np.zeros(stretches)
-    total, last = 0.0, -1
-    for part in spans(increments.size):
+    total = 0.0
+    for part, starts, sizes, index in _stretch_parts(begins):
         increments[part.start] += total
         increments[part] = np.cumsum(increments[part])
         total = float(increments[part.stop - 1])
-        index = np.maximum(last + np.cumsum(begins[part]), 0)
-        low, last = int(index[0]), int(index[-1])
-        sums[low : last + 1] += np.bincount(index - low, weights=increments[part])
-        counts[low : last + 1] += np.bincount(index - low)
+        sums[index] += np.add.reduceat(increments[part], starts)
+        counts[index] += sizes
+    for part, _, sizes, index in _stretch_parts(begins):
+        increments[part] -= np.repeat(sums[index] / counts[index], sizes)
+
+
+def _stretch_parts(begins: NDArray[np.bool_]) -> Iterator[tuple[slice, Integers, Integers, Integers]]:
+    """Spans of a record, where the parts of stretches in each start, their sizes, and which stretches they are."""
     last = -1
-    for part in spans(increments.size):
-        index = np.maximum(last + np.cumsum(begins[part]), 0)
+    for part in spans(begins.size):
+        starts = np.flatnonzero(begins[part])
+        index = last + 1 + np.arange(starts.size)
+        if starts.size == 0 or starts[0] > 0:
+            starts, index = np.append(0, starts), np.append(last, index)
         last = int(index[-1])
-        increments[part] -= sums[index] / counts[index]
+        yield part, starts, np.diff(np.append(starts, part.stop - part.start)), np.maximum(index, 0)
 
 
 def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary, ...]:
@@ -208,8 +216,12 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
 
 def _formed(innovation: Array) -> Array:
     """Whitened residuals of the increments that were formed."""
-    kept = arrays_like(innovation).growing()
+    kept: Array = arrays_like(innovation).empty(
+        sum(int(np.count_nonzero(innovation[part])) for part in spans(innovation.size))
+    )
+    at = 0
     for part in spans(innovation.size):
-        kept.append(innovation[part][innovation[part] != 0.0])
-    found: Array = kept.finish()
-    return found
+        formed = innovation[part][innovation[part] != 0.0]
+        kept[at : at + formed.size] = formed
+        at += formed.size
+    return kept

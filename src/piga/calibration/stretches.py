@@ -8,38 +8,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.counting import add_waves, saw_tooth_covariance
 from piga.calibration.design import Block, Design
-from piga.calibration.solution import Solution
+from piga.records.run import Run
+from piga.records.spool import extent
 
 Array = NDArray[np.float64]
 
-LEAST = 8
-"""Samples of a stretch that is used at all."""
-HARMONICS = 8
-"""Harmonics of the saw-tooth that white noise damps one by one."""
-FINE, SHORT = 24, 10_000
-"""Harmonics followed in stretches up to so many samples (else those above); the rest counts as white."""
+LEAST, LOST = 8, 0.01
+"""Samples of a stretch that is used at all; share of all samples up to which short stretches are not."""
 MODES = 24
 """Cosines per stretch at least; four more per turn of the output and order of the model."""
 MOST_MODES = 160
-MOST_DAMPED = 0.5
-"""Damping by the errors of the estimate that is taken out at most, as a share of that by the random walk."""
-SLOW, FINEST = 4.0, 96
-"""Counts in a stretch up to which so many harmonics of the saw-tooth are followed."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows ``start`` to ``stop`` of a segment, bin edges counted from ``start``, contrasts (K, bins).
+    """Rows ``start`` to ``stop`` of a segment, bin edges counted in its good samples, contrasts (K, bins).
 
-    Filled by one pass over the record: sums over the bins of the angle columns (m + 1, bins) and of the time, the
-    angle columns at the end, the first and last time [s], the least and largest reading since the start [rad].
+    ``limits`` are the first and last time [s], ``span`` is largest less least reading [rad]. Filled by one pass over
+    the record: sums over the bins of the angle columns (m + 1, bins) and of the time, the angle columns at the end.
     """
 
     segment: int
@@ -50,23 +42,24 @@ class Stretch:
     angle: Array
     time: Array
     end: Array
-    limits: Array = field(default_factory=lambda: np.zeros(2))
-    span: Array = field(default_factory=lambda: np.zeros(2))
+    limits: tuple[float, float]
+    span: float
 
     @classmethod
-    def of(cls, segment: int, start: int, stop: int, modes: int, columns: int) -> Stretch:
-        """An empty one."""
-        bins = min(stop - start, 4 * modes)
-        edges = np.linspace(0, stop - start, bins + 1).astype(np.int64)
+    def of(cls, run: Run, start: int, stop: int, size: int, modes: int, columns: int) -> Stretch:
+        """An empty one of ``size`` good samples."""
+        bins = min(size, 4 * modes)
+        edges = np.linspace(0, size, bins + 1).astype(np.int64)
+        least, most = extent(run.output[start:stop])
         return cls(
-            segment, start, stop, edges, _contrasts(modes, bins), np.zeros((columns, bins)), np.zeros(bins),
-            np.zeros(columns),
+            int(run.segment[start]), start, stop, edges, _contrasts(modes, bins), np.zeros((columns, bins)),
+            np.zeros(bins), np.zeros(columns), (float(run.t[start]), float(run.t[stop - 1])), most - least,
         )  # fmt: skip
 
     @property
     def size(self) -> int:
-        """Number of samples."""
-        return self.stop - self.start
+        """Number of good samples."""
+        return int(self.edges[-1])
 
     @property
     def rows(self) -> Array:
@@ -78,7 +71,7 @@ class Stretch:
         return sums / np.diff(self.edges)
 
     def add(self, sums: Array, first: int, values: Array) -> None:
-        """Add samples (.., n), the first one ``first`` rows behind the start, to sums over the bins."""
+        """Add good samples (.., n) behind the first ``first`` ones to sums over the bins."""
         low = int(np.searchsorted(self.edges, first, side="right")) - 1
         high = int(np.searchsorted(self.edges, first + values.shape[-1], side="left"))
         cuts = np.maximum(self.edges[low:high] - first, 0)
@@ -88,63 +81,91 @@ class Stretch:
 def modes_of(design: Design) -> int:
     """Contrasts per stretch: enough for the ripple of the fastest one, no more than the shortest allows; 0: none."""
     run = design.run
-    starts = np.flatnonzero(run.begins)
-    lengths = np.diff(np.append(starts, run.size))
-    ends = starts + lengths - 1
-    turns = float(np.abs(run.output[ends] - run.output[starts]).max()) / (2.0 * math.pi)
+    starts, stops, _ = _limits(run)
+    turns = float(np.abs(run.output[stops - 1] - run.output[starts]).max()) / (2.0 * math.pi)
     order = max((1, *design.request.harmonics))
-    usable = lengths[lengths >= LEAST]
-    if usable.size == 0:
-        return 0
-    return int(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, usable.min() - 2))
+    return max(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, most_modes(run)), 0)
+
+
+def most_modes(run: Run) -> int:
+    """Contrasts that the stretches of a record have, the shortest left out that hold a hundredth of its samples."""
+    sizes = np.sort(_limits(run)[2])
+    usable = sizes[(np.cumsum(sizes) > LOST * sizes.sum()) & (sizes >= LEAST)]
+    return int(usable.min()) - 2 if usable.size else 0
+
+
+def _limits(run: Run) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """First row of every stretch, the row behind it, and its number of good samples."""
+    starts = np.flatnonzero(run.begins)
+    stops = np.append(starts[1:], run.size)
+    if run.left_out is None:
+        return starts, stops, stops - starts
+    bad = [int(np.count_nonzero(run.left_out[a:b])) for a, b in zip(starts, stops, strict=True)]
+    return starts, stops, stops - starts - np.array(bad)
+
+
+def empty_stretches(run: Run, modes: int, columns: int) -> list[Stretch]:
+    """All stretches long enough for so many contrasts."""
+    return [
+        Stretch.of(run, int(start), int(stop), int(size), modes, columns)
+        for start, stop, size in zip(*_limits(run), strict=True)
+        if size >= max(LEAST, modes + 2)
+    ]
 
 
 def find_stretches(design: Design, modes: int) -> list[Stretch]:
-    """All stretches of at least :data:`LEAST` samples with the sums of their angle columns."""
-    run = design.run
-    starts = np.flatnonzero(run.begins)
-    found = [
-        Stretch.of(int(run.segment[start]), int(start), int(stop), modes, len(design.names) + 1)
-        for start, stop in zip(starts, np.append(starts[1:], run.size), strict=True)
-        if stop - start >= LEAST
-    ]
-    for stretch, first, angle in _pieces(design, found):
-        at = stretch.start + first
-        t = np.asarray(run.t[at : at + angle.shape[1]])
+    """The stretches of a record with the sums of their angle columns."""
+    found = empty_stretches(design.run, modes, len(design.names) + 1)
+    for stretch, first, rows, angle in angle_pieces(found, ((b, b.columns) for b in design.blocks())):
         stretch.add(stretch.angle, first, angle)
-        stretch.add(stretch.time, first, t)
+        stretch.add(stretch.time, first, np.asarray(design.run.t[rows]))
         stretch.end[:] = angle[:, -1]
-        reading = run.output[at : at + t.size] - run.output[stretch.start]
-        stretch.span[:] = min(stretch.span[0], reading.min()), max(stretch.span[1], reading.max())
-        if first == 0:
-            stretch.limits[0] = t[0]
-        stretch.limits[1] = t[-1]
     return found
 
 
-def _pieces(design: Design, stretches: list[Stretch]) -> Iterator[tuple[Stretch, int, Array]]:
-    """Stretch, rows behind its start, and angle columns (m + 1, n) since its start, in order."""
-    index, carry = 0, np.zeros(len(design.names) + 1)
-    for block in design.blocks():
-        start, columns = _from_zero(block)
+def angle_pieces(
+    stretches: list[Stretch], parts: Iterator[tuple[Block, Array]]
+) -> Iterator[tuple[Stretch, int, NDArray[np.int64] | slice, Array]]:
+    """Stretch, its good samples before, rows of the next ones, and angles (.., n) there since its start, in order.
+
+    ``parts`` are the blocks of a record with the increments (.., n) to be summed.
+    """
+    index, carry, seen = 0, np.zeros(0), 0
+    for block, increments in parts:
+        start, columns = _from_zero(block, increments)
         while index < len(stretches) and stretches[index].start < block.stop:
             stretch = stretches[index]
             low, high = max(stretch.start, start), min(stretch.stop, block.stop)
-            angle = np.cumsum(columns[:, low - start : high - start], axis=1)
+            angle = np.cumsum(columns[..., low - start : high - start], axis=-1)
             if low > stretch.start:
-                angle += carry[:, None]
-            yield stretch, low - stretch.start, angle
+                angle += carry
+            else:
+                seen = 0
+            rows, good = _good(block, low, high)
+            if angle[..., good].size:
+                yield stretch, seen, rows, angle[..., good]
+            seen += angle[..., good].shape[-1]
             if high < stretch.stop:
-                carry = angle[:, -1].copy()
+                carry = angle[..., -1:].copy()
                 break
             index += 1
 
 
-def _from_zero(block: Block) -> tuple[int, Array]:
-    """First row and columns of a block; the first row of all, which ends no increment, is put before."""
+def _good(block: Block, low: int, high: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64] | slice]:
+    """Good samples among rows ``low`` to ``high``, counted in the record and from ``low``."""
+    left_out = block.h[max(low - block.start, 0) : high - block.start] < 0.0
+    if not left_out.any():
+        return slice(low, high), slice(None)
+    rows = np.flatnonzero(~left_out) + max(low, block.start)
+    rows = np.append(low, rows) if low < block.start else rows
+    return rows, rows - low
+
+
+def _from_zero(block: Block, increments: Array) -> tuple[int, Array]:
+    """First row and increments of a block; the first row of all, which ends no increment, is put before."""
     if block.start != 1:
-        return block.start, block.columns
-    return 0, np.concatenate([np.zeros((block.columns.shape[0], 1)), block.columns], axis=1)
+        return block.start, increments
+    return 0, np.concatenate([np.zeros_like(increments[..., :1]), increments], axis=-1)
 
 
 def _contrasts(modes: int, bins: int) -> Array:
@@ -165,81 +186,3 @@ def walk_covariance(stretch: Stretch) -> Array:
 def white_covariance(stretch: Stretch) -> Array:
     """Covariance of the contrasts by white noise of unit variance."""
     return (stretch.contrasts / np.diff(stretch.edges)) @ stretch.contrasts.T
-
-
-class Counting:
-    """The saw-tooth of the counts along the path of a stretch, gathered block by block.
-
-    The path wanders by a random walk of ``walk`` [counts^2/s]: what is out of phase by then is not correlated. A
-    line along it is uncertain by a further ``spread`` [counts^2] at the ends against each other; a negative one takes
-    away damping that is already in the path. Harmonics beyond those followed are white.
-    """
-
-    def __init__(self, stretch: Stretch, count: float, spread: float, walk: float) -> None:
-        self.stretch, self.count, self.spread, self.walk = stretch, count, spread, walk
-        followed = FINE if stretch.size <= SHORT else HARMONICS
-        if float(np.ptp(stretch.span)) < SLOW * count:
-            followed = FINEST
-        self.cosines = np.zeros((followed, stretch.time.size))
-        self.sines = np.zeros_like(self.cosines)
-
-    def add(self, first: int, turned: Array) -> None:
-        """Add samples of the path since the start [counts]."""
-        add_waves(turned, first, self.stretch.edges, self.cosines, self.sines)
-
-    def covariance(self) -> Array:
-        """Covariance of the contrasts by each harmonic of the counting, and all others (M + 1, K, K)."""
-        stretch, phi = self.stretch, self.stretch.contrasts
-        followed, bins = self.cosines.shape
-        power: Array = self.count**2 / (2.0 * np.pi**2 * np.arange(1.0, followed + 1.0) ** 2)
-        times = stretch.mean(stretch.time)
-        ramp = times / (stretch.limits[1] - stretch.limits[0])
-        found = np.zeros((HARMONICS + 1, bins, bins))
-        saw_tooth_covariance(
-            stretch.mean(self.cosines),
-            stretch.mean(self.sines),
-            power,
-            times,
-            ramp,
-            self.walk,
-            self.spread,
-            found,
-        )
-        found[-1].flat[:: bins + 1] += (self.count**2 / 12.0 - float(power.sum())) / np.diff(stretch.edges)
-        return phi @ found @ phi.T
-
-
-def counting_covariances(
-    design: Design,
-    stretches: list[Stretch],
-    count: float,
-    solution: Solution,
-    groups: tuple[int, ...],
-    walk: float,
-    spread: float,
-) -> Array:
-    """Covariances (M + 1, S, K, K) by the counting along the path that a solution gives.
-
-    ``walk`` [rad^2/s] is the random walk, ``spread`` [counts] what the path is uncertain by beside the solution.
-    """
-    gathered = {s.start: _counting_of(s, count, solution, groups, walk, spread) for s in stretches}
-    run = design.run
-    for stretch, first, angle in _pieces(design, stretches):
-        rows = slice(stretch.start + first, stretch.start + first + angle.shape[1])
-        residual = angle[-1] - solution.values[stretch.segment] @ angle[:-1]
-        gathered[stretch.start].add(first, (run.output[rows] - run.output[stretch.start] - residual) / count)
-    return np.stack([gathered[s.start].covariance() for s in stretches], axis=1)
-
-
-def _counting_of(
-    stretch: Stretch, count: float, solution: Solution, groups: tuple[int, ...], walk: float, spread: float
-) -> Counting:
-    """Nothing gathered yet, with what the path is uncertain by.
-
-    Waves along estimated paths are on average already damped by the errors of the estimates: that is taken out again.
-    """
-    jacobian = solution.jacobians[groups[stretch.segment]]
-    far = stretch.end[:-1]
-    damped = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-    most = MOST_DAMPED * walk * float(stretch.limits[1] - stretch.limits[0])
-    return Counting(stretch, count, spread**2 - min(damped, most) / count**2, walk / count**2)

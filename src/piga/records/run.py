@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,7 @@ class Run:
         """Sum of the recorded intervals [s], gaps and moves left out."""
         return float(sum(step.sum() for step in self._steps_inside()))
 
-    @property
+    @cached_property
     def median_step(self) -> float:
         """Median interval inside stretches [s]; 0 when there is none."""
         return exact_median(self._steps_inside)
