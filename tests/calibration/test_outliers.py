@@ -111,6 +111,22 @@ def test_rate_log() -> None:
     assert calibration.angle_random_walk == pytest.approx(1e-6, rel=0.03)
 
 
+@pytest.mark.parametrize("size", [30.0, 300.0, -5e4])
+@pytest.mark.parametrize("bad", [1, 30])
+def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> None:
+    """Their integral is radians: with it the coupling of the rest of the log would be at another phase."""
+    t = 0.1 * np.arange(600)
+    f = G0 * np.column_stack([0.2 + np.cos(0.05 * t), np.sin(0.05 * t), 0.3 + 0.0 * t])
+    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA, alpha0=0.5), t, f, with_rate=True)
+    rng = np.random.default_rng(3)
+    rate += 1e-6 * rng.standard_normal(t.size)
+    rate[rng.choice(np.arange(200, 500), bad, replace=False)] += size
+    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
+    assert sum(o.samples for o in calibration.outliers) == bad
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), rel=2e-3)
+
+
 def test_clean_records_stay_whole() -> None:
     """20 records, 96 000 good samples: fewer than 5 are left out (1 expected)."""
     lost = 0

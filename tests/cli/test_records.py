@@ -103,6 +103,10 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
         (["list", "--store", "text.txt"], "no SQLite database"),
         (["show", "77", "--store", "a.sqlite"], "no record 77"),
         (["show", "first", "--store", "a.sqlite"], "is no record"),
+        (
+            ["show", "1", "--store", "a.sqlite", "--extract", "text.txt"],
+            "--extract text.txt: the directory cannot be",
+        ),
         (["verify"], "nothing to verify"),
         (["verify", "--store", "bad.sqlite"], "damaged"),
         (["verify", "--store", "a.sqlite", "--head", "12"], "head 12: is not in this chain"),

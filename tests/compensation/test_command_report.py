@@ -151,6 +151,38 @@ def test_memory_is_bounded_and_extremes_are_kept():
     assert {len(series.arrays()[0]) for series in flag_figure(found).panels[0].series} == {2, warm.row.size}
 
 
+@pytest.mark.parametrize(
+    ("option", "more"),
+    [("--report", ()), ("--out", ()), ("--out", ("--resume",))],
+)
+def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option, more):
+    monkeypatch.setattr(command_module, "STREAM_ROWS", 0)
+    run, bad = write(tmp_path), tmp_path / "none" / ("page.html" if option == "--report" else "x.parquet")
+    code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *more, option, bad)
+    assert code == 2
+    assert f"{bad}: cannot be written (No such file or directory)" in err
+    assert f"choose another {option}" in err
+
+
+def test_a_report_of_a_set_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys):
+    runs = [
+        write(tmp_path, f"{name}.parquet", axes=np.roll(np.eye(3), -i, axis=0)) for i, name in enumerate("xyz")
+    ]
+    words = [word for run in runs for word in ("--calibration", run.with_suffix(".json"))]
+    code, _, err = command(
+        monkeypatch,
+        capsys,
+        *runs,
+        *words,
+        "--out",
+        tmp_path / "o.parquet",
+        "--report",
+        tmp_path / "none" / "p.html",
+    )
+    assert code == 2
+    assert "choose another --report" in err
+
+
 def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):
     run = write(tmp_path)
     for words, says in (

@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from piga.compensation import warm_up
@@ -53,3 +56,14 @@ def test_a_process_that_has_grown_leaves_when_a_kernel_is_done(monkeypatch):
 
 def test_memory_of_this_process_is_told_in_bytes():
     assert 20e6 < warm_up._memory() < 100e9 or os.name == "nt"
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="elsewhere the caller's memory is not told apart"
+)
+def test_memory_of_the_caller_is_not_counted():
+    """A process is born with what its caller held in its resource usage: it would leave after every kernel."""
+    held = np.ones(50_000_000)
+    words = [sys.executable, "-c", "from piga.compensation import warm_up; print(warm_up._memory())"]
+    found = int(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+    assert 20e6 < found < held.nbytes - 50e6

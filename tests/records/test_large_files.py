@@ -33,7 +33,7 @@ def warm():
     run = piga.Run.from_arrays(t, np.cumsum(1e-3 * 0.0906 * f[:, 0]) + 1e-6 * np.sin(9 * t), f, scale_factor="0.8884 rad/s/g")
     piga.calibrate(run, ["scale_factor", "k0"])
 
-raw_columns.LARGE_BYTES = int(sys.argv[2])
+raw_columns.LARGE_ROWS = int(sys.argv[2])
 warm()
 peak, done = [private()], False
 def watch():

@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyarrow import csv, parquet
 
 import piga
-from piga.records import raw_columns, spool
+from piga.records import raw_columns, spool, text_source
 from tests.records.files import lines, write_log, write_run
 
 
 @pytest.fixture
 def run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(raw_columns, "LARGE_BYTES", 100)
+    monkeypatch.setattr(raw_columns, "LARGE_ROWS", 100)
     monkeypatch.setattr(spool, "BLOCK", 64)
     rows = lines(900)
     rows[300] = rows[300].replace("1.0", "NaN")
@@ -61,7 +62,7 @@ def test_the_same_record(
     run_file: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[pytest.MonkeyPatch], None]
 ) -> None:
     with pytest.MonkeyPatch.context() as whole:
-        whole.setattr(raw_columns, "LARGE_BYTES", 1 << 40)
+        whole.setattr(raw_columns, "LARGE_ROWS", 1 << 40)
         plain = piga.read_run(run_file)
     change(monkeypatch)
     run = piga.read_run(run_file)
@@ -71,6 +72,27 @@ def test_the_same_record(
         np.testing.assert_array_equal(getattr(run, name), getattr(plain, name))
     assert run.quality == plain.quality
     assert sorted(path.name for path in run_file.parent.iterdir()) == ["run.csv", "run.toml"]
+
+
+@pytest.mark.parametrize(("most", "on_disk"), [(0, True), (450, True), (899, True), (900, False)])
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_rows_decide_what_is_on_disk(
+    run_file: Path, monkeypatch: pytest.MonkeyPatch, most: int, on_disk: bool, kind: str
+) -> None:
+    """Not bytes; wherever in the file the row is met that is one too many, and whatever was expected."""
+    if kind == "parquet":
+        data = run_file.with_name("run.csv")
+        parquet.write_table(csv.read_csv(data), data.with_suffix(".parquet"), compression="zstd")
+        run_file.write_text(run_file.read_text().replace("run.csv", "run.parquet"))
+    monkeypatch.setattr(raw_columns, "LARGE_ROWS", 1 << 40)
+    plain = piga.read_run(run_file)
+    monkeypatch.setattr(raw_columns, "LARGE_ROWS", most)
+    for piece in (500, 1 << 20):
+        monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
+        run = piga.read_run(run_file)
+        assert (spool.arrays_like(run.t).folder is not None) == on_disk
+        for name in ("t", "output", "f", "segment", "row", "begins"):
+            np.testing.assert_array_equal(getattr(run, name), getattr(plain, name))
 
 
 def test_no_room_for_the_columns(run_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,7 +58,7 @@ def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: p
         monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
         monkeypatch.setattr(spool, "BLOCK", block)
         assert_same(whole, outcome(path))
-    monkeypatch.setattr(raw_columns, "LARGE_BYTES", 0)
+    monkeypatch.setattr(raw_columns, "LARGE_ROWS", 0)
     assert_same(whole, outcome(path))
 
 
@@ -84,7 +84,7 @@ def test_any_size_of_pieces(
         patch.setattr(text_source, "PIECE_BYTES", piece)
         patch.setattr(spool, "BLOCK", block)
         if disk:
-            patch.setattr(raw_columns, "LARGE_BYTES", 0)
+            patch.setattr(raw_columns, "LARGE_ROWS", 0)
         assert_same(whole, outcome(path))
 
 

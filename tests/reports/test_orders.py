@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from piga.records.calibration import Residuals
+from piga.reports import orders
 from piga.reports.orders import order_spectrum, ripple
 from piga.units import ARCSEC, G0
 from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
@@ -43,6 +44,35 @@ def test_changing_rate_uneven_samples_and_a_hole_do_no_harm():
     # The hole is bridged as if the rate were constant there: 0.1 % is what that costs here.
     assert spectrum.after[at(spectrum, 2)] == pytest.approx(planted, rel=0.01)
     assert spectrum.before[at(spectrum, 2)] == pytest.approx(3 * planted, rel=0.01)
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("order", [1, 6])
+def test_joining_the_samples_of_a_long_record_keeps_the_lines(order, monkeypatch):
+    """A line at its full height, the floor within a hundredth of it, and a seventh of the samples worked on."""
+    psi = 2.0 * math.pi * np.arange(300_000) / 2000.0
+    t, none = 0.01 * np.arange(psi.size), np.zeros(psi.size)
+    after = K * 20.0 * MICRO_G * ripple_integral(psi, t, order, 1.1)
+    found = Residuals(none, t, psi, none, 3.0 * after, after, none, none.astype(np.int32))
+    joined = order_spectrum(found, K)
+    monkeypatch.setattr(orders, "LONG", psi.size + 1)
+    whole = order_spectrum(found, K)
+    line = whole.after[at(whole, order)]
+    assert line == pytest.approx(20.0 * MICRO_G, rel=1e-3)
+    assert joined.after[at(whole, order)] == pytest.approx(line, rel=3e-3)
+    assert np.nanmax(np.abs(joined.after - whole.after)) < 0.01 * line
+    assert not np.array_equal(joined.after, whole.after)
+
+
+@pytest.mark.only_compiled
+def test_joining_averages_white_noise():
+    """Noise of a long record lies where it is expected; single samples of it would lie three times as high."""
+    psi = 2.0 * math.pi * np.arange(300_000) / 2000.0
+    t, none, white = 0.01 * np.arange(psi.size), np.zeros(psi.size), 1e-5
+    after = white * np.random.default_rng(3).standard_normal(psi.size)
+    found = Residuals(none, t, psi, none, after, after, none, none.astype(np.int32))
+    spectrum = order_spectrum(found, K, (white, 0.0))
+    assert math.sqrt(np.mean((spectrum.after / spectrum.noise) ** 2)) == pytest.approx(1.0, abs=0.3)
 
 
 def test_cross_coupling_is_order_one_and_is_gone_after(cal):

@@ -29,7 +29,7 @@ from piga.stand import (
 )
 from piga.stand.imperfections import NONE
 from piga.stand.logged import read_profile
-from piga.stand.run_reference import _stand_times
+from piga.stand.run_reference import _followed
 from piga.stand.tide import EarthTide
 from piga.stand.truth import coefficients, predicted_angle_error
 from piga.stand.write_run import run_file_text, toml_table, truth_document
@@ -142,10 +142,10 @@ def test_text_in_a_profile(tmp_path: Path) -> None:
 
 def test_segments_of_a_log_are_taken_in_order_when_their_names_say_nothing() -> None:
     t = np.array([100.0, 101.0, 200.0, 203.0, 209.0])
-    at = _stand_times(HEAD, None, t, np.array([0, 0, 1, 1, 1]), ("first", "second"))
+    at = _followed(HEAD, None, lambda: ("first", "second")).times(t, np.array([0, 0, 1, 1, 1], dtype=np.int32))
     assert at == pytest.approx([0.0, 1.0, 6.0, 9.0, 10.0])  # no further than the end of the dwell
     log = LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
-    assert _stand_times(log, None, t, np.zeros(5, dtype=int), ("0",)) is t
+    assert _followed(log, None, tuple).times(t, np.zeros(5, dtype=np.int32)) is t
 
 
 def test_temperature_table(tmp_path: Path) -> None:

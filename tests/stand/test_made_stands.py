@@ -3,15 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import csv, parquet
 
 from piga.errors import ArgumentError, DataError
+from piga.records.spool import arrays_like
 from piga.stand import (
     Centrifuge,
     Composite,
     Imperfections,
     LoggedProfile,
     force_change,
+    logged,
     sample_stand,
 )
 from piga.stand.imperfections import NONE
@@ -54,6 +58,28 @@ def test_logged_profile_is_linear_between_samples(tmp_path):
         read_profile(path, ("t", "s"), (("fx", "fy", "fz"), "g"))
     with pytest.raises(ArgumentError, match="increasing"):
         LoggedProfile(np.array([0.0, 0.0]), np.zeros((2, 3)), np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_long_profile_on_disk_is_the_same(tmp_path, monkeypatch, kind):
+    """Times before the first and behind the last sample, on samples and between them, in any order."""
+    t = np.cumsum(np.random.default_rng(1).uniform(0.5, 1.5, 3000))
+    table = pa.table({"t": t, "x": np.sin(t), "y": np.arange(3000), "z": 0.1 * t})
+    path = tmp_path / f"profile.{kind}"
+    (csv.write_csv if kind == "csv" else parquet.write_table)(table, path)
+    columns = ("t", "s"), (("x", "y", "z"), "g"), (("z", "z", "x"), "deg/s")
+    held = read_profile(path, *columns)
+    monkeypatch.setattr(logged, "MOST_ROWS", 1000)
+    mapped = read_profile(path, *columns)
+    assert arrays_like(held.t).folder is None
+    assert arrays_like(mapped.t).folder == arrays_like(mapped.force).folder == tmp_path
+    asked = np.concatenate([t[[2999, 0, 1, 1700]] - t[0], [-5.0, 1e9, 7.7, 800.1]])
+    for times in (asked, asked[:1], asked[4:5], asked[5:6], asked[7:], np.zeros(0)):
+        for one, two, column in zip(held.motion(times, NONE), mapped.motion(times, NONE), "fw", strict=True):
+            assert one.tobytes() == two.tobytes(), column
+        whole = np.interp(times + t[0], t, np.sin(t))
+        assert (held.motion(times, NONE)[0][:, 0] == np.interp(times + t[0], held.t, held.force[:, 0])).all()
+        assert held.motion(times, NONE)[0][:, 0] == pytest.approx(whole * G0, abs=1e-12)
 
 
 def test_table_says_what_the_lab_assumes_and_what_is_felt():

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from piga._kernels.outliers import merge_rows
 from piga._kernels.regressors import CODES, coupling_columns, product_column
+from piga.calibration.phase_angle import phase_angle
 from piga.calibration.request import Request
 from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
-from piga.records.spool import arrays_like, means, spans, steps, trim
+from piga.records.spool import spans, steps, trim
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,7 @@ class Design:
         self.names = self.local_names + self.shared_names
         self.point = run.kind == "rate"
         self._force = np.ascontiguousarray(run.f.T)
-        self.phase_angle = _phase_angle(run, self.request, self.scale_factor)
+        self.phase_angle = phase_angle(run, self.request, self.scale_factor)
         self.time_reference = 0.5 * float(run.t[0] + run.t[-1])
         self._ranges = _ranges(run)
         self._check_bend()
@@ -236,45 +237,6 @@ class Design:
                 "cross-coupling cannot be integrated",
                 remedy=f"sample at {rate:.3g} Hz or more",
             )
-
-
-def _phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
-    """The angle that the coupling turns with: as read, integrated from a rate, or predicted from input."""
-    predicted = request.phase_source == "input"
-    if not predicted and run.kind != "rate":
-        return run.output
-    angle: Array = arrays_like(run.t).empty(run.size)
-    turned = 0.0
-    for part in spans(run.size):
-        h = steps(run.t, part)
-        h[run.begins[part]] = 0.0
-        if predicted:
-            increments = scale_factor * h * means(run.f[:, 0], part)
-        else:
-            increments = h * means(run.output, part) + _corrected(run, part)
-        increments[0] += turned
-        angle[part] = np.cumsum(increments)
-        turned = float(angle[part.stop - 1])
-    return angle
-
-
-def _corrected(run: Run, part: slice) -> Array:
-    """End correction of the interval into each row of a slice; it takes two rows before and one after."""
-    window = slice(max(part.start - 2, 0), min(part.stop + 1, run.size))
-    step = np.diff(run.t[window])
-    step[run.begins[window][1:]] = 0.0
-    into = np.concatenate(([0.0], _end_correction(run.output[window], step)))
-    return into[part.start - window.start : part.stop - window.start]
-
-
-def _end_correction(rate: Array, step: Array) -> Array:
-    """End correction of the trapezoid, ``h^2/12 (r0' - r1')``, slopes by central differences."""
-    slope = np.zeros(rate.size)
-    inner = (step[1:] > 0.0) & (step[:-1] > 0.0)
-    span = np.where(inner, step[1:] + step[:-1], 1.0)
-    slope[1:-1] = np.where(inner, (rate[2:] - rate[:-2]) / span, 0.0)
-    both = (slope[:-1] != 0.0) & (slope[1:] != 0.0)
-    return np.where(both, step**2 / 12.0 * (slope[:-1] - slope[1:]), 0.0)
 
 
 def _ranges(run: Run) -> list[tuple[int, int, int]]:

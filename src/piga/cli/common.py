@@ -37,8 +37,8 @@ def note(text: str) -> None:
     sys.stderr.write(clean(text) + "\n")
 
 
-def output_directory(path: Path) -> Path:
-    """Create the output directory, or say why it cannot be.
+def output_directory(path: Path, option: str = "--out") -> Path:
+    """Create the output directory that ``option`` names, or say why it cannot be.
 
     Raises
     ------
@@ -49,19 +49,25 @@ def output_directory(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PigaError(
-            f"--out {path}: the directory cannot be created ({error.strerror})",
+            f"{option} {path}: the directory cannot be created ({error.strerror})",
             remedy="name a directory you may write to",
         ) from None
     return path
 
 
-def write_by_rename(path: Path, write: Callable[[Path], object]) -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, then rename it: never a half-written result."""
+def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
+    """Let ``write`` fill a temporary file beside ``path``, then rename it: never a half-written result.
+
+    Raises
+    ------
+    PigaError
+        If it cannot be written; names the ``option`` that the path comes from.
+    """
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
     except OSError as error:
         raise PigaError(
-            f"{path}: cannot be written ({error.strerror})", remedy="choose another --out"
+            f"{path}: cannot be written ({error.strerror})", remedy=f"choose another {option}"
         ) from None
     os.close(handle)
     temporary = Path(name)
@@ -73,7 +79,7 @@ def write_by_rename(path: Path, write: Callable[[Path], object]) -> Path:
         temporary.replace(path)
     except OSError as error:
         raise PigaError(
-            f"{path}: cannot be written ({error.strerror or error})", remedy="choose another --out"
+            f"{path}: cannot be written ({error.strerror or error})", remedy=f"choose another {option}"
         ) from None
     finally:
         temporary.unlink(missing_ok=True)

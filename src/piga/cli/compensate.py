@@ -215,21 +215,21 @@ def _single(
     from piga.stand import read_run
 
     _spare_memory()
-    wanted = read_run_file(run).data
-    data = run.parent / wanted.file
+    run_file = read_run_file(run)
+    wanted = run_file.data
+    data, kind = run.parent / wanted.file, "rate" if wanted.output.kind == "rate" else "angle"
     report = None
     if page is not None:
         from piga.cli.compensate_report import Report
 
-        report = Report(
-            page, "rate" if wanted.output.kind == "rate" else "angle", calibration, (run, data, source)
-        )
-    if wanted.reference is not None and holds_more(run.parent, wanted, STREAM_ROWS):
+        report = Report(page, kind, calibration, (run, data, source))
+    known = wanted.reference is not None or run_file.stand is not None
+    if known and holds_more(run.parent, wanted, STREAM_ROWS):
         options = _with_phase(options, None if rest is None else identify_phase_of_file(run, calibration, rest))
         found, repairs = _in_chunks(run, data, calibration, source, out, options, resume, report)
     else:
+        compile_apart(kind)
         record = read_run(run)
-        compile_apart(record.kind)
         options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
         found, repairs = _from_record(record, calibration, out, options, report)
     if report is not None:
@@ -289,15 +289,12 @@ def _from_record(
 
     kind, found = format_of(out), FileSummary()
     resampler = None if options.period is None else Resampler(options.period)
-    if report is not None and record.size <= STREAM_ROWS:
+    if report is not None:
         report.take(record, compensate(record, calibration, **options.arguments()))
-    watch = None if report is None or record.size <= STREAM_ROWS else report.found.piece
 
     def write(path: Path) -> None:
         with TableWriter(path, kind) as writer:
-            for label, chunk, part in compensate_in_pieces(record, calibration, **options.arguments()):
-                if watch is not None:
-                    watch(label, chunk, part)
+            for _, _, part in compensate_in_pieces(record, calibration, **options.arguments()):
                 rows = part if resampler is None else resampler.push_rows(part)
                 found.add(rows)
                 writer.write(rows.columns())

@@ -29,7 +29,7 @@ class Report:
         """Write the page by rename."""
         facts = CompensationFacts(self._calibration, self._files, options, repairs)
         write_by_rename(
-            self._page, lambda path: write_compensation_report(self.found, facts, path, self._whole)
+            self._page, lambda path: write_compensation_report(self.found, facts, path, self._whole), "--report"
         )
 
 
@@ -49,4 +49,4 @@ class SetReport:
     def write(self, options: dict[str, str]) -> None:
         """Write the page by rename."""
         facts = SetFacts(self._names, tuple(dict.fromkeys(self._files)), options)
-        write_by_rename(self._page, lambda path: write_set_report(self.found, facts, path))
+        write_by_rename(self._page, lambda path: write_set_report(self.found, facts, path), "--report")

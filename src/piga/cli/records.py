@@ -152,7 +152,7 @@ def show(
         found, head = kept.record(record), kept.head()
         calibration = kept.calibration(found.id) if found.file("calibration") else None
         if extract is not None:
-            kept.extract(found.id, output_directory(extract))
+            kept.extract(found.id, output_directory(extract, "--extract"))
     if as_json:
         result = None if calibration is None else to_document(calibration)
         print_json(

@@ -200,7 +200,7 @@ def _chunk(record: Run, rows: slice) -> Chunk:
         a_Y=np.ascontiguousarray(record.f[rows, 1]),
         a_Z=np.ascontiguousarray(record.f[rows, 2]),
         begins=record.begins[rows],
-        base_rate=NO_RATES if record.base_rate is None else record.base_rate[rows],
+        base_rate=NO_RATES if record.base_rate is None else np.ascontiguousarray(record.base_rate[rows]),
         temperature=NONE if record.temperature is None else record.temperature[rows],
         angle=NONE,
     )

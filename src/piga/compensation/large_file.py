@@ -2,8 +2,8 @@
 
 Repairs are those that need no look ahead, and are counted: rows with a missing value are left out, a repeated
 time is left out, time that jumps back or leaves a gap begins a new stretch. The nominal interval is the median
-of the first chunk. What needs the whole file (conflicting rows, checks against the reference) is done by
-:func:`piga.read_run`, which reads smaller files.
+of the first chunk. Where the log has no reference, the stand of the run file gives it. What needs the whole file
+(conflicting rows, checks against the reference) is done by :func:`piga.read_run`, which reads smaller files.
 """
 
 from __future__ import annotations
@@ -21,13 +21,18 @@ from numpy.typing import NDArray
 from piga.compensation.compensator import GAP
 from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.errors import DataError
+from piga.records.raw_columns import read_labels
 from piga.records.run_file import RunFile
 from piga.records.stream import Chunk as RawChunk
 from piga.records.stream import open_stream
 from piga.records.visits import Visits
+from piga.stand.run_reference import FollowedStand, follow_stand
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 
 Array = NDArray[np.float64]
+
+STAND_ROWS = 1 << 13
+"""Rows that a stand is asked for at a time: it holds some ten columns of them on the way."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +72,10 @@ class LargeFile:
                 self._span = to_si(data.output.wraps_at, "rad") / self._factor
                 turns = self._span * self._factor / (2.0 * np.pi)
                 self._keeps_phase = abs(turns - np.rint(turns)) < 1e-12
-        self._last_t, self._last_reading, self._value = -np.inf, 0.0, 0.0
+        self._last_t, self._first_reading, self._last_reading, self._turned = -np.inf, 0.0, 0.0, 0.0
         self._segment: int | None = None
         self._number: float | None = None
+        self._stand: FollowedStand | None = None
 
     @property
     def kind(self) -> str:
@@ -80,11 +86,19 @@ class LargeFile:
         """The samples in order."""
         stream = open_stream(self.path.parent, self.run_file.data, small=True)
         visits = Visits(stream.label_names)
+        self._stand = self._follow_stand()
         for chunk in stream.chunks():
             yield from self._convert(chunk, stream.units, visits)
         for event in stream.events():
             if event.kind != "missing-value":
                 self.found[event.kind] += event.count
+
+    def _follow_stand(self) -> FollowedStand | None:
+        """The stand that the reference comes from; None where the log has one."""
+        data, table = self.run_file.data, self.run_file.stand
+        if data.reference is not None or table is None:
+            return None
+        return follow_stand(self.path, table, lambda: read_labels(self.path.parent, data))
 
     def _columns(self, raw: RawChunk, units: dict[str, str]) -> dict[str, Array]:
         """The samples in SI, the reading of the output in its own unit; what is not there is empty."""
@@ -148,7 +162,7 @@ class LargeFile:
         """Where time jumps back or leaves a gap, against the nominal interval."""
         steps = np.diff(t, prepend=self._last_t)
         if self.nominal == 0.0:
-            forward = steps[1:][steps[1:] > 0.0]
+            forward = steps[np.isfinite(steps) & (steps > 0.0)]
             self.nominal = float(np.median(forward)) if forward.size else 0.0
         return np.asarray((steps <= 0.0) | (steps > GAP * self.nominal))
 
@@ -161,6 +175,8 @@ class LargeFile:
         t, y, z, omega, warm = (found[name] for name in ("t", "y", "z", "omega", "warm"))
         if t.size == 0:
             return
+        if self._stand is not None:
+            y, z, omega = self._felt(self._stand, t, segment, omega)
         begins = np.zeros(t.size, dtype=np.bool_) if sound else self._find_begins(t)
         first = not np.isfinite(self._last_t)
         edges, new = self._segments(segment, t.size)
@@ -182,6 +198,18 @@ class LargeFile:
             )  # fmt: skip
             label = "all" if segment is None else visits.names[int(segment[start])]
             yield Piece(label, chunk, bool(np.any((lost >= start) & (lost < stop))))
+
+    def _felt(
+        self, stand: FollowedStand, t: Array, segment: NDArray[np.int32] | None, logged: Array
+    ) -> tuple[Array, Array, Array]:
+        """Transverse force and base rate on the stand; a base rate that is logged goes before."""
+        segment = np.zeros(t.size, dtype=np.int32) if segment is None else segment
+        y, z, omega = np.empty(t.size), np.empty(t.size), np.empty((t.size, 3))
+        for start in range(0, t.size, STAND_ROWS):
+            part = slice(start, start + STAND_ROWS)
+            force, omega[part] = stand.motion(t[part], segment[part])
+            y[part], z[part] = force[:, 1], force[:, 2]
+        return y, z, omega if self.run_file.data.base_rate is None else logged
 
     def _breaks(self, number: Array) -> NDArray[np.bool_]:
         """Where the sequence number does not follow the one before."""
@@ -210,12 +238,13 @@ class LargeFile:
         if self._span is None:
             return reading if self._factor == 1.0 else reading * self._factor
         if not np.isfinite(self._last_t):
-            self._last_reading = self._value = float(reading[0])
+            self._first_reading = self._last_reading = float(reading[0])
         steps = np.diff(reading, prepend=self._last_reading)
         folded = steps - self._span * np.round(steps / self._span)
-        values = self._value + np.cumsum(folded)
-        self._last_reading, self._value = float(reading[-1]), float(values[-1])
-        return values * self._factor
+        folded[0] += self._turned
+        turned = np.cumsum(folded)
+        self._last_reading, self._turned = float(reading[-1]), float(turned[-1])
+        return (self._first_reading + turned) * self._factor
 
 
 def _inside(values: Array, limits: tuple[float, float] | None) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from piga.compensation.compensator import Compensator
 from piga.compensation.writers import schema_of
 from piga.errors import DataError
+from piga.records.arrow_columns import number_column
 from piga.records.stream import numbers_of
 
 FORCE = ("fx", "fy", "fz")
@@ -101,7 +102,9 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
 def _batch(columns: Mapping[str, NDArray]) -> Any:
     import pyarrow as pa
 
-    return pa.record_batch([pa.array(column) for column in columns.values()], schema=schema_of(columns))
+    return pa.RecordBatch.from_arrays(
+        [number_column(column) for column in columns.values()], schema=schema_of(columns)
+    )
 
 
 def _check_names(names: list[str]) -> None:

@@ -55,7 +55,7 @@ class Parts:
     Raises
     ------
     ArgumentError
-        If parts of another run lie there.
+        If parts of another run lie there, or none can.
     """
 
     out: Path
@@ -63,7 +63,12 @@ class Parts:
 
     def __post_init__(self) -> None:
         self.folder = self.out.with_name(f".{self.out.name}.parts")
-        self.folder.mkdir(exist_ok=True)
+        try:
+            self.folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise ArgumentError(
+                f"{self.out}: cannot be written ({error.strerror})", remedy="choose another --out"
+            ) from None
         mark = self.folder / "key.json"
         if mark.exists() and json.loads(mark.read_text(encoding="utf-8")) != self.key:
             raise ArgumentError(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from piga.compensation.flags import FLAGS, MEANING
 from piga.errors import ArgumentError
+from piga.records.arrow_columns import number_column
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is no force and no increment."""
@@ -65,15 +66,6 @@ def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False) -> Any:
     return pa.schema(fields, metadata=metadata)
 
 
-def arrow_array(column: NDArray) -> Any:
-    """Arrow array over the memory of a column."""
-    import pyarrow as pa
-
-    values = np.ascontiguousarray(column)
-    kind = pa.int32() if values.dtype == np.int32 else pa.float64()
-    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
-
-
 class TableWriter:
     """Write rows to a Parquet or CSV file; a context manager.
 
@@ -94,9 +86,7 @@ class TableWriter:
 
         if self._writer is None:
             self._open(columns)
-        arrays = [arrow_array(column) for column in columns.values()]
-        if self._kind == "csv":
-            arrays = [_empty_where_nan(array) for array in arrays]
+        arrays = [number_column(column, empty_cells=self._kind == "csv") for column in columns.values()]
         table = pa.Table.from_arrays(arrays, schema=self._schema)
         self.rows += table.num_rows
         self._held = table if self._held is None else pa.concat_tables((self._held, table))
@@ -136,15 +126,6 @@ class TableWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _empty_where_nan(array: Any) -> Any:
-    import pyarrow as pa
-    from pyarrow import compute
-
-    if not pa.types.is_floating(array.type):
-        return array
-    return compute.if_else(compute.is_nan(array), pa.scalar(None, array.type), array)
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray], kind: str) -> None:

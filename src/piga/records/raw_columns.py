@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from piga.errors import DataError
 from piga.records.calibration import Event
 from piga.records.run_file import DataTable
-from piga.records.spool import Arrays
+from piga.records.spool import Arrays, arrays_like
 from piga.records.stream import TEXT_SUFFIXES, RecordStream, file_kind, open_stream
 from piga.records.visits import Visits
 
 Array = NDArray[np.float64]
 
-LARGE_BYTES = 192 << 20
-"""Data files larger than this are worked on in columns on disk."""
+LARGE_ROWS = 1 << 22
+"""Records of more rows are worked on in columns on disk: half as slow again, in a third of the memory."""
 MAX_SEGMENTS = 100_000
 
 
@@ -46,7 +46,7 @@ class RawColumns:
 
 
 def read_columns(folder: Path, data: DataTable) -> RawColumns:
-    """Read the data file of a run file whole; a large one into columns on disk beside it.
+    """Read the data file of a run file whole; a long one into columns on disk beside it.
 
     Raises
     ------
@@ -57,22 +57,39 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
     before = _state(path)
     _check_sidecar(path)
     text = file_kind(path) in TEXT_SUFFIXES
-    arrays = Arrays(path.parent if before[0] > LARGE_BYTES else None)
     seen = hashlib.sha256()
     with ThreadPoolExecutor(1) as pool:
         digest = None if text else pool.submit(file_digest, path)
         stream = open_stream(folder, data, seen.update)
-        raw = _collect(path, data, stream, arrays)
+        raw = _collect(path, data, stream)
     raw.digest = digest.result() if digest else seen.hexdigest()
     if _state(path) != before:
         raise DataError(f"{path}: the file changed while it was read", remedy="stop the logger, then try again")
     return raw
 
 
-def _collect(path: Path, data: DataTable, stream: RecordStream, arrays: Arrays) -> RawColumns:
-    names = data.number_columns()
-    numbers = {name: arrays.growing() for name in names}
-    segment, rows = arrays.growing(np.int32), arrays.growing(np.int64)
+def read_labels(folder: Path, data: DataTable) -> tuple[str, ...]:
+    """The ``labels`` that :func:`read_columns` gives, no row held.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as the run file says.
+    """
+    if data.segment is None:
+        return ("all",)
+    stream = open_stream(folder, data, small=True, numbers=False)
+    visits = Visits(stream.label_names)
+    for chunk in stream.chunks():
+        if chunk.codes is not None:
+            visits.segment(chunk.codes, chunk.rows)
+    return tuple(visits.names)
+
+
+def _collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
+    names, arrays = data.number_columns(), Arrays(path.parent)
+    numbers = {name: arrays.growing(most=LARGE_ROWS) for name in names}
+    segment, rows = arrays.growing(np.int32, LARGE_ROWS), arrays.growing(np.int64, LARGE_ROWS)
     visits = Visits(stream.label_names)
     for chunk in stream.chunks():
         room = stream.expected_rows
@@ -89,15 +106,16 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, arrays: Arrays) 
             )
         segment.append(visits.segment(chunk.codes, chunk.rows), room)
     visits.finish()
+    file_rows = rows.finish()
     return RawColumns(
         path,
         {name: column.finish() for name, column in numbers.items()},
         segment.finish(),
         ("all",) if data.segment is None else tuple(visits.names),
-        rows.finish(),
+        file_rows,
         stream.units,
         [*stream.events(), *visits.events],
-        arrays,
+        arrays_like(file_rows),
         "",
     )
 

@@ -34,7 +34,7 @@ def read_record(path: str | Path, stand_reference: StandReference, *, need_refer
 
     Notes
     -----
-    The arrays of a data file of more than 192 MiB lie in files without a name beside it, mapped into memory: what
+    The arrays of a record of more than 4 194 304 rows lie in files without a name beside it, mapped into memory: what
     stays resident is bounded, whatever the length of the record.
     """
     path = Path(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from piga.errors import CalibrationError
+from piga.records.arrow_columns import label_column, number_column
 from piga.records.calibration import Calibration
 
 
@@ -26,18 +27,17 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
     angle = "rad/s" if rate else "rad"
     labels = [segment.label for segment in calibration.segments]
     columns = {
-        "row": (pa.array(found.row), "1"),
-        "segment": (pa.DictionaryArray.from_arrays(pa.array(found.segment), pa.array(labels)), "1"),
-        "t": (pa.array(found.t), "s"),
-        "psi": (pa.array(found.psi), angle),
-        "a_x": (pa.array(found.a_x), "m/s^2"),
-        "before": (pa.array(found.before), angle),
-        "after": (pa.array(found.after), angle),
-        "innovation": (pa.array(found.innovation), "1"),
+        "row": (number_column(found.row), "1"),
+        "segment": (label_column(found.segment, labels), "1"),
+        "t": (number_column(found.t), "s"),
+        "psi": (number_column(found.psi), angle),
+        "a_x": (number_column(found.a_x), "m/s^2"),
+        "before": (number_column(found.before), angle),
+        "after": (number_column(found.after), angle),
+        "innovation": (number_column(found.innovation), "1"),
     }
     if found.run is not None:
-        names = pa.array([run.name for run in calibration.runs])
-        columns["run"] = (pa.DictionaryArray.from_arrays(pa.array(found.run), names), "1")
+        columns["run"] = (label_column(found.run, [run.name for run in calibration.runs]), "1")
     fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
     schema = pa.schema(
         fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}

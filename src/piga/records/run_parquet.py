@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from piga.records.arrow_columns import label_column, number_column
 from piga.records.run import Run
 from piga.records.spool import trim
 
@@ -45,20 +46,19 @@ def write_run_parquet(run: Run, path: Path) -> None:
 
 def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
     """Arrow arrays of a slice of rows with their units, by name."""
-    import pyarrow as pa
-
     columns: dict[str, tuple[Any, str]] = {
-        "t": (pa.array(run.t[part]), "s"),
-        "output": (pa.array(run.output[part]), output_unit(run)),
+        "t": (number_column(run.t[part]), "s"),
+        "output": (number_column(run.output[part]), output_unit(run)),
     }
-    columns |= {f"f{axis}": (pa.array(run.f[part, i]), "m/s^2") for i, axis in enumerate("xyz")}
+    columns |= {f"f{axis}": (number_column(run.f[part, i]), "m/s^2") for i, axis in enumerate("xyz")}
     if run.base_rate is not None:
-        columns |= {f"w{axis}": (pa.array(run.base_rate[part, i]), "rad/s") for i, axis in enumerate("xyz")}
+        columns |= {
+            f"w{axis}": (number_column(run.base_rate[part, i]), "rad/s") for i, axis in enumerate("xyz")
+        }
     if run.temperature is not None:
-        columns["temperature"] = (pa.array(run.temperature[part]), "K")
-    codes = pa.array(run.segment[part].astype(np.int32))
-    columns["segment"] = (pa.DictionaryArray.from_arrays(codes, pa.array(run.labels)), "1")
-    return columns | {"row": (pa.array(run.row[part]), "1")}
+        columns["temperature"] = (number_column(run.temperature[part]), "K")
+    columns["segment"] = (label_column(run.segment[part].astype(np.int32), run.labels), "1")
+    return columns | {"row": (number_column(run.row[part]), "1")}
 
 
 def output_unit(run: Run) -> str:

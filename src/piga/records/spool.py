@@ -108,9 +108,9 @@ class Arrays:
             made[...] = 0
         return made
 
-    def growing(self, dtype: DTypeLike = np.float64) -> Growing:
-        """An array that rows are put to the end of."""
-        return Growing(self.folder, np.dtype(dtype))
+    def growing(self, dtype: DTypeLike = np.float64, most: int = 0) -> Growing:
+        """An array that rows are put to the end of; up to ``most`` rows are in memory in any case."""
+        return Growing(self.folder, np.dtype(dtype), most)
 
 
 def arrays_like(values: NDArray[Any]) -> Arrays:
@@ -124,26 +124,34 @@ def arrays_like(values: NDArray[Any]) -> Arrays:
 class Growing:
     """Rows put to the end of an array whose length is not known; :meth:`finish` gives it."""
 
-    def __init__(self, folder: Path | None, dtype: np.dtype) -> None:
-        self._folder, self._dtype, self._count = folder, dtype, 0
+    def __init__(self, folder: Path | None, dtype: np.dtype, most: int = 0) -> None:
+        self._folder, self._dtype, self._most, self._count = folder, dtype, most, 0
         self._held = np.empty(0, dtype)
-        self._stream = None if folder is None else _nameless(folder)
+        self._stream: Any = None
 
     def append(self, values: NDArray[Any], expected: int = 0) -> None:
         """Put rows to the end; ``expected`` is about how many there will be in all."""
         stop = self._count + values.size
+        if self._stream is None and self._folder is not None and stop > self._most:
+            self._stream = _nameless(self._folder)
+            self._write(self._held[: self._count])
+            self._held = self._held[:0].copy()
         if self._stream is not None:
-            try:
-                self._stream.write(np.ascontiguousarray(values, dtype=self._dtype).data)
-            except OSError as error:
-                raise _no_room(self._folder, error) from None
+            self._write(values)
         else:
             if stop > self._held.size:
-                larger = np.empty(max(stop, expected, 2 * self._held.size), self._dtype)
+                room = max(stop, expected, 2 * self._held.size)
+                larger = np.empty(room if self._folder is None else min(room, self._most), self._dtype)
                 larger[: self._count] = self._held[: self._count]
                 self._held = larger
             self._held[self._count : stop] = values
         self._count = stop
+
+    def _write(self, values: NDArray[Any]) -> None:
+        try:
+            self._stream.write(np.ascontiguousarray(values, dtype=self._dtype).data)
+        except OSError as error:
+            raise _no_room(self._folder, error) from None
 
     def __del__(self) -> None:
         if self._stream is not None:

@@ -145,7 +145,16 @@ def _drawn(figure: Figure, width: float) -> Canvas:
         else:
             axes.set_axis_off()
     _draw_legend(canvas, grid)
+    _lay_out(canvas)
     return canvas
+
+
+def _lay_out(canvas: Canvas) -> None:
+    """Place panels, legend and labels once: saving would do it twice, each time with a drawing of its own."""
+    engine = canvas.get_layout_engine()
+    if engine is not None:
+        engine.execute(canvas)
+    canvas.set_layout_engine(None)
 
 
 def _draw_legend(canvas: Canvas, grid: Any) -> None:

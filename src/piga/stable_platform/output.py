@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.records.arrow_columns import number_column
 from piga.stable_platform.alignment import UNKNOWNS, Alignment
 from piga.stable_platform.budget import BudgetRow, Scatter
 from piga.stable_platform.chain import ModelRun
@@ -26,7 +27,9 @@ def _table(columns: dict[str, tuple[Array, str]]) -> pa.Table:
     import pyarrow as pa
 
     fields = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, (_, unit) in columns.items()]
-    return pa.table([pa.array(values) for values, _ in columns.values()], schema=pa.schema(fields))
+    return pa.Table.from_arrays(
+        [number_column(values) for values, _ in columns.values()], schema=pa.schema(fields)
+    )
 
 
 def readouts_table(r: Readouts) -> pa.Table:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from piga.earth import Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
-from piga.stand.geometry import small_turn, turned, turned_back, vertical_axis_frame
+from piga.stand.geometry import in_axes, small_turn, turned, turned_back, vertical_axis_frame
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment
 from piga.stand.spin import SpinPlan
@@ -88,7 +88,7 @@ class Centrifuge:
         if self.counter_rotating:
             force, rate = turned_back(force, spin.angle), np.tile(earth, (t.size, 1))
         turn = axis_turn(0, self.roll) @ axis_turn(2, math.pi if self.outward else 0.0)
-        return force @ turn.T, rate @ turn.T
+        return in_axes(turn, force), in_axes(turn, rate)
 
 
 def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 0.0) -> tuple[float, ...]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piga.earth import Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
-from piga.stand.geometry import horizontal_axis_frame, small_turn, smooth_step, turned
+from piga.stand.geometry import horizontal_axis_frame, in_axes, small_turn, smooth_step, turned
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan_holds
 
@@ -93,7 +93,7 @@ class DividingHead:
         force = (self.site.local_gravity + errors.gravity) * turned(tilt @ up, angle)
         base_rate = turned(tilt @ earth, angle)
         base_rate[:, 2] += rate
-        return force @ roll.T, base_rate @ roll.T
+        return in_axes(roll, force), in_axes(roll, base_rate)
 
 
 def position_range(first: float, last: float, step: float) -> tuple[float, ...]:

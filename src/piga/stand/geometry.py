@@ -28,6 +28,16 @@ def turned_back(vectors: Array, angle: Array) -> Array:
     return np.column_stack([c * x - s * y, c * y + s * x, z])
 
 
+def in_axes(matrix: Array, vectors: Array) -> Array:
+    """Each row of ``vectors`` (n, 3) multiplied by ``matrix`` (3, 3).
+
+    Written out, because a matrix product may round a row differently with the number of rows: what a stand gives
+    at a time must not depend on the other times it is asked for.
+    """
+    x, y, z = vectors.T
+    return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
+
+
 def small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
     """Matrix to axes turned by the small rotation vector ``(x, y, z)`` [rad], (3, 3)."""
     return rotation_vector_to_matrix(np.array([x, y, z])).T

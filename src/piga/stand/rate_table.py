@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.earth import Site
-from piga.stand.geometry import horizontal_axis_frame, mount, small_turn, turned, vertical_axis_frame
+from piga.stand.geometry import horizontal_axis_frame, in_axes, mount, small_turn, turned, vertical_axis_frame
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment
 from piga.stand.spin import SpinPlan
@@ -80,4 +80,4 @@ class RateTable:
         rate = turned(earth, spin.angle)
         rate[:, 2] += spin.rate
         turn = mount(self.along)
-        return force @ turn.T, rate @ turn.T
+        return in_axes(turn, force), in_axes(turn, rate)

@@ -35,6 +35,34 @@ TIMED = ("vibration-table", "profile", "composite")
 """Stands matched to a record by time."""
 
 
+@dataclass
+class FollowedStand:
+    """A stand asked along a record: rows in order, in pieces of any size, on which nothing depends.
+
+    ``starts`` and ``durations`` [s] on the stand's own plan of each segment of the record, (m,); None: the stand is
+    matched by time.
+    """
+
+    stand: Stand
+    starts: Array | None = None
+    durations: Array | None = None
+
+    def __post_init__(self) -> None:
+        self._first = np.full(0 if self.starts is None else self.starts.size, np.nan)
+
+    def times(self, t: Array, segment: NDArray[np.int32]) -> Array:
+        """Time on the stand's own plan [s] of the next samples: at ``t`` [s] (n,), in segments (n,)."""
+        if self.starts is None or self.durations is None:
+            return t
+        met, at = np.unique(segment, return_index=True)
+        self._first[met] = np.where(np.isnan(self._first[met]), t[at], self._first[met])
+        return self.starts[segment] + np.clip(t - self._first[segment], 0.0, self.durations[segment])
+
+    def motion(self, t: Array, segment: NDArray[np.int32]) -> tuple[Array, Array]:
+        """Specific force [m/s^2] and base rate [rad/s] of the perfect stand at the next samples, (n, 3) each."""
+        return self.stand.motion(self.times(t, segment), Imperfections())
+
+
 @dataclass(frozen=True)
 class StandChange:
     """One component of a stand's uncertainty: name and standard uncertainty as written.
@@ -83,17 +111,38 @@ def stand_reference(
     ArgumentError
         If the table is not valid or does not fit the record; names the key.
     """
+    followed, arrays = _known(table, folder, lambda: labels), arrays_like(t)
+    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
+    for part in spans(t.size):
+        force[part], rate[part] = followed.motion(t[part], segment[part])
+    return force, rate
+
+
+def follow_stand(path: Path, table: dict[str, Any], labels: Callable[[], tuple[str, ...]]) -> FollowedStand:
+    """The stand of the run file ``path``, to be asked along its record.
+
+    ``labels`` gives those of all segments of the record; it is called only when they decide where the samples lie.
+
+    Raises
+    ------
+    RunFileError
+        If the table is not valid or does not fit the record; names the key.
+    """
+    try:
+        return _known(table, path.parent, labels)
+    except (ArgumentError, UnitError) as error:
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+
+
+def _known(table: dict[str, Any], folder: Path, labels: Callable[[], tuple[str, ...]]) -> FollowedStand:
+    """A stand whose motion is known."""
     stand, names = _build(table, folder)
     if stand.kind == "vibration-table":
         raise ArgumentError(
             "[stand] kind 'vibration-table': the phase of the drive is not known to the run file",
             remedy="log the reference and give [data] reference",
         )
-    at, arrays = _stand_times(stand, names, t, segment, labels), arrays_like(t)
-    force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
-    for part in spans(t.size):
-        force[part], rate[part] = stand.motion(at[part], Imperfections())
-    return force, rate
+    return _followed(stand, names, labels)
 
 
 def stand_changes(run: Run) -> Iterator[StandChange]:
@@ -109,7 +158,7 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
         return
     try:
         stand, names = _build(run.stand or {}, Path(run.source).parent)
-        t = _stand_times(stand, names, run.t, run.segment, run.labels)
+        t = _all_times(_followed(stand, names, lambda: run.labels), run)
         for name, written in named.items():
             standard, shape = _standard(name, written)
             for text, errors in _components(name, standard):
@@ -138,25 +187,28 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
     return built.build(folder), names
 
 
-def _stand_times(
-    stand: Stand, names: tuple[str, ...] | None, t: Array, segment: NDArray[np.int32], labels: tuple[str, ...]
-) -> Array:
-    """Time on the stand's own plan of each sample [s]."""
+def _followed(
+    stand: Stand, names: tuple[str, ...] | None, labels: Callable[[], tuple[str, ...]]
+) -> FollowedStand:
+    """The stand with the place of every segment of the record on its plan."""
     if stand.kind in TIMED:
-        return t
+        return FollowedStand(stand)
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
-    parts = [by_name.get(label.split("/")[0]) for label in labels]
+    found = labels()
+    parts = [by_name.get(label.split("/")[0]) for label in found]
     if None in parts:
-        parts = list(_in_order(planned, labels))
-    start, duration = np.array([(part.start, part.duration) for part in parts if part is not None]).T
-    first, result = np.full(len(labels), np.nan), arrays_like(t).empty(t.size)
-    for rows in spans(t.size):
-        index, time = segment[rows], t[rows]
-        met, at = np.unique(index, return_index=True)
-        first[met] = np.where(np.isnan(first[met]), time[at], first[met])
-        result[rows] = start[index] + np.clip(time - first[index], 0.0, duration[index])
-    return result
+        parts = list(_in_order(planned, found))
+    starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
+    return FollowedStand(stand, starts, durations)
+
+
+def _all_times(followed: FollowedStand, run: Run) -> Array:
+    """Time on the stand's own plan [s] of all samples, (n,)."""
+    times = arrays_like(run.t).empty(run.size)
+    for rows in spans(run.size):
+        times[rows] = followed.times(run.t[rows], run.segment[rows])
+    return times
 
 
 def _in_order(planned: list[Segment], labels: tuple[str, ...]) -> list[Segment]:

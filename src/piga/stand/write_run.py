@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
+from piga.records.arrow_columns import label_column, number_column
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
 from piga.stand.truth import coefficients, imperfection_values, predictions, shares_phase
@@ -29,17 +30,16 @@ def log_table(test: SimulatedTest) -> pa.Table:
     import pyarrow as pa
 
     log = test.log
-    names = np.array(log.labels)
-    labels = names.astype(np.int32) if all(name.isdigit() for name in log.labels) else names
-    columns: dict[str, Any] = {
-        "t_s": log.t,
-        "segment": labels[log.segment],
-        _OUTPUT[test.electronics.kind]: log.output,
-    }
-    columns |= {f"f{axis}_g": log.reference[:, k] / G0 for k, axis in enumerate(_AXES)}
-    columns |= {f"w{axis}_rad_s": log.base_rate[:, k] for k, axis in enumerate(_AXES)}
-    columns["T_degC"] = log.temperature - 273.15
-    return pa.table(columns)
+    if all(name.isdigit() for name in log.labels):
+        segment = number_column(np.array(log.labels).astype(np.int32)[log.segment])
+    else:
+        segment = label_column(log.segment.astype(np.int32), log.labels).dictionary_decode()
+    columns = {"t_s": number_column(log.t), "segment": segment}
+    columns[_OUTPUT[test.electronics.kind]] = number_column(log.output)
+    columns |= {f"f{axis}_g": number_column(log.reference[:, k] / G0) for k, axis in enumerate(_AXES)}
+    columns |= {f"w{axis}_rad_s": number_column(log.base_rate[:, k]) for k, axis in enumerate(_AXES)}
+    columns["T_degC"] = number_column(log.temperature - 273.15)
+    return pa.Table.from_arrays(list(columns.values()), names=list(columns))
 
 
 def write_data(test: SimulatedTest, path: Path) -> None:
