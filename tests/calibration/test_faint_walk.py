@@ -141,6 +141,35 @@ def test_a_calibration_has_it() -> None:
 
 
 @pytest.mark.compiled
+def test_information_is_that_of_the_dense_restricted_likelihood() -> None:
+    """``tr(P V_i P V_j)/2`` with dense matrices, at a negative walk."""
+    fit, groups, _ = fitted(SMALL, 2)
+    steps, h, run = round(SMALL.seconds * SMALL.rate), 1.0 / SMALL.rate, fit.design.run
+    count, share = len(SMALL.forces), -0.4
+    units = [
+        np.kron(np.eye(count), increments_covariance(noise, steps, h))
+        for noise in (Noise(1.0, 0.0), Noise(0.0, 1.0))
+    ]
+    V = units[0] + share * slowest(fit) * units[1]
+    X = np.concatenate(
+        [SMALL._derivatives(run.output[run.segment == s] + SMALL.phi, s, h) for s in range(count)]
+    )
+    inverse = np.linalg.inv(V)
+    P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)
+    moved = [P @ unit for unit in units]
+    expected = [[0.5 * np.trace(a @ b) for b in moved] for a in moved]
+    found = faint_walk._walk_information(fit, groups, share)
+    assert found.ravel() == pytest.approx(np.ravel(expected), rel=0.03, abs=0.0)
+
+
+@pytest.mark.compiled
+def test_too_few_positions_say_nothing_of_a_faint_walk() -> None:
+    few = replace(SMALL, forces=tumble(4), terms=("scale_factor", "tan_beta", "k0"), truth={"k0": 1.6e-3})
+    fit, groups, _ = fitted(few, 1)
+    assert include_faint_walk(fit, groups) is fit
+
+
+@pytest.mark.compiled
 def test_a_clear_walk_and_given_levels_stay_as_they_are() -> None:
     fit, groups, _ = fitted(SMALL, 3)
     clear = replace(fit, noise=replace(fit.noise, walk=5.0 * slowest(fit) * fit.noise.white))
