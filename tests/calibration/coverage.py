@@ -20,42 +20,53 @@ from scipy.stats import binom, chi2
 
 from tests.calibration.scenarios import SCENARIOS, Array
 
-HEAD = "| scenario | tests | coverage | bias/sigma | variance/bound | NEES |\n|---|---|---|---|---|---|"
+HEAD = (
+    "| scenario | tests | coverage | bias/sigma | variance/bound | NEES (expected) |\n|---|---|---|---|---|---|"
+)
 
 BOUNDS = 200
 """Records over which the Cramer-Rao bound is averaged: the gimbal starts anywhere."""
 
 
-def one_test(name: str, seed: int) -> tuple[Array, Array, float]:
-    """Errors (file units), half-widths of the 95 % intervals, and NEES of one simulated test."""
+Found = tuple[Array, Array, Array, Array]
+
+
+def one_test(name: str, seed: int) -> tuple[Array, Array, float, float]:
+    """Errors (file units), half-widths of the 95 % intervals, NEES of one simulated test, and what is expected of that.
+
+    Errors over standard uncertainties of nu degrees of freedom are Student's: their mean square is nu/(nu - 2).
+    """
     scenario = SCENARIOS[name]
     found = scenario.calibrate(scenario.record(np.random.default_rng([seed, 2026])))
     errors = scenario.errors(found)
     half = np.array([c.expanded for c in found.coefficients])
-    return errors, half, float(errors @ np.linalg.solve(found.covariance, errors))
+    degrees = np.array([c.degrees_of_freedom or np.inf for c in found.coefficients])
+    squares = 1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))
+    return errors, half, float(errors @ np.linalg.solve(found.covariance, errors)), float(squares.mean())
 
 
-def _part(name: str, seeds: range) -> tuple[Array, Array, Array]:
+def _part(name: str, seeds: range) -> Found:
     rows = [one_test(name, seed) for seed in seeds]
     return (
         np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]),
         np.array([row[2] for row in rows]),
+        np.array([row[3] for row in rows]),
     )
 
 
-def run_tests(name: str, tests: int, processes: int = 1, first: int = 0) -> tuple[Array, Array, Array]:
-    """Errors (tests, terms), half-widths (tests, terms), NEES (tests,) of many tests."""
+def run_tests(name: str, tests: int, processes: int = 1, first: int = 0) -> Found:
+    """Errors (tests, terms), half-widths (tests, terms), NEES (tests,) and its expectation of many tests."""
     if processes == 1:
         return _part(name, range(first, first + tests))
     size = max(1, min(100, tests // (2 * processes)))
     parts = [range(first + at, first + min(at + size, tests)) for at in range(0, tests, size)]
     with ProcessPoolExecutor(processes) as pool:
         found = list(pool.map(_part, [name] * len(parts), parts))
-    return tuple(np.concatenate([part[i] for part in found]) for i in range(3))  # type: ignore[return-value]
+    return tuple(np.concatenate([part[i] for part in found]) for i in range(4))  # type: ignore[return-value]
 
 
-def figures(name: str, errors: Array, half: Array, nees: Array) -> dict[str, Any]:
+def figures(name: str, errors: Array, half: Array, nees: Array, expected: Array) -> dict[str, Any]:
     """Coverage, bias, variance over the Cramer-Rao bound and NEES per coefficient, with their bands."""
     scenario = SCENARIOS[name]
     tests, size = errors.shape
@@ -74,6 +85,7 @@ def figures(name: str, errors: Array, half: Array, nees: Array) -> dict[str, Any
         "variance_over_bound": (spread**2 / bound**2).tolist(),
         "mean_half_width_over_sigma": (half.mean(axis=0) / spread).tolist(),
         "nees": float(nees.mean() / size),
+        "nees_expected": float(expected.mean()),
         "nees_band": band.tolist(),
     }
 
@@ -83,7 +95,8 @@ def line(found: dict[str, Any]) -> str:
     cover, bias, ratio = (np.array(found[k]) for k in ("coverage", "bias_over_sigma", "variance_over_bound"))
     return (
         f"| {found['scenario']} | {found['tests']} | {100 * cover.min():.1f} to {100 * cover.max():.1f} % | "
-        f"{np.abs(bias).max():.3f} | {ratio.min():.2f} to {ratio.max():.2f} | {found['nees']:.3f} |"
+        f"{np.abs(bias).max():.3f} | {ratio.min():.2f} to {ratio.max():.2f} | {found['nees']:.3f} "
+        f"({found['nees_expected']:.3f}) |"
     )
 
 

@@ -71,9 +71,11 @@ def test_harmonics_without_a_coupling() -> None:
 
 def test_harmonics_by_monte_carlo() -> None:
     """Drawn and linear propagation agree where the model is nearly linear."""
-    run = replace(short(52), uncertainty=UncertaintyTable(reference_scale="2 ppm"))
+    levels = {"angle_rms": "2.5e-5 rad", "angle_random_walk": "1e-6 rad/sqrt(s)"}
+    known = EstimationTable(**levels)
+    run = replace(short(52), uncertainty=UncertaintyTable(reference_scale="2 ppm"), estimation=known)
     by_formula = piga.calibrate(run, [*TERMS, "s2", "c2"])
-    drawn = replace(run, estimation=EstimationTable(uncertainty="monte-carlo"))
+    drawn = replace(run, estimation=EstimationTable(uncertainty="monte-carlo", **levels))
     found = piga.calibrate(drawn, [*TERMS, "s2", "c2"])
     table = found.diagnostics["monte_carlo"]["coefficients"]
     for name in ("scale_factor", "k0", "s2", "c2"):

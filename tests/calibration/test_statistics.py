@@ -23,7 +23,7 @@ EXACT = ("static", "centrifuge", "near-critical", "walk")
 @pytest.mark.compiled
 def test_intervals_hold_in_two_hundred_tests() -> None:
     """Coverage and NEES inside their 99.9 % bands; a covariance 1.2 times too large falls out of its band."""
-    errors, half, nees = run_tests("static", FEW)
+    errors, half, nees, _ = run_tests("static", FEW)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
     inside = (np.abs(errors) <= half).mean(axis=0)
     assert (inside >= low).all()

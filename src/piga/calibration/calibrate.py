@@ -18,6 +18,7 @@ from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.drift import include_drift
+from piga.calibration.faint_walk import include_faint_walk
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
@@ -99,6 +100,7 @@ def calibrate(
     groups, per_segment = phase_groups(run, request)
     try:
         fit = include_drift(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
+        fit = include_faint_walk(fit, groups)
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
         spread = 0.0 if run.temperature is None else _range(run.temperature)
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)

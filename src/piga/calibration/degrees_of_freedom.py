@@ -90,6 +90,8 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
         return np.full(len(names), math.inf)
     if fit.counted is not None:
         return _by_precision(fit, groups, per_segment, *fit.counted.walks, rest)
+    if fit.faint is not None:
+        return _satterthwaite(fit, groups, per_segment, _directions(np.linalg.inv(fit.faint.information)), rest)
     starts = np.flatnonzero(fit.design.run.begins)
     lengths = np.diff(np.append(starts, fit.design.run.size))
     information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
@@ -103,9 +105,13 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     if fit.design.rows > LARGE and fit.noise.drift == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))
+    return _satterthwaite(fit, groups, per_segment, _directions(covariance), rest)
+
+
+def _directions(covariance: NDArray[np.floating]) -> tuple[tuple[float, float], ...]:
+    """Independent changes of (white, walk), each of one standard deviation."""
     values, vectors = np.linalg.eigh(covariance)
-    directions = tuple((float(v[0]), float(v[1])) for v in (vectors * np.sqrt(np.maximum(values, 0.0))).T)
-    return _satterthwaite(fit, groups, per_segment, directions, rest)
+    return tuple((float(v[0]), float(v[1])) for v in (vectors * np.sqrt(np.maximum(values, 0.0))).T)
 
 
 def _satterthwaite(
@@ -116,21 +122,17 @@ def _satterthwaite(
     rest: float,
 ) -> Array:
     """``2 v^2/sum((dv/ds)^2)``: s are independent unit changes of (white, walk) along ``directions``."""
-    variances = _variances(fit, groups, per_segment)
-    now = variances(fit.noise)
+    variances, levels = _variances(fit, groups, per_segment), fit.levels
+    now = variances(levels)
     spread = np.zeros(now.size)
     for white, walk in directions:
-        limits = [
-            abs(level / part) for level, part in ((fit.noise.white, white), (fit.noise.walk, walk)) if part
-        ]
+        limits = [abs(level / part) for level, part in ((levels.white, white), (levels.walk, walk)) if part]
         size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
-        moved = variances(
-            replace(fit.noise, white=fit.noise.white + size * white, walk=fit.noise.walk + size * walk)
-        )
+        moved = variances(replace(levels, white=levels.white + size * white, walk=levels.walk + size * walk))
         spread += ((moved - now) / size) ** 2
-    if fit.noise.drift > 0.0:
-        moved = variances(replace(fit.noise, drift=(1.0 + STEP) * fit.noise.drift))
-        spread += ((moved - now) * fit.drift_deviation / (STEP * fit.noise.drift)) ** 2
+    if levels.drift > 0.0:
+        moved = variances(replace(levels, drift=(1.0 + STEP) * levels.drift))
+        spread += ((moved - now) * fit.drift_deviation / (STEP * levels.drift)) ** 2
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
 
 
@@ -153,11 +155,16 @@ def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable
     def variances(noise: Noise) -> Array:
         if fit.counted is None:
             weights = noise if fit.drift_part is None else replace(noise, drift=0.0)
+            weights = weights if fit.faint is None else replace(weights, walk=fit.noise.walk)
             summaries = reduce_segments(fit.design, fit.mode, weights)
         else:
             summaries = fit.counted.with_walk(noise.walk).reduce(fit.design)
         solution = solve(fit.design, summaries, groups)
-        added = 0.0 if fit.drift_part is None else noise.drift * fit.drift_part
+        added = np.zeros_like(solution.covariance)
+        if fit.drift_part is not None:
+            added += noise.drift * fit.drift_part
+        if fit.faint is not None:
+            added += (noise.walk - fit.noise.walk) * fit.faint.part
         return np.diag(
             name_coefficients(fit.design, solution, solution.covariance + added, per_segment)[1]
         ).copy()

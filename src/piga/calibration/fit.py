@@ -48,12 +48,24 @@ RATIOS = np.linspace(-9.0, 3.0, 9)
 
 
 @dataclass(frozen=True)
+class FaintWalk:
+    """A random walk that is not clear: likely variance ``walk`` [rad^2/s], negative where slow values scatter little.
+
+    ``part`` is what a unit adds to the covariance of the fit; ``information`` (2, 2) that of white noise and walk.
+    """
+
+    walk: float
+    part: Array
+    information: Array
+
+
+@dataclass(frozen=True)
 class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
     ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
     ``drift_deviation`` is the standard uncertainty of ``noise.drift``; ``drift_part`` what a unit of drift adds to the
-    covariance, where the fit is not weighted by it.
+    covariance, where the fit is not weighted by it; ``faint`` is a random walk that is not clear.
     """
 
     design: Design
@@ -69,11 +81,17 @@ class Fit:
     counted: Counted | None = None
     drift_deviation: float = 0.0
     drift_part: Array | None = field(default=None, repr=False)
+    faint: FaintWalk | None = field(default=None, repr=False)
 
     @property
     def weights(self) -> Noise:
         """The noise that the rows are weighted by."""
         return self.noise if self.drift_part is None else replace(self.noise, drift=0.0)
+
+    @property
+    def levels(self) -> Noise:
+        """The noise that the covariance is of."""
+        return self.noise if self.faint is None else replace(self.noise, walk=self.faint.walk)
 
     @property
     def sample_variance(self) -> float:
@@ -178,11 +196,11 @@ def _information(design: Design, mode: str, groups: tuple[int, ...], step: float
     values = []
     for ratio in RATIOS:
         noise = Noise(1.0, 10.0**ratio / step)
-        values.append(-_log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
+        values.append(-log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
     return cast("Information", CubicSpline(RATIOS, values, bc_type="natural"))
 
 
-def _log_determinant(solution: Solution) -> float:
+def log_determinant(solution: Solution) -> float:
     """Of the covariance, its rows and columns scaled to one first."""
     std = np.sqrt(np.diag(solution.covariance))
     return float(np.linalg.slogdet(solution.covariance / np.outer(std, std))[1] + 2.0 * np.log(std).sum())

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.added_noise import AddedNoise
 from piga.calibration.coefficients import Owner, name_parameters
 from piga.calibration.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.reduction import Reduction
@@ -218,11 +219,40 @@ def _merge(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) 
     parts = _parts(layout, shared, summaries)
     examination = examine_parts(layout, parts)
     refuse_if_confounded(examination, len(summaries))
-    estimate = solve_parts(layout, parts)
+    estimate = _estimate(layout, shared, summaries, parts)
     coefficients, covariance = _named(wish, summaries, layout, estimate)
     return JointFit(
         wish, tuple(summaries), tuple(live), layout, estimate, coefficients, covariance, examination
     )
+
+
+def _estimate(
+    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary], parts: list[Reduction]
+) -> Estimate:
+    """Estimate with what the noise that runs are not weighted by adds to its covariance."""
+    plain = solve_parts(layout, parts)
+    added = np.zeros_like(plain.covariance)
+    for noise, per_unit in _added(layout, shared, summaries, plain):
+        added += noise.variance * per_unit
+    return replace(plain, covariance=plain.covariance + added)
+
+
+def _added(
+    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary], plain: Estimate
+) -> Iterator[tuple[AddedNoise, Array]]:
+    """Noise that runs are not weighted by, and what a unit of each adds to the covariance."""
+    local = layout.columns[: layout.local]
+    first = 0
+    for index, summary in enumerate(summaries):
+        groups = range(first, first + len(summary.parts))
+        first = groups.stop
+        if not summary.added:
+            continue
+        columns = summary.columns(local, shared[index])
+        jacobians = [layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
+        for noise in summary.added:
+            meat = noise.select(summary.parts[0].names, columns).per_unit(jacobians)
+            yield noise, plain.covariance @ meat @ plain.covariance
 
 
 def _named(
@@ -289,7 +319,7 @@ def joint_degrees(fit: JointFit) -> Array:
     """Degrees of freedom of the Type A variance of every coefficient (JCGM 100, eq. G.2b).
 
     The variance is a sum of shares of the runs, each as well known as the noise levels of its run: the share of a run is
-    the derivative of the variance by the scale of its noise.
+    the derivative of the variance by the scale of its noise. Noise that it is not weighted by is a share of its own.
     """
     layout, shared = _layout(fit.wish, fit.summaries)
     now = np.diag(fit.covariance)
@@ -299,9 +329,17 @@ def joint_degrees(fit: JointFit) -> Array:
         first = fit.first_group(index)
         for group in range(first, first + len(summary.parts)):
             parts[group] = parts[group].scaled(1.0 / (1.0 + SMALL))
-        estimate = solve_parts(layout, parts)
+        summaries = list(fit.summaries)
+        summaries[index] = replace(
+            summary, added=tuple(noise.scaled(1.0 / (1.0 + SMALL)) for noise in summary.added)
+        )
+        estimate = _estimate(layout, shared, summaries, parts)
         _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
         known += ((np.diag(covariance) - now) / SMALL) ** 2 / summary.degrees_of_freedom
+    plain = solve_parts(layout, _parts(layout, shared, fit.summaries))
+    for noise, per_unit in _added(layout, shared, fit.summaries, plain):
+        _, share = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
+        known += 0.5 * (noise.deviation * np.diag(share)) ** 2
     return now**2 / np.maximum(known, 1e-300)
 
 

@@ -32,7 +32,7 @@ GROUPS, EVEN, RARE = 4, 0.6, 7.0
 """Slow to fast groups of contrasts in which the mean power of the saw-tooth over that of white noise is looked at, by
 how much it may differ from one there, and how much of it any contrast may have beyond the logarithm of their number
 (it is exponentially distributed)."""
-LOOKED = 640
+LOOKED = 160
 """Contrasts in all stretches together that are looked at, where the stretches have as many."""
 
 

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
+from piga.calibration.added_noise import AddedNoise, added_noise
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.drift import include_drift
 from piga.calibration.drift_basis import DRIFT_NAMES
+from piga.calibration.faint_walk import include_faint_walk
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
@@ -65,8 +67,10 @@ class RunSummary:
     terms, per_run, phase:
         What its run file asks for.
     noise, degrees_of_freedom:
-        Levels found in this run, by which the rows were weighted, and how well they are known: the least degrees
+        Levels found in this run, and how well those by which the rows were weighted are known: the least degrees
         of freedom of its own coefficients.
+    added:
+        Noise that the rows were not weighted by, which belongs to the covariance.
     inner_scale_factor, turning:
         K inside the regressors; True when they depend on it (a base rotation is recorded).
     labels, parts:
@@ -109,6 +113,7 @@ class RunSummary:
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
     degrees_of_freedom: float = math.inf
+    added: tuple[AddedNoise, ...] = ()
 
     @classmethod
     def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
@@ -155,12 +160,17 @@ class RunSummary:
         """Observations summarised."""
         return sum(part.count for part in self.parts)
 
+    def columns(self, local: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the wanted columns in this summary: what another run calls ``k1`` may be its scale factor."""
+        held = self.parts[0].names
+        return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
+
     def choose(
         self, parts: tuple[Reduction, ...], local: tuple[str, ...], shared: tuple[str, ...]
     ) -> list[Reduction]:
         """Parts with the wanted columns only, in the wanted order."""
         held = parts[0].names
-        columns = (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
+        columns = self.columns(local, shared)
         missing = [name for name in columns if name not in held]
         if missing:
             raise CalibrationError(
@@ -198,8 +208,7 @@ def run_name(run: Run, index: int) -> str:
 def prepare(run: Run, request: Request, name: str) -> LiveRun:
     """Find the noise levels of a run by its own fit; what it cannot determine alone is left out of that.
 
-    A bias drift ties the segments together: it is not looked for where each has a summary of its own, and weighted by
-    wherever it is seen, for all that is known of it is in the summary.
+    A bias drift ties the segments together: where each has a summary of its own it is not weighted by, however clear.
     """
     undetermined: list[str] = []
     terms = request.terms
@@ -208,7 +217,8 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         groups, per_segment = phase_groups(run, wish)
         try:
             fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
-            fit = fit if per_segment else include_drift(fit, groups, clear=0.0)
+            fit = include_drift(fit, groups, clear=math.inf) if per_segment else include_drift(fit, groups)
+            fit = include_faint_walk(fit, groups)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -249,7 +259,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         return reduce_groups(Design(moved, wish, inner), fit, groups)
 
     own_groups, own_per_segment = phase_groups(run, fit.design.request)
-    degrees = float(type_a_degrees(fit, own_groups, own_per_segment).min())
+    degrees = float(type_a_degrees(_as_weighted(fit), own_groups, own_per_segment).min())
     described = _described(fit)
     return RunSummary(
         name=live.name,
@@ -271,7 +281,24 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         reference_id=uncertainty.reference_id,
         undetermined=live.undetermined,
         degrees_of_freedom=degrees,
+        added=added_noise(fit, Design(run, wish, inner), groups),
         **described,
+    )
+
+
+def _as_weighted(fit: Fit) -> Fit:
+    """The fit without the noise that it is not weighted by."""
+    return (
+        replace(
+            fit,
+            noise=fit.weights,
+            drift_part=None,
+            drift_deviation=0.0,
+            faint=None,
+            covariance=fit.solution.covariance,
+        )
+        if fit.drift_part is not None or fit.faint is not None
+        else fit
     )
 
 
@@ -283,7 +310,7 @@ def _source(source: Source, parts: tuple[Reduction, ...]) -> SourceSummary:
 
 def reduce_groups(design: Design, fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
     """One summary per phase group, of rows of unit variance."""
-    summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.noise)
+    summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
     parts = [
         merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(max(groups) + 1)
     ]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from piga.calibration.added_noise import AddedNoise
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.errors import CalibrationError
@@ -34,6 +35,14 @@ class _Reduction(msgspec.Struct, frozen=True):
     weight: list[list[float]]
     unit: list[list[list[float]]]
     count: int
+
+
+class _Added(msgspec.Struct, frozen=True):
+    name: str
+    variance: float
+    deviation: float
+    together: bool
+    scores: tuple[list[list[float]], ...]
 
 
 class _Source(msgspec.Struct, frozen=True):
@@ -75,6 +84,7 @@ class _Summary(msgspec.Struct, frozen=True):
     segments: tuple[SegmentSummary, ...]
     outliers: tuple[Outlier, ...] = ()
     degrees_of_freedom: float | None = None
+    added: tuple[_Added, ...] = ()
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
@@ -95,6 +105,16 @@ def write_summary(summary: RunSummary, path: Path) -> None:
             for s in summary.sources
         ],
         "degrees_of_freedom": _finite(summary.degrees_of_freedom),
+        "added": [
+            {
+                "name": a.name,
+                "variance": a.variance,
+                "deviation": a.deviation,
+                "together": a.together,
+                "scores": [part.tolist() for part in a.scores],
+            }
+            for a in summary.added
+        ],
         "quality": msgspec.to_builtins(summary.quality),
         "segments": [msgspec.to_builtins(segment) for segment in summary.segments],
         "outliers": [msgspec.to_builtins(outlier) for outlier in summary.outliers],
@@ -148,6 +168,7 @@ def read_summary(path: Path) -> RunSummary:
             for s in found.sources
         ),
         degrees_of_freedom=_degrees(found.degrees_of_freedom),
+        added=tuple(_added(path, noise, found) for noise in found.added),
         quality=Quality(
             found.quality.rows,
             found.quality.used,
@@ -173,6 +194,20 @@ def _decode(path: Path) -> _Summary:
         raise CalibrationError(
             f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
         ) from None
+
+
+def _added(path: Path, noise: _Added, found: _Summary) -> AddedNoise:
+    try:
+        scores = tuple(np.array(part, dtype=float) for part in noise.scores)
+    except ValueError:
+        scores = ()
+    fits = len(scores) == len(found.parts) and all(
+        part.ndim == 2 and len(part) == len(own.names) and part.shape[1] == scores[0].shape[1]
+        for part, own in zip(scores, found.parts, strict=True)
+    )
+    if not fits or not all(np.isfinite(part).all() for part in scores):
+        raise CalibrationError(f"{path}: its added noise is damaged", remedy="summarise the run again")
+    return AddedNoise(noise.name, noise.variance, noise.deviation, noise.together, scores)
 
 
 def _reductions(path: Path, parts: tuple[_Reduction, ...], groups: int) -> tuple[Reduction, ...]:

@@ -11,6 +11,7 @@ import piga
 from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
+from piga.calibration.added_noise import AddedNoise
 from piga.calibration.drift import projected
 from piga.calibration.drift_basis import KNOTS
 from piga.calibration.leverage import all_but_one, leverages
@@ -137,6 +138,20 @@ def _drift() -> Iterator[Pair]:
     values, z2, rest, model = projected(np.linalg.qr(np.column_stack([B, X, y]), mode="r"))
     size = 1.0 + v * values
     yield literal, (n - m) * np.log(rest + np.sum(z2 / size)) + np.log(size).sum() + model, 1e-9
+
+
+@equation("calibration-faint")
+def _faint() -> Iterator[Pair]:
+    """The dense covariance of the estimate with white weights, and what scores in a summary add to its information."""
+    random = np.random.default_rng(6)
+    n, h, r, walk = 60, 0.1, 2.0, -0.01
+    X = random.standard_normal((n, 2))
+    white = r * (2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    gain = np.linalg.solve(X.T @ np.linalg.solve(white, X), np.linalg.solve(white, X).T)
+    scores = np.sqrt(h) * np.linalg.solve(white, X).T
+    added = AddedNoise("walk", walk, 1.0, False, (scores,)).per_unit([np.eye(2)])
+    inverse = gain @ white @ gain.T
+    yield gain @ (white + walk * h * np.eye(n)) @ gain.T, inverse + walk * inverse @ added @ inverse, 1e-12
 
 
 @equation("calibration-likelihood")
