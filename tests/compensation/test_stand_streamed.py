@@ -110,6 +110,7 @@ def same(path: Path, folder: Path) -> file_to_file.FileSummary:
     return summary
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("stand", STANDS)
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
 @pytest.mark.parametrize("chunk", [1, 37, 1000])
