@@ -4,7 +4,7 @@ Where the slow noise of a record may or may not hold a random walk beside white 
 noise (they lose little), and what the walk adds to the covariance is its likely variance times what a unit adds. A
 variance that must not be negative is too large on average where there is none; one that is set to zero below a limit,
 too small where there is a little. The restricted likelihood is therefore searched wherever the covariance
-of the record is one, which is down to some negative variance: the slow values of a record scatter less than its white
+of the record is one, down to some negative variance (LEAST): the slow values of a record scatter less than its white
 noise says as often as they scatter more. With the uncertainty of that variance in the degrees of freedom intervals hold for
 any walk, after [Kenward1997]; own derivation, docs/theory.
 """
@@ -25,8 +25,9 @@ from piga.calibration.weighting import reduce_segments
 
 Array = NDArray[np.float64]
 
-LEAST, MOST = 0.05, 30.0
-"""Range of the variance of the slowest value of the longest stretch, over that of white noise alone."""
+LEAST, MOST = 0.4, 30.0
+"""Range of the variance of the slowest value of the longest stretch, over that of white noise alone: not less, for
+white noise is known from the fast values, and slow ones that scatter far less than it explains do so by luck."""
 NODES = 6
 """Levels in it at which the information of the coefficients is computed."""
 PASSES = 2
@@ -37,7 +38,7 @@ PROBE = 0.01
 """The same share, moved by which the covariance is differentiated."""
 TWIST = 0.1
 """Step of the logarithm of that variance, by which the likelihood is differentiated."""
-ENOUGH = 1.5
+ENOUGH = 3.0
 """Slow values that the coefficients must leave; with fewer nothing is learnt of a walk, and none is assumed."""
 
 
