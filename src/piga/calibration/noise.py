@@ -23,8 +23,8 @@ LOWEST, HIGHEST = -10.0, 4.0
 SAMPLE = 1 << 17
 """Increments that the first, coarse passes over a long record look at."""
 SIGNIFICANT = 1.5
-"""Gain in twice the log-likelihood from which a random walk is taken as real: with it the variance is right on
-average both without a walk and with one of the size that can just be seen."""
+"""Gain in twice the log-likelihood from which a random walk is weighted by; a fainter one goes into the covariance
+alone (:mod:`piga.calibration.faint_walk`)."""
 NEGLIGIBLE = 1e-3
 """Gain up to which a level makes no difference to the weights: it is left as found."""
 REFINEMENTS = 4
