@@ -65,7 +65,9 @@ def test_misfits_make_the_residual_and_flags_the_flags():
 def test_outline_holds_misfits_corrections_and_flags(pieces):
     found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
     rows = found.outline.rows
-    worst = {name: rows["row"][np.nanargmax(np.abs(rows[name]))] for name in ("residual", *found.misfits)}
+    outlines = {"residual": rows} | {name: outline.rows for name, outline in found.apart.items()}
+    worst = {name: some["row"][np.nanargmax(np.abs(some[name]))] for name, some in outlines.items()}
+    assert len(worst) == 5
     assert set(worst.values()) <= {1200.0, 1201.0}
     assert found.marks["fault"].count == 2
     assert [single.marks["no_increment"].count for single in found.instruments] == [1, 1, 1, 1]
@@ -141,5 +143,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     assert {path.name for path in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
     for name, values in whole.outline.rows.items():
         np.testing.assert_allclose(pieces.outline.rows[name], values, rtol=1e-9, atol=1e-9, err_msg=name)
+    for name, outline in whole.apart.items():
+        np.testing.assert_allclose(pieces.apart[name].rows[name], outline.rows[name], rtol=1e-9, atol=1e-9)
     assert (whole.counts["misfit_0"] == 0) == (method == "published")
     assert "SHA-256" in (tmp_path / "r.html").read_text(encoding="utf-8")

@@ -12,6 +12,13 @@ from piga.reports.compensation_set import SetFacts, write_set_report
 from piga.reports.compensation_set_outline import SetOutline
 
 
+def _give_back() -> None:
+    """Give memory that reading and writing no longer need to the system."""
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
+
+
 class Report:
     """Watches one compensation; ``files`` are the run file, its data and the calibration record."""
 
@@ -27,6 +34,7 @@ class Report:
 
     def write(self, options: dict[str, str], repairs: dict[str, int]) -> None:
         """Write the page by rename."""
+        _give_back()
         facts = CompensationFacts(self._calibration, self._files, options, repairs)
         write_by_rename(
             self._page, lambda path: write_compensation_report(self.found, facts, path, self._whole), "--report"
@@ -48,5 +56,6 @@ class SetReport:
 
     def write(self, options: dict[str, str]) -> None:
         """Write the page by rename."""
+        _give_back()
         facts = SetFacts(self._names, tuple(dict.fromkeys(self._files)), options)
         write_by_rename(self._page, lambda path: write_set_report(self.found, facts, path), "--report")

@@ -14,6 +14,7 @@ from piga.compensation.flags import FLAGS, MEANING
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.terms import si_factor
+from piga.reports.apart import write_page_apart
 from piga.reports.compensation_errors import error_figures
 from piga.reports.compensation_figures import (
     MICRO_G,
@@ -36,7 +37,6 @@ from piga.reports.page import (
     Text,
     Tile,
     Tone,
-    write_page,
 )
 
 
@@ -68,7 +68,7 @@ def write_compensation_report(
     whole: tuple[Run, Compensated] | None = None,
 ) -> Path:
     """Write the page as one HTML file that opens offline; ``whole`` adds the error against the reference."""
-    return write_page(compensation_page(found, facts, whole), path)
+    return write_page_apart(compensation_page(found, facts, whole), path)
 
 
 def compensation_page(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation import FLAGS
+from piga.records.calibration import Residuals
+from piga.records.spool import BLOCK, trim
 from piga.reports.compensation_errors import in_windows
 from piga.reports.compensation_outline import CompensationOutline
 from piga.reports.compensation_set_outline import SetOutline
@@ -71,26 +75,45 @@ def correction_spectrum(found: CompensationOutline) -> tuple[Array, Array]:
         shown = order * some >= TURNS_NEEDED
         if some < 0.499 * max(turns) or not shown.any():
             continue
-        t, psi = leading.t[part], leading.psi[part]
-        velocity = np.diff(leading.before[part]) / found.scale_factor
-        amplitude, duration = _demodulated(np.diff(t), 0.5 * (psi[1:] + psi[:-1]), velocity, order)
+        amplitude, duration = _demodulated(leading, part, found.scale_factor, order)
         power[shown] += duration * amplitude[shown] ** 2
         time[shown] += duration
     with np.errstate(invalid="ignore", divide="ignore"):
         return order, np.sqrt(power / time)
 
 
-def _demodulated(h: Array, psi: Array, velocity: Array, order: Array) -> tuple[Array, float]:
-    """Amplitude [m/s^2] at each order of velocity increments [m/s] over ``h`` [s], and the time they last."""
-    weight = np.sin(np.pi * (psi - psi.min()) / np.ptp(psi)) ** 2
-    whole = float(weight @ h)
-    left = weight * (velocity - h * (weight @ velocity) / whole)
-    turn = np.exp(-1j * order[0] * psi)
-    phasor, amplitude = np.ones_like(turn), np.empty(order.size)
-    for row in range(order.size):
-        phasor *= turn
-        amplitude[row] = 2.0 * abs(left @ phasor) / whole
-    return amplitude, float(h.sum())
+def _demodulated(leading: Residuals, part: slice, scale_factor: float, order: Array) -> tuple[Array, float]:
+    """Amplitude [m/s^2] at each order of the velocity increments of a window, and the time [s] they last."""
+    ends = [(psi.min(), psi.max()) for _, psi, _ in _increments(leading, part, scale_factor)]
+    low, high = min(low for low, _ in ends), max(high for _, high in ends)
+
+    def weighted() -> Iterator[tuple[Array, Array, Array, Array]]:
+        for h, psi, velocity in _increments(leading, part, scale_factor):
+            yield h, psi, velocity, np.sin(np.pi * (psi - low) / (high - low)) ** 2
+
+    sums = np.sum([(weight @ h, weight @ velocity) for h, _, velocity, weight in weighted()], axis=0)
+    whole, mean = float(sums[0]), sums[1] / sums[0]
+    total = np.zeros(order.size, dtype=np.complex128)
+    for h, psi, velocity, weight in weighted():
+        left, turn = weight * (velocity - h * mean), np.exp(-1j * order[0] * psi)
+        phasor = np.ones_like(turn)
+        for row in range(order.size):
+            phasor *= turn
+            total[row] += left @ phasor
+    return 2.0 * np.abs(total) / whole, float(leading.t[part.stop - 1] - leading.t[part.start])
+
+
+def _increments(leading: Residuals, part: slice, scale_factor: float) -> Iterator[tuple[Array, Array, Array]]:
+    """Intervals [s], middle angles [rad] and velocity increments [m/s] of a window, some rows at a time."""
+    for start in range(part.start, part.stop - 1, BLOCK):
+        rows = slice(start, min(start + BLOCK, part.stop - 1) + 1)
+        psi = leading.psi[rows]
+        trim()
+        yield (
+            np.diff(leading.t[rows]),
+            0.5 * (psi[1:] + psi[:-1]),
+            np.diff(leading.before[rows]) / scale_factor,
+        )
 
 
 def correction_figure(order: Array, amplitude: Array) -> Figure:

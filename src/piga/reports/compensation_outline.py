@@ -1,13 +1,15 @@
 """What a report keeps of a compensated stream of any length, in bounded memory.
 
 An outline against time (lowest and highest row of each bucket of rows; buckets grow with the stream), the leading
-rows one by one for spectra, where each flag stands, and exact counts and sums.
+rows one by one for spectra (on disk), where each flag stands, and exact counts and sums.
 """
 
 from __future__ import annotations
 
 import math
+import tempfile
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +18,12 @@ from piga.compensation import FLAGS, Compensated
 from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.records.run import Run
+from piga.records.spool import Arrays, trim
 from piga.reports.long_record import SHOWN
 
 Array = NDArray[np.float64]
 
-BLOCK = 1 << 17
+BLOCK = 1 << 15
 """Rows of a whole record that are taken at a time."""
 KEPT = 1 << 16
 """Rows of an outline from which on its buckets are made larger."""
@@ -33,9 +36,10 @@ CURVES = ("indicated", "ax", "correction", "u_ax")
 
 @dataclass
 class Outline:
-    """Rows that keep the outline of all ``curves`` against time: ``rows`` by name, and rows per bucket."""
+    """Rows that keep the outline of all ``curves`` against time: ``rows`` by name, about ``kept``, and rows per bucket."""
 
     curves: tuple[str, ...] = CURVES
+    kept: int = KEPT
     rows: dict[str, Array] = field(default_factory=dict)
     bucket: int = 1
 
@@ -44,9 +48,11 @@ class Outline:
 
     def add(self, part: dict[str, Array]) -> None:
         """Take rows behind those that are there."""
+        if not self.curves:
+            return
         part = _extremes(part, self.curves, self.bucket)
         self.rows = {name: np.concatenate((self.rows[name], part[name])) for name in self.rows}
-        while self.rows["row"].size > KEPT:
+        while self.rows["row"].size > self.kept:
             self.bucket *= GROWTH
             self.rows = _extremes(self.rows, self.curves, self.bucket)
 
@@ -84,15 +90,17 @@ class CompensationOutline:
         ``"angle"`` or ``"rate"``: what the output of the instrument is.
     scale_factor:
         K [(rad/s)/(m/s^2)] that turns the output rate into the indicated specific force.
+    curves:
+        What is outlined against time.
     """
 
-    def __init__(self, kind: str, scale_factor: float) -> None:
+    def __init__(self, kind: str, scale_factor: float, curves: tuple[str, ...] = CURVES) -> None:
         self.kind, self.scale_factor = kind, scale_factor
-        self.outline, self.marks = Outline(), {name: Marks() for name in FLAGS}
+        self.outline, self.marks = Outline(curves), {name: Marks() for name in FLAGS}
         self.size, self.flagged, self.velocity, self.start = 0, 0, 0.0, math.nan
         self.squares = {"correction": 0.0, "u_ax": 0.0}
         self.counts = {"correction": 0, "u_ax": 0}
-        self._leading, self._segments, self._taken = np.empty((3, SHOWN)), np.empty(SHOWN, np.int32), 0
+        self._leading, self._taken = Arrays(Path(tempfile.gettempdir())).empty((4, SHOWN)), 0
         self._t, self._output, self._omega = 0.0, 0.0, 0.0
         self._psi, self._angle = 0.0, 0.0
         self._label, self._segment = "", -1
@@ -105,9 +113,10 @@ class CompensationOutline:
         angle = self._angle + np.cumsum(turn - self.scale_factor * result.dv)
         self._angle = float(angle[-1])
         rows = slice(self._taken, min(self._taken + chunk.t.size, SHOWN))
-        for column, values in zip(self._leading, (chunk.t, psi, angle), strict=True):
+        for column, values in zip(self._leading, (chunk.t, psi, angle), strict=False):
             column[rows] = values[: rows.stop - rows.start]
-        self._segments[rows], self._taken = self._segment, rows.stop
+        self._leading[3, rows], self._taken = self._segment, rows.stop
+        trim()
         if self.size == 0:
             self.start = float(chunk.t[0])
         self._count(chunk.t, indicated, result)
@@ -131,8 +140,8 @@ class CompensationOutline:
 
     def leading(self) -> Residuals:
         """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0."""
-        t, psi, angle = self._leading[:, : self._taken]
-        segment = self._segments[: self._taken]
+        t, psi, angle, numbers = self._leading[:, : self._taken]
+        segment = numbers.astype(np.int32)
         nothing = np.broadcast_to(0.0, t.size)
         return Residuals(
             np.arange(1, t.size + 1, dtype=np.int32), t, psi, nothing, angle, nothing, nothing, segment

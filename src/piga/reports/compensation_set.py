@@ -11,6 +11,7 @@ from pathlib import Path
 from piga._version import __version__
 from piga.compensation import Mounted
 from piga.compensation.flags import MEANING
+from piga.reports.apart import write_page_apart
 from piga.reports.compensation_figures import MICRO_G, flag_figure
 from piga.reports.compensation_set_figures import misfit_figure, set_force_figure, set_orders_figure
 from piga.reports.compensation_set_outline import AXES, CORRECTION, SetOutline
@@ -27,7 +28,6 @@ from piga.reports.page import (
     Text,
     Tile,
     Tone,
-    write_page,
 )
 
 
@@ -42,7 +42,7 @@ class SetFacts:
 
 def write_set_report(found: SetOutline, facts: SetFacts, path: Path) -> Path:
     """Write the page as one HTML file that opens offline."""
-    return write_page(set_page(found, facts), path)
+    return write_page_apart(set_page(found, facts), path)
 
 
 def set_page(found: SetOutline, facts: SetFacts) -> Page:
