@@ -7,16 +7,10 @@ from pathlib import Path
 from piga.cli.common import write_by_rename
 from piga.compensation import Compensated, Mounted
 from piga.records import Calibration, Run, read_run_file
+from piga.records.spool import give_back
 from piga.reports.compensation import CompensationFacts, outline_of, write_compensation_report
 from piga.reports.compensation_set import SetFacts, write_set_report
 from piga.reports.compensation_set_outline import SetOutline
-
-
-def _give_back() -> None:
-    """Give memory that reading and writing no longer need to the system."""
-    import pyarrow as pa
-
-    pa.default_memory_pool().release_unused()
 
 
 class Report:
@@ -34,7 +28,7 @@ class Report:
 
     def write(self, options: dict[str, str], repairs: dict[str, int]) -> None:
         """Write the page by rename."""
-        _give_back()
+        give_back()
         facts = CompensationFacts(self._calibration, self._files, options, repairs)
         write_by_rename(
             self._page, lambda path: write_compensation_report(self.found, facts, path, self._whole), "--report"
@@ -56,6 +50,6 @@ class SetReport:
 
     def write(self, options: dict[str, str]) -> None:
         """Write the page by rename."""
-        _give_back()
+        give_back()
         facts = SetFacts(self._names, tuple(dict.fromkeys(self._files)), options)
         write_by_rename(self._page, lambda path: write_set_report(self.found, facts, path), "--report")

@@ -46,14 +46,10 @@ class Piece:
 
 @dataclass
 class LargeFile:
-    """A data file as described by its run file, read piece by piece; ``found`` counts repairs by kind.
-
-    ``among`` is how many files are read at once: the more, the smaller the pieces.
-    """
+    """A data file as described by its run file, read piece by piece; ``found`` counts repairs by kind."""
 
     path: Path
     run_file: RunFile
-    among: int = 1
     found: Counter[str] = field(default_factory=Counter)
     rows: int = 0
     nominal: float = 0.0
@@ -88,7 +84,7 @@ class LargeFile:
 
     def pieces(self) -> Iterator[Piece]:
         """The samples in order."""
-        stream = open_stream(self.path.parent, self.run_file.data, small=self.among)
+        stream = open_stream(self.path.parent, self.run_file.data, small=True)
         visits = Visits(stream.label_names)
         self._stand = self._follow_stand()
         for chunk in stream.chunks():

@@ -24,11 +24,16 @@ from piga.compensation.triad import compensate_triad, set_stream
 from piga.compensation.writers import TableWriter
 from piga.errors import DataError
 from piga.records.run_file import read_run_file
+from piga.records.spool import Arrays, give_back, trim
 
 Array = NDArray[np.float64]
 
 APART = 1e-6
 """Part of the interval by which times of one row may differ between the files."""
+READINGS = 1 << 16
+"""Rows worked on at a time, times the instruments."""
+ROW = ("t", "output", "begins", "base_rate", "temperature")
+"""What is kept of a file."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +69,8 @@ def compensate_set_files(
     """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
 
     When the data files together have no more than ``large`` rows they are read whole, with all repairs; longer ones
-    go through chunk by chunk. With a ``period`` [s] the increments are brought to that interval. ``watch`` is shown
-    every piece before that.
+    are brought to disk beside ``out``, one after another, and solved chunk by chunk. With a ``period`` [s] the
+    increments are brought to that interval. ``watch`` is shown every piece before that.
 
     Raises
     ------
@@ -76,7 +81,10 @@ def compensate_set_files(
     """
     resampler = None if period is None else Resampler(period)
     if any(holds_more(run.parent, read_run_file(run).data, large // len(runs)) for run in runs):
-        parts = _streamed(runs, instruments, uncertainty, max_age_days, force, method, watch is not None)
+        details = watch is not None
+        parts = _streamed(
+            runs, instruments, uncertainty, max_age_days, force, method, details, out.parent, advance
+        )
     else:
         parts = _whole(runs, instruments, uncertainty, max_age_days, force, method, watch is not None)
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
@@ -126,8 +134,10 @@ def _streamed(
     force: bool,
     method: str,
     details: bool,
+    folder: Path,
+    advance: Callable[[int], None],
 ) -> Iterator[tuple[str, Rows, CompensatedSet]]:
-    files = [LargeFile(run, read_run_file(run), len(runs)) for run in runs]
+    files = [LargeFile(run, read_run_file(run)) for run in runs]
     for file, item in zip(files, instruments, strict=True):
         check_serial_names(file.run_file.instrument.serial, item.calibration.serial, force)
         if file.kind != files[0].kind:
@@ -139,7 +149,7 @@ def _streamed(
     stream: SetCompensator | PublishedSet | None = None
     waiting: Rows | None = None
     labels: list[str] = []
-    for labels, rows in _aligned(files):
+    for labels, rows in _aligned(files, folder, advance):
         if stream is None:
             mounted = [
                 replace(item, segment=item.segment or label)
@@ -169,38 +179,51 @@ def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[A
     )  # fmt: skip
 
 
-def _pieces(file: LargeFile) -> Iterator[tuple[str, Rows]]:
+def _aligned(
+    files: Sequence[LargeFile], folder: Path, advance: Callable[[int], None]
+) -> Iterator[tuple[list[str], Rows]]:
+    """Rows of all files together, and the labels of their first segments; the shorter, the more files there are."""
+    labels, columns = zip(*(_read(file, folder, advance) for file in files), strict=True)
+    give_back()
+    sizes = [some.size for some in columns]
+    count, step, tolerance = min(sizes), max(READINGS // len(files), 1), 0.0
+    for start in range(0, count, step):
+        parts = [_rows(some[start : min(start + step, count)]) for some in columns]
+        tolerance = tolerance or APART * _interval(parts[0].t)
+        yield list(labels), _together(files, parts, tolerance)
+    if max(sizes) > count:
+        raise DataError(
+            f"{files[sizes.index(count)].path}: ends before the other files",
+            remedy="sample all instruments together",
+        )
+
+
+def _read(file: LargeFile, folder: Path, advance: Callable[[int], None]) -> tuple[str, NDArray[Any]]:
+    """Label of the first segment and all rows of a file, on disk: every open file would hold a part in memory."""
+    label, found = "", Arrays(folder).growing()
     for piece in file.pieces():
-        c = piece.chunk
-        omega = [c.base_rate] if c.base_rate.shape[0] else None
-        warm = [c.temperature] if c.temperature.size else None
-        yield piece.label, Rows(c.t, c.output[None, :], c.begins, omega, warm)
+        columns = {name: getattr(piece.chunk, name) for name in ROW if getattr(piece.chunk, name).shape[0]}
+        rows = np.empty(
+            piece.chunk.t.size, [(name, values.dtype, values.shape[1:]) for name, values in columns.items()]
+        )
+        for name, values in columns.items():
+            rows[name] = values
+        if not label:
+            label, found = piece.label, Arrays(folder).growing(rows.dtype)
+        found.append(rows)
+        advance(0)
+    return label, found.finish()
 
 
-def _aligned(files: Sequence[LargeFile]) -> Iterator[tuple[list[str], Rows]]:
-    """Rows of all files together, as many at a time as every file has; the labels of the first pieces."""
-    sources = [_pieces(file) for file in files]
-    held: list[Rows | None] = [None] * len(files)
-    labels: list[str] = []
-    tolerance = 0.0
-    while True:
-        for i, source in enumerate(sources):
-            if held[i] is None:
-                label, held[i] = next(source, ("", None))
-                labels += [label] if len(labels) < len(files) else []
-        ready = [rows for rows in held if rows is not None]
-        if not ready:
-            return
-        if len(ready) < len(files):
-            at = next(i for i, rows in enumerate(held) if rows is None)
-            raise DataError(
-                f"{files[at].path}: ends before the other files", remedy="sample all instruments together"
-            )
-        count = min(rows.t.size for rows in ready)
-        tolerance = tolerance or APART * _interval(ready[0].t)
-        parts = [_split(rows, count) for rows in ready]
-        yield labels, _together(files, [part[0] for part in parts], tolerance)
-        held = [part[1] for part in parts]
+def _rows(some: NDArray[Any]) -> Rows:
+    """Rows of one file in memory."""
+    held = {name: np.ascontiguousarray(some[name]) for name in some.dtype.names or ()}
+    trim()
+    base, warm = held.get("base_rate"), held.get("temperature")
+    return Rows(
+        held["t"], held["output"][None, :], held["begins"], None if base is None else [base],
+        None if warm is None else [warm],
+    )  # fmt: skip
 
 
 def _interval(t: Array) -> float:

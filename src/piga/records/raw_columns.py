@@ -78,7 +78,7 @@ def read_labels(folder: Path, data: DataTable) -> tuple[str, ...]:
     """
     if data.segment is None:
         return ("all",)
-    stream = open_stream(folder, data, small=1, numbers=False)
+    stream = open_stream(folder, data, small=True, numbers=False)
     visits = Visits(stream.label_names)
     for chunk in stream.chunks():
         if chunk.codes is not None:

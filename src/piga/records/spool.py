@@ -47,6 +47,13 @@ def trim() -> None:
     _watch.trim()
 
 
+def give_back() -> None:
+    """Give memory that was freed, but is kept for later, to the system, where the allocators can."""
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
+
+
 def steps(values: NDArray, part: slice) -> NDArray:
     """``values[i] - values[i - 1]`` for the rows of a slice; the first row of all has 0."""
     if part.start > 0:

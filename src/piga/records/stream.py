@@ -79,7 +79,7 @@ def open_stream(
     data: DataTable,
     see: Callable[[bytes | bytearray], object] | None = None,
     *,
-    small: int = 0,
+    small: bool = False,
     numbers: bool = True,
 ) -> RecordStream:
     """Open the data file of a run file.
@@ -93,7 +93,7 @@ def open_stream(
     see:
         Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
     small:
-        Smaller chunks, for work that holds several at a time: of so many files at once (0: no such work).
+        Smaller chunks, for work that holds several at a time.
     numbers:
         False: the segment column alone, of the same rows.
 
@@ -105,7 +105,7 @@ def open_stream(
     path = folder / data.file
     masked = data.damaged_rows == "mask"  # a damaged number takes its row out
     numeric = tuple(data.number_columns()) if numbers or masked else ()
-    kind, share = file_kind(path), max(small / 2.0, 1.0)
+    kind = file_kind(path)
     if data.sheet is not None and kind != ".xlsx":
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
     if kind in TEXT_SUFFIXES:
@@ -114,9 +114,9 @@ def open_stream(
         return TextStream(
             path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
             missing=data.missing, mask_damaged=masked, see=see or len,
-            piece=int(SMALL_PIECE / share) if small else None,
+            piece=SMALL_PIECE if small else None,
         )  # fmt: skip
-    chunk_rows = int(SMALL_ROWS / share) if small else CHUNK_ROWS
+    chunk_rows = SMALL_ROWS if small else CHUNK_ROWS
     if kind in (".parquet", ".pq"):
         from piga.records.parquet_reader import ParquetStream
 
