@@ -12,9 +12,10 @@ import h5py
 import numpy as np
 import openpyxl
 import pytest
+from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
 import piga
-from piga.records import container, hdf5_reader, limits
+from piga.records import array_columns, container, hdf5_reader, limits
 from piga.records.container_child import READERS
 from piga.records.spool import arrays_like
 from piga.records.xlsx_reader import read_xlsx
@@ -203,11 +204,36 @@ def test_a_column_in_pieces(
                 out[name].attrs["MATLAB_class"] = np.bytes_("double")
     for rows in (64, 1 << 18):
         monkeypatch.setattr(hdf5_reader, "PIECE_ROWS", rows)
+        monkeypatch.setattr(array_columns, "PIECE_ROWS", rows)
         found = READERS[".h5"](tmp_path / "a.h5", ("plain", "packed"), None).numbers
         for name in ("plain", "packed"):
             assert found[name].dtype == ("f8" if kind.startswith("f") else "i8")
             assert (arrays_like(found[name]).folder is not None) == (rows == 64)
             np.testing.assert_array_equal(found[name], values.astype(found[name].dtype))
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4", "i4", "u8"])
+@pytest.mark.parametrize("cut", [0, 300])
+def test_a_channel_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, cut: int) -> None:
+    """As it was written, longer than what is held in memory, and cut off in its last piece."""
+    values = (1000.0 * np.random.default_rng(1).random(700)).astype(kind)
+    path = tmp_path / "a.tdms"
+    with TdmsWriter(path) as out:
+        for start in range(0, 700, 90):
+            part = values[start : start + 90]
+            out.write_segment(
+                [ChannelObject("log", "t", np.arange(part.size) / 8.0), ChannelObject("log", "n", part)]
+            )
+    path.write_bytes(path.read_bytes()[: -cut or None])
+    with TdmsFile.open(path) as source:
+        whole = source["log"]["n"][:]
+    assert (whole.size < 700) == (cut > 0)
+    for rows in (64, 1 << 18):
+        monkeypatch.setattr(array_columns, "PIECE_ROWS", rows)
+        found = READERS[".tdms"](path, ("n",), None).numbers["n"]
+        assert found.dtype == ("f8" if kind.startswith("f") else "i8")
+        assert (arrays_like(found).folder is not None) == (rows == 64)
+        np.testing.assert_array_equal(found, whole.astype(found.dtype))
 
 
 def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:

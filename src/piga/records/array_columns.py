@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,11 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
+from piga.records.spool import Arrays, Growing
 from piga.records.table import RawTable
 
 _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
 
 Label = tuple[NDArray[np.int32], tuple[str, ...]]
+
+PIECE_ROWS = 1 << 18
+"""Rows that are unpacked at a time; as many are held in memory in any case."""
 
 
 def split_name(name: str) -> tuple[str, int | None]:
@@ -77,6 +82,13 @@ def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | 
     raise DataError(
         f"{path}: column '{name}' holds {values.dtype.name}, not numbers",
         remedy="store it as double or integer",
+    )
+
+
+def long_column(dtype: np.dtype) -> Growing:
+    """What :func:`as_numbers` makes of pieces of a column of this kind; a long one lies on disk."""
+    return Arrays(Path(tempfile.gettempdir())).growing(
+        np.float64 if dtype.kind == "f" else np.int64, PIECE_ROWS
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +10,22 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.array_columns import (
+    PIECE_ROWS,
     Label,
     as_label,
     as_numbers,
     label_text,
+    long_column,
     make_table,
     no_column,
     split_name,
     vector,
 )
 from piga.records.limits import check_unpacked, extra_missing, first_line
-from piga.records.spool import Arrays
 from piga.records.table import RawTable
 
 PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
 """Filters that the HDF5 library itself brings; no plug-in is ever loaded."""
-PIECE_ROWS = 1 << 18
-"""Rows that are unpacked at a time; as many are held in memory in any case."""
 MAX_NAMES = 200
 MAX_CELL = 4096
 """Characters of one cell of text."""
@@ -119,9 +117,7 @@ def _is_line(item: Any) -> bool:
 def _line(path: Path, name: str, item: Any) -> NDArray:
     """The numbers of a dataset of one column, read in pieces of whole chunks; a long one lies on disk."""
     rows = max(PIECE_ROWS, *(item.chunks or (0,)))
-    found = Arrays(Path(tempfile.gettempdir())).growing(
-        np.float64 if item.dtype.kind == "f" else np.int64, PIECE_ROWS
-    )
+    found = long_column(item.dtype)
     for start in range(0, item.size, rows):
         part = slice(start, start + rows)
         piece = item[part] if item.ndim == 1 else item[0, part] if item.shape[0] == 1 else item[part, 0]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.records.array_columns import Label, as_label, as_numbers, make_table, no_column
+from piga.records.array_columns import Label, as_label, as_numbers, long_column, make_table, no_column
 from piga.records.limits import MAX_UNPACKED, check_unpacked, extra_missing, first_line
 from piga.records.table import RawTable
 
@@ -37,7 +37,7 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
             _check_size(path, channels, (*numeric, *([label] if label else [])))
             for name in dict.fromkeys(numeric):
                 channel = _find(path, channels, name)
-                numbers[name] = as_numbers(path, name, np.asarray(channel[:]))
+                numbers[name] = _numbers(path, name, channel)
                 unit = next((channel.properties[key] for key in UNIT_KEYS if key in channel.properties), "")
                 if isinstance(unit, str) and unit:
                     units[name] = unit
@@ -51,6 +51,20 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
             remedy="was the logger stopped? copy it again",
         ) from None
     return make_table(path, numbers, labels, units)
+
+
+def _numbers(path: Path, name: str, channel: Any) -> NDArray:
+    """The numbers of a channel, read as they were written, piece after piece; a long one lies on disk."""
+    found = long_column(channel.dtype)
+    count = 0
+    if channel.dtype.kind in "iuf":
+        for piece in channel.data_chunks():
+            count += len(piece)
+            if len(piece):
+                found.append(as_numbers(path, name, np.asarray(piece[:])), len(channel))
+    if count == 0 or count != len(channel):  # no numbers, or cut off: the library has its ways
+        return as_numbers(path, name, np.asarray(channel[:]))
+    return found.finish()
 
 
 def _check_size(path: Path, channels: list[Any], names: tuple[str, ...]) -> None:
