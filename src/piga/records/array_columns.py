@@ -95,10 +95,15 @@ def long_column(dtype: np.dtype) -> Growing:
 def as_label(values: Iterable[object]) -> Label:
     """Codes and names of a label column; whole numbers are written without a point, empty cells are -1."""
     names: dict[str, int] = {}
+    return label_codes(values, names), tuple(names)
+
+
+def label_codes(values: Iterable[object], names: dict[str, int]) -> NDArray[np.int32]:
+    """Codes of some cells of a label column; ``names`` are those met so far, new ones at the end."""
     codes = [
         -1 if (text := label_text(value)) == "" else names.setdefault(text, len(names)) for value in values
     ]
-    return np.array(codes, dtype=np.int32), tuple(names)
+    return np.array(codes, dtype=np.int32)
 
 
 def label_text(value: object) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from piga.errors import DataError
-from piga.records.array_columns import as_label
+from piga.records.array_columns import label_codes
 from piga.records.calibration import Event
 from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line
+from piga.records.spool import Arrays
 from piga.records.table import RawTable, column_letter
 from piga.records.text_format import INFINITE, MISSING, check_names, is_units_row, units_in_names
 
 MAX_LISTED = 100
+HELD_ROWS = 1 << 14
+"""Rows whose cells are held as the library gives them."""
 _DOCTYPE = re.compile(rb"<!\s*(DOCTYPE|ENTITY)|<\0!\0D\0O\0|\0<\0!\0D\0O", re.IGNORECASE)
 _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
@@ -128,13 +132,21 @@ def _sheet(path: Path, book: Any, name: str | None) -> Any:
 
 
 class _Sheet:
-    """Rows of a sheet to columns; bad cells are collected, then reported together."""
+    """Rows of a sheet to columns, long ones on disk; bad cells are collected, then reported together."""
 
     def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None, events: list[Event]) -> None:
         self.path, self.numeric, self.label, self.events = path, tuple(dict.fromkeys(numeric)), label, events
         self.bad: list[str] = []
         self.total = 0
-        self.missing: dict[str, list[int]] = {name: [] for name in self.numeric}
+        self.missing: dict[str, tuple[int, int]] = {}
+        self.values: dict[str, list[float]] = {name: [] for name in self.numeric}
+        self.labels: list[object] = []
+        self.numbers: list[int] = []
+        self.rows = 0
+        self.label_names: dict[str, int] = {}
+        folder = Arrays(Path(tempfile.gettempdir()))
+        self.columns = {name: folder.growing(np.float64) for name in self.numeric}
+        self.codes, self.places = folder.growing(np.int32), folder.growing(np.int64)
 
     def read(self, rows: Iterator[tuple[Any, ...]]) -> RawTable:
         filled = ((at, row) for at, row in enumerate(rows, 1) if any(cell is not None for cell in row))
@@ -150,19 +162,30 @@ class _Sheet:
         check_names(tuple(name for name in names if name), self.path, at)
         names, units = units_in_names(names)
         where = self._places(names, at)
-        values: dict[str, list[float]] = {name: [] for name in self.numeric}
-        labels: list[object] = []
-        row_numbers: list[int] = []
         for number, row in filled:
-            if not row_numbers and is_units_row(["" if cell is None else str(cell) for cell in row]):
+            if not self.rows and is_units_row(["" if cell is None else str(cell) for cell in row]):
                 units |= {n: str(u).strip("[]()（） ") for n, u in zip(names, row, strict=False) if n and u}
                 continue
-            row_numbers.append(number)
+            self.rows += 1
+            self.numbers.append(number)
             for name in self.numeric:
-                values[name].append(self._number(row, where[name], name, number))
+                self.values[name].append(self._number(row, where[name], name, number))
             if self.label is not None:
-                labels.append(row[where[self.label]] if where[self.label] < len(row) else None)
-        return self._table(values, labels, row_numbers, units)
+                self.labels.append(row[where[self.label]] if where[self.label] < len(row) else None)
+            if self.rows % HELD_ROWS == 0:
+                self._put()
+        self._put()
+        return self._table(units)
+
+    def _put(self) -> None:
+        """Put the cells that are held to the end of the columns: a number in a list takes 32 bytes."""
+        for name, held in self.values.items():
+            self.columns[name].append(np.array(held, dtype=np.float64))
+            held.clear()
+        self.codes.append(label_codes(self.labels, self.label_names))
+        self.places.append(np.array(self.numbers, dtype=np.int64))
+        self.labels.clear()
+        self.numbers.clear()
 
     def _places(self, names: tuple[str, ...], at: int) -> dict[str, int]:
         wanted = [*self.numeric, *([self.label] if self.label else [])]
@@ -180,7 +203,8 @@ class _Sheet:
             return float(cell)
         text = "" if cell is None else str(cell).strip()
         if cell is None or (isinstance(cell, str) and (text in MISSING or text in INFINITE)):
-            self.missing[name].append(number)
+            count, first = self.missing.get(name, (0, number))
+            self.missing[name] = count + 1, first
             return float("nan")
         self.total += 1
         if len(self.bad) < MAX_LISTED:
@@ -190,31 +214,27 @@ class _Sheet:
             )
         return float("nan")
 
-    def _table(
-        self,
-        values: dict[str, list[float]],
-        labels: list[object],
-        row_numbers: list[int],
-        units: dict[str, str],
-    ) -> RawTable:
+    def _table(self, units: dict[str, str]) -> RawTable:
         if self.bad:
             more = f"; and {self.total - len(self.bad)} more" if self.total > len(self.bad) else ""
             raise DataError(
                 f"{self.path}: {'; '.join(self.bad)}{more}",
                 remedy="set the format of these cells to number and enter them again; dates: export seconds",
             )
-        if not row_numbers:
+        if not self.rows:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")
-        for name, rows in self.missing.items():
-            if rows:
-                self.events.append(Event("missing-value", len(rows), rows[0], f"column '{name}'"))
+        for name in self.numeric:
+            if name in self.missing:
+                count, first = self.missing[name]
+                self.events.append(Event("missing-value", count, first, f"column '{name}'"))
+        places = self.places.finish()
         return RawTable(
             self.path,
-            {name: np.array(column) for name, column in values.items()},
-            {self.label: as_label(labels)} if self.label is not None else {},
-            len(row_numbers),
-            row_numbers[0],
+            {name: column.finish() for name, column in self.columns.items()},
+            {self.label: (self.codes.finish(), tuple(self.label_names))} if self.label is not None else {},
+            self.rows,
+            int(places[0]),
             {name: unit for name, unit in units.items() if name in self.numeric},
             tuple(self.events),
-            np.array(row_numbers, dtype=np.int64),
+            places,
         )
