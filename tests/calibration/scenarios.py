@@ -258,6 +258,9 @@ _JOINT = _STATIC | {"k_YY": -1.1e-4}
 _LEVELS = np.array([0.5, 1.0, -1.5, 2.0, -3.0, 4.0, -5.0, 6.0])
 _SPUN = np.stack([_LEVELS, np.full(8, 0.3), np.ones(8)], axis=1)
 
+_MIXES = ((0.0, 1e-4), (1e-5, 1e-4), (3e-5, 6e-5), (1e-4, 3e-5), (3e-4, 0.0), (1e-3, 0.0))
+"""Random walk [rad/sqrt(s)] and white noise of reading [rad] beside counts of 36 arcsec."""
+
 SCENARIOS: dict[str, Scenario | Joint] = {
     found.name: found
     for found in (
@@ -282,6 +285,13 @@ SCENARIOS: dict[str, Scenario | Joint] = {
         Scenario("walk", tumble(8, (0.5, 1.0)), white=1e-9, walk=3e-5, truth=_STATIC, terms=_TERMS),
         Scenario(
             "drift", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=1e-5, drift=1e-6, truth=_STATIC, terms=_TERMS
+        ),
+        *(
+            Scenario(
+                f"mix-{walk:g}", tumble(8, (0.5, 1.0)), count=2 * np.pi / 36000, white=white, walk=walk,
+                truth=_STATIC, terms=_TERMS,
+            )
+            for walk, white in _MIXES
         ),
         Joint(
             "joint",

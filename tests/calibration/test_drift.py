@@ -11,8 +11,11 @@ import pytest
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
 from piga.calibration.coefficients import name_coefficients
+from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
+from piga.calibration.design import Design
 from piga.calibration.drift import include_drift, quick_look
+from piga.calibration.drift_basis import DriftBasis
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.request import make_request
@@ -26,6 +29,8 @@ pytestmark = pytest.mark.only_compiled
 
 DRIFT = SCENARIOS["drift"]
 assert isinstance(DRIFT, Scenario)
+COUNTED = replace(SCENARIOS["coarse"], drift=3e-6)
+assert isinstance(COUNTED, Scenario)
 
 
 def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> tuple[Fit, tuple[int, ...]]:
@@ -108,6 +113,42 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     assert std[0] > 1.2 * plain[0]
     assert type_a_degrees(found, groups, False)[0] < 40.0
     assert type_a_degrees(replace(found, drift_deviation=0.0), groups, False)[0] > 40.0
+
+
+def test_a_drift_beside_coarse_counts_is_in_the_covariance() -> None:
+    """Twelve records: intervals hold; with the covariance of the counts alone hardly more than half of them do."""
+    inside, drift, degrees = [], [], []
+    for seed in range(12):
+        found = COUNTED.calibrate(COUNTED.record(np.random.default_rng([seed, 99])))
+        half = np.array([c.expanded for c in found.coefficients])
+        inside.append(np.abs(COUNTED.errors(found)) <= half)
+        drift.append(found.bias_drift)
+        degrees.append(found.coefficients[0].degrees_of_freedom)
+    assert np.mean(inside) > 0.9
+    assert np.median(drift) == pytest.approx(COUNTED.drift, rel=0.5)
+    assert np.median(degrees) < 12.0
+
+
+def test_what_a_drift_adds_beside_coarse_counts_is_that_of_records_moved_by_its_steps() -> None:
+    """With the weights as they are: the changes of the estimate by every step, one record each."""
+    plain, groups = fitted(COUNTED, 1)
+    fit = include_drift(refine_counted(plain, groups), groups)
+    assert fit.counted is not None
+    assert fit.drift_part is not None
+    run, basis = fit.design.run, DriftBasis.of(fit.design.run)
+    scale = fit.design.scale_factor
+
+    def estimate(turned: np.ndarray) -> np.ndarray:
+        design = Design(replace(run, output=run.output + turned), fit.design.request, scale)
+        design.phase_angle = fit.design.phase_angle
+        solution = solve(design, fit.counted.reduce(design), groups)
+        return np.append(solution.amplitudes, solution.phases)
+
+    start, size = estimate(np.zeros(run.size)), 1e-9
+    moved = np.array([(estimate(size * angle) - start) / size for angle in basis.angle(run.t)]).T
+    assert fit.drift_part == pytest.approx(
+        basis.spacing * moved @ moved.T, rel=0.02, abs=1e-4 * fit.drift_part.max()
+    )
 
 
 def test_intervals_are_wider_and_the_result_says_so(tmp_path: Path) -> None:

@@ -69,17 +69,22 @@ def test_wrapping_counters(folder: Path, bits: int) -> None:
 
 
 def test_the_scale_factor_carries_the_rectification_of_the_servo(folder: Path) -> None:
-    """What stays is -3.2 ppm: the servo's rectification (docs/accuracy), far outside the fit's own uncertainty."""
-    found = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))["scale_factor"]
-    assert found.value / TRUTH["scale_factor"] - 1.0 == pytest.approx(-3.2e-6, abs=0.7e-6)
-    assert found.std / found.value < 0.8e-6
+    """What stays is -3.2 ppm: the servo's rectification (docs/accuracy). The noise alone explains 0.6 ppm of it; what
+    the positions scatter passes for a bias drift, and with it the intervals hold the truth."""
+    found = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))
+    scale = found["scale_factor"]
+    assert scale.value / TRUTH["scale_factor"] - 1.0 == pytest.approx(-3.2e-6, abs=0.7e-6)
+    assert 2e-6 < scale.std / scale.value < 4e-6
+    for name, value in TRUTH.items():
+        assert abs(found[name].value - value) < found[name].expanded, name
 
 
 def test_what_the_model_does_not_hold_is_said(folder: Path) -> None:
-    """The servo's rectification makes the positions scatter by a few micro-g, far above the noise."""
+    """The servo's rectification makes the positions scatter by a few micro-g, far above the noise of the angle."""
     calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))
-    assert calibration.diagnostics["segment_scatter_ratio"] > 2.0
-    assert any("the standard uncertainties do not include it" in note for note in calibration.notes)
+    assert calibration.diagnostics["segment_scatter_ratio_without_drift"] > 2.0
+    assert calibration.diagnostics["segment_scatter_ratio"] < 1.5
+    assert any("that the model does not hold looks the same" in note for note in calibration.notes)
 
 
 def test_the_ripple_is_gone(folder: Path) -> None:

@@ -16,7 +16,8 @@ from piga.calibration.design import Design
 from piga.calibration.drift_basis import KNOTS, DriftBasis
 from piga.calibration.fit import Fit
 from piga.calibration.noise import Noise
-from piga.calibration.weighting import reduce_segments, weighted_blocks
+from piga.calibration.weighting import reduce_segments
+from piga.calibration.whitened_rows import whitened_rows
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ def added_noise(fit: Fit, design: Design, groups: tuple[int, ...]) -> tuple[Adde
     """What a fit has in its covariance and not in its weights, with the columns of ``design``."""
     found = []
     if fit.drift_part is not None:
-        scores = _grouped(_drift_scores(design, fit.mode, fit.weights), groups)
+        scores = _grouped(_drift_scores(fit, design), groups)
         found.append(AddedNoise("drift", fit.noise.drift, fit.drift_deviation, True, scores))
     if fit.faint is not None:
         deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
@@ -75,13 +76,13 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
     )
 
 
-def _drift_scores(design: Design, mode: str, noise: Noise) -> list[Array]:
+def _drift_scores(fit: Fit, design: Design) -> list[Array]:
     """``X'W B`` (m, KNOTS) of every segment for a unit of bias drift."""
-    basis, m = DriftBasis.of(design.run), len(design.names)
+    m, spacing = len(design.names), DriftBasis.of(design.run).spacing
     found = [np.zeros((m, KNOTS)) for _ in design.run.labels]
-    for block, columns in weighted_blocks(design, mode, noise, basis):
-        found[block.segment] += columns[:m] @ columns[m : m + KNOTS].T
-    return [np.sqrt(basis.spacing) * part for part in found]
+    for segment, columns in whitened_rows(fit, design, fit.weights):
+        found[segment] += columns[:m] @ columns[m : m + KNOTS].T
+    return [np.sqrt(spacing) * part for part in found]
 
 
 def _walk_scores(

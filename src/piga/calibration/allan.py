@@ -1,6 +1,6 @@
 """Overlapping Allan deviation of a rate from its angle, over stretches that are not joined.
 
-Definitions and equivalent degrees of freedom: [Riley2008], 5.2.4 and 5.4.1 (table 5), after [Howe1981].
+Definitions and equivalent degrees of freedom: [Riley2008], eq. 11 and table 5, after [Howe1981].
 Pooling of the stretches is an own derivation.
 """
 
@@ -110,7 +110,7 @@ def allan_deviation(
 def model_deviation(tau: Array, white: float, walk: float) -> tuple[Array, Array]:
     r"""Allan deviation of white angle noise and of an angle random walk [rad/s].
 
-    :math:`\sqrt{3 r}/\tau` and :math:`\sqrt{q/\tau}` ([Riley2008], table 3, in angle and rate).
+    :math:`\sqrt{3 r}/\tau` and :math:`\sqrt{q/\tau}` ([Riley2008], in angle and rate).
     """
     return np.sqrt(3.0 * white) / tau, np.sqrt(walk / tau)
 

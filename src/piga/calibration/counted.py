@@ -17,7 +17,7 @@ weights a stretch in which few counts change by what it really tells.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.design import Design
+from piga.calibration.drift_basis import DriftBasis
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.saw_tooth import HARMONICS, LOOKED, SawTooth, counting_covariances, follow, looks_white
@@ -170,14 +171,24 @@ class Counted:
 
     def reduce(self, design: Design) -> list[Reduction]:
         """Summaries per segment of a record of the same sampling, with these weights."""
-        rows = self.stretches.rows
-        if design is not self.stretches.design:
-            rows = np.array([stretch.rows for stretch in find_stretches(design, self.modes)])
-        factor = np.linalg.cholesky(self.stretches.covariance(self.noise))
         summaries = [Reduction.empty(design.names) for _ in design.run.labels]
-        for stretch, segment in zip(np.linalg.solve(factor, rows), self.stretches.segment, strict=True):
-            summaries[segment].absorb(np.ascontiguousarray(stretch.T))
+        for segment, columns in self.whitened(design):
+            summaries[segment].absorb(columns)
         return summaries
+
+    def whitened(self, design: Design, basis: DriftBasis | None = None) -> Iterator[tuple[int, Array]]:
+        """Segment and whitened columns (m + 1, K) of every stretch; those of a bias drift come before the last."""
+        held = self.stretches
+        parts, rows = held.parts, held.rows
+        if design is not held.design:
+            parts = find_stretches(design, self.modes)
+            rows = np.array([part.rows for part in parts])
+        if basis is not None:
+            drift = [part.contrasts @ basis.angle(part.mean(part.time)).T for part in parts]
+            rows = np.concatenate([rows[:, :, :-1], np.array(drift), rows[:, :, -1:]], axis=2)
+        factor = np.linalg.cholesky(held.covariance(self.noise))
+        for part, columns in zip(parts, np.linalg.solve(factor, rows), strict=True):
+            yield part.segment, np.ascontiguousarray(columns.T)
 
 
 def count_of(run: Run) -> float:

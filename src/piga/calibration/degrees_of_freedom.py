@@ -144,9 +144,14 @@ def _by_precision(
     Exact, Student's t, where the variance is that of the random walk alone.
     """
     variances = _variances(fit, groups, per_segment)
-    precision = np.array([1.0 / variances(Noise(fit.noise.white, walk)) for walk in walks])
+    precision = np.array([1.0 / variances(replace(fit.noise, walk=walk)) for walk in walks])
     relative = precision / (weights @ precision) - 1.0
-    return np.minimum(rest, 2.0 / np.maximum(weights @ relative**2, 1e-300))
+    spread = weights @ relative**2
+    if fit.noise.drift > 0.0:
+        now = variances(fit.noise)
+        moved = variances(replace(fit.noise, drift=fit.noise.drift + fit.drift_deviation))
+        spread += (moved / now - 1.0) ** 2
+    return np.minimum(rest, 2.0 / np.maximum(spread, 1e-300))
 
 
 def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:

@@ -23,7 +23,8 @@ from piga.calibration.fit import SMALL, Fit
 from piga.calibration.noise import Noise, deviance_sums, least_on_grid
 from piga.calibration.reduction import solve_upper
 from piga.calibration.solution import solve
-from piga.calibration.weighting import reduce_segments, weighted_blocks
+from piga.calibration.weighting import reduce_segments
+from piga.calibration.whitened_rows import whitened_rows
 
 Array = NDArray[np.float64]
 
@@ -56,13 +57,15 @@ def include_drift(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) -> Fi
     """The same fit with a bias drift in its covariance, where the record shows one.
 
     Weighted by from a gain of ``clear`` on; below, the weights stay those of the other noise, and what the drift adds to
-    the estimates is added to their covariance. Left out with coarse counts, given noise levels and methods
-    other than whitened least squares in one go.
+    the estimates is added to their covariance; so it is with coarse counts, however clear. Left out with given noise levels
+    and methods other than whitened least squares in one go.
     """
     request = fit.design.request
-    able = fit.mode == "increments" and request.method == "information" and fit.counted is None
+    able = fit.mode == "increments" and request.method == "information"
     if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
         return fit
+    if fit.counted is not None:
+        return _beside_counts(fit, groups)
     if fit.design.rows > SMALL and quick_look(fit).gain < SUSPECTED:
         return fit
     if likely_steps(drifting_factor(fit, groups, fit.noise)).gain < SUSPECTED:
@@ -89,6 +92,24 @@ def include_drift(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) -> Fi
     )
 
 
+def _beside_counts(fit: Fit, groups: tuple[int, ...]) -> Fit:
+    """Coarse counts keep their weights and the random walk found; a drift goes into the covariance."""
+    factor = drifting_factor(fit, groups, fit.noise)
+    steps = likely_steps(factor)
+    moved = _moved_by_steps(factor, len(fit.solution.amplitudes) + len(fit.solution.phases))
+    if steps.gain < SIGNIFICANT or moved is None:
+        return fit
+    spacing = DriftBasis.of(fit.design.run).spacing
+    drift, part = steps.variance / spacing, spacing * moved @ moved.T
+    return replace(
+        fit,
+        noise=replace(fit.noise, drift=drift),
+        covariance=fit.covariance + drift * part,
+        drift_deviation=steps.deviation / spacing,
+        drift_part=part,
+    )
+
+
 def drifting_factor(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Array:
     """Triangular factor of the weighted rows ``[drift | model | y]``, the drift left free.
 
@@ -97,10 +118,10 @@ def drifting_factor(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Array:
     design, solution, m = fit.design, fit.solution, len(fit.design.names)
     size = KNOTS + len(solution.amplitudes) + len(solution.phases) + 1
     factor = np.zeros((0, size))
-    for block, columns in weighted_blocks(design, fit.mode, noise, DriftBasis.of(design.run)):
+    for segment, columns in whitened_rows(fit, design, noise):
         model, drift = columns[:m], columns[m:-1]
-        y = columns[-1] - solution.values[block.segment] @ model
-        turned = solution.jacobians[groups[block.segment]].T @ model
+        y = columns[-1] - solution.values[segment] @ model
+        turned = solution.jacobians[groups[segment]].T @ model
         factor = np.asarray(np.linalg.qr(np.vstack([factor, np.vstack([drift, turned, y]).T]), mode="r"))
     kept = np.ones(size, dtype=bool)
     kept[KNOTS:-1] = factor[:, KNOTS:-1].any(axis=0)

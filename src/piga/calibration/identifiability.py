@@ -237,6 +237,13 @@ def notes_in_words(
             f"explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
             "the model does not hold; the standard uncertainties do not include it"
         )
+    elif scatter.get("segment_scatter_ratio_without_drift", 0.0) > SCATTER:
+        notes.append(
+            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio_without_drift']:.1f} times more "
+            f"than the noise of the angle explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms); as a bias drift it is "
+            "in the standard uncertainties, but an effect of the stand or of the servo that the model does not hold "
+            "looks the same: repeat the positions in another order to tell them apart"
+        )
     if phase == "per-segment" and not loose:
         notes.append("every segment has its own phase: nothing is assumed about the counter between segments")
     return tuple(notes)

@@ -169,7 +169,7 @@ def _as_angles(found: Residuals) -> Residuals:
 def _worst_scatter(found: list[tuple | None]) -> dict[str, float]:
     """The scatter of segments of the run where it is worst."""
     scatters = [part[2] for part in found if part is not None and part[2]]
-    return max(scatters, key=lambda s: s["segment_scatter_ratio"]) if scatters else {}
+    return max(scatters, key=lambda found: max(v for k, v in found.items() if "ratio" in k), default={})
 
 
 def _mean_square(values: list[float], weights: Array) -> float:

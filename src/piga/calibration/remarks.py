@@ -67,4 +67,6 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration
 def _without_drift(fit: Fit) -> Fit:
     """The fit with one summary per segment again."""
     noise = Noise(fit.noise.white, fit.noise.walk)
-    return replace(fit, noise=noise, summaries=reduce_segments(fit.design, fit.mode, noise))
+    weighted = fit.drift_part is None
+    summaries = reduce_segments(fit.design, fit.mode, noise) if weighted else fit.summaries
+    return replace(fit, noise=noise, summaries=summaries)
