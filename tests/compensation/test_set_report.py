@@ -64,16 +64,16 @@ def test_misfits_make_the_residual_and_flags_the_flags():
 @pytest.mark.parametrize("pieces", [1, 7])
 def test_outline_holds_misfits_corrections_and_flags(pieces):
     found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
-    rows = found.outline.rows
-    outlines = {"residual": rows} | {name: outline.rows for name, outline in found.apart.items()}
-    worst = {name: some["row"][np.nanargmax(np.abs(some[name]))] for name, some in outlines.items()}
+    rows = {name: outline.rows[name] for name, outline in found.outlines.items()}
+    row = found.outlines["residual"].rows["row"]
+    worst = {name: row[np.nanargmax(np.abs(rows[name]))] for name in ("residual", *found.misfits)}
     assert len(worst) == 5
     assert set(worst.values()) <= {1200.0, 1201.0}
     assert found.marks["fault"].count == 2
     assert [single.marks["no_increment"].count for single in found.instruments] == [1, 1, 1, 1]
     for axis, value in zip("xyz", (1.0, -0.7, 0.4), strict=True):
         force, raw, correction = rows[f"f{axis}"], rows[f"raw_{axis}"], rows[f"d{axis}"]
-        away = np.isfinite(force) & (np.abs(rows["row"] - 1200.5) > 2)
+        away = np.isfinite(force) & (np.abs(row - 1200.5) > 2)
         np.testing.assert_allclose(force[away], value * G0, atol=1e-9 * G0)
         np.testing.assert_allclose((raw - correction)[away], force[away], atol=1e-12 * G0)
         assert 1e-4 * G0 < found.rms(f"d{axis}") < 3.0 * TAN_BETA * G0
@@ -141,9 +141,9 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     (whole, facts), (pieces, _) = seen
     assert facts.names == tuple(f"{name} (A)" for name in NAMES)
     assert {path.name for path in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
-    for name, values in whole.outline.rows.items():
-        np.testing.assert_allclose(pieces.outline.rows[name], values, rtol=1e-9, atol=1e-9, err_msg=name)
-    for name, outline in whole.apart.items():
-        np.testing.assert_allclose(pieces.apart[name].rows[name], outline.rows[name], rtol=1e-9, atol=1e-9)
+    for name, outline in whole.outlines.items():
+        theirs = pieces.outlines[name].rows
+        for column in ("row", "t", name):
+            np.testing.assert_allclose(theirs[column], outline.rows[column], rtol=1e-9, atol=1e-9, err_msg=name)
     assert (whole.counts["misfit_0"] == 0) == (method == "published")
     assert "SHA-256" in (tmp_path / "r.html").read_text(encoding="utf-8")

@@ -30,6 +30,8 @@ TRIM_BLOCKS = 8
 """Blocks after which the resident pages are looked at."""
 SPARSE = 1 << 10
 """Rows far apart that are taken at a time: each brings a piece of the file of its own."""
+BUFFER_BYTES = 1 << 16
+"""Bytes that wait to be written to a file; more at a time are written at once."""
 RESIDENT_BYTES = 96 << 20
 """Mapped bytes that may be resident before they are given back."""
 
@@ -193,9 +195,9 @@ class _Map(mmap.mmap):
 
 def _nameless(folder: Path) -> Any:
     try:
-        return tempfile.TemporaryFile(dir=folder, buffering=1 << 20)
+        return tempfile.TemporaryFile(dir=folder, buffering=BUFFER_BYTES)
     except OSError:
-        return tempfile.TemporaryFile(buffering=1 << 20)
+        return tempfile.TemporaryFile(buffering=BUFFER_BYTES)
 
 
 def _reserve(number: int, size: int, folder: Path) -> None:

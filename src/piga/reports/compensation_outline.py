@@ -18,7 +18,7 @@ from piga.compensation import FLAGS, Compensated
 from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.records.run import Run
-from piga.records.spool import Arrays, trim
+from piga.records.spool import Arrays
 from piga.reports.long_record import SHOWN
 
 Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ GROWTH = 4
 MARKS = 4096
 """The same for the places of a flag."""
 CURVES = ("indicated", "ax", "correction", "u_ax")
+LEADING = [("t", "f8"), ("psi", "f8"), ("angle", "f8"), ("segment", "i4")]
+"""What is kept of each of the first rows."""
 
 
 @dataclass
@@ -100,7 +102,8 @@ class CompensationOutline:
         self.size, self.flagged, self.velocity, self.start = 0, 0, 0.0, math.nan
         self.squares = {"correction": 0.0, "u_ax": 0.0}
         self.counts = {"correction": 0, "u_ax": 0}
-        self._leading, self._taken = Arrays(Path(tempfile.gettempdir())).empty((4, SHOWN)), 0
+        self._first = Arrays(Path(tempfile.gettempdir())).growing(np.dtype(LEADING))
+        self._leading, self._taken = np.empty(0, LEADING), 0
         self._t, self._output, self._omega = 0.0, 0.0, 0.0
         self._psi, self._angle = 0.0, 0.0
         self._label, self._segment = "", -1
@@ -112,11 +115,7 @@ class CompensationOutline:
         turn, indicated, psi = self._indicated(chunk, (result.flags & FLAGS["no_increment"]) != 0)
         angle = self._angle + np.cumsum(turn - self.scale_factor * result.dv)
         self._angle = float(angle[-1])
-        rows = slice(self._taken, min(self._taken + chunk.t.size, SHOWN))
-        for column, values in zip(self._leading, (chunk.t, psi, angle), strict=False):
-            column[rows] = values[: rows.stop - rows.start]
-        self._leading[3, rows], self._taken = self._segment, rows.stop
-        trim()
+        self._keep(chunk.t, psi, angle)
         if self.size == 0:
             self.start = float(chunk.t[0])
         self._count(chunk.t, indicated, result)
@@ -139,13 +138,27 @@ class CompensationOutline:
             self.piece(f"{record.segment[start]}", chunk, part)
 
     def leading(self) -> Residuals:
-        """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0."""
-        t, psi, angle, numbers = self._leading[:, : self._taken]
-        segment = numbers.astype(np.int32)
+        """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0.
+
+        To be asked for after the last piece.
+        """
+        if not self._leading.size:
+            self._leading = self._first.finish()
+        t, psi, angle, segment = (self._leading[name] for name, _ in LEADING)
         nothing = np.broadcast_to(0.0, t.size)
         return Residuals(
             np.arange(1, t.size + 1, dtype=np.int32), t, psi, nothing, angle, nothing, nothing, segment
         )
+
+    def _keep(self, t: Array, psi: Array, angle: Array) -> None:
+        """Keep the first rows, on disk."""
+        rows = np.empty(min(t.size, SHOWN - self._taken), LEADING)
+        if rows.size:
+            for (name, _), values in zip(LEADING, (t, psi, angle), strict=False):
+                rows[name] = values[: rows.size]
+            rows["segment"] = self._segment
+            self._first.append(rows)
+            self._taken += rows.size
 
     def rms(self, name: str) -> float:
         """Root mean square of ``correction`` or ``u_ax`` over all rows that have one [m/s^2]."""

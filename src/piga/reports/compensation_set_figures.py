@@ -77,7 +77,7 @@ def set_orders_figure(found: SetOutline, names: tuple[str, ...]) -> Figure | Non
 
 
 def _curve(found: SetOutline, name: str, unit: float, role: Role, title: str) -> Series:
-    rows = (found.apart.get(name) or found.outline).rows
+    rows = found.outlines[name].rows
     shown = (
         envelope_rows(np.nan_to_num(rows[name])) if np.isnan(rows[name]).all() else envelope_rows(rows[name])
     )

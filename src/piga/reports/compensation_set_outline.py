@@ -16,8 +16,8 @@ from piga.reports.compensation_outline import CompensationOutline, Marks, Outlin
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
-MISFIT_KEPT = 1 << 13
-"""Rows of the outline of one misfit: there are as many as instruments."""
+CURVE_KEPT = 1 << 13
+"""Rows of the outline of one curve: there are many."""
 RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
 
 
@@ -38,8 +38,8 @@ class SetOutline:
         self._raw = np.linalg.pinv(self._axes[:, 0, :])
         self.instruments = [CompensationOutline(kind, _scale_factor(item), ()) for item in instruments]
         self.misfits = tuple(f"misfit_{i}" for i in range(len(instruments)))
-        self.outline = Outline((*RAW, *FORCE, *CORRECTION, "residual"))
-        self.apart = {name: Outline((name,), MISFIT_KEPT) for name in self.misfits}
+        curves = (*RAW, *FORCE, *CORRECTION, "residual", *self.misfits)
+        self.outlines = {name: Outline((name,), CURVE_KEPT) for name in curves}
         self.marks = {name: Marks() for name in FLAGS}
         self.size, self.flagged, self.start, self.velocity = 0, 0, 0.0, np.zeros(3)
         self.squares = dict.fromkeys((*CORRECTION, "residual", *self.misfits), 0.0)
@@ -75,11 +75,9 @@ class SetOutline:
         curves |= {name: raw[k] - found.f[:, k] for k, name in enumerate(CORRECTION)}
         nothing = np.full((len(self.misfits), t.size), np.nan)
         misfit = found.misfit if found.misfit.size else nothing
-        curves |= {"residual": found.residual}
-        self.outline.add({"row": row, "t": t, **{name: np.array(values) for name, values in curves.items()}})
-        curves |= dict(zip(self.misfits, misfit, strict=True))
-        for name, outline in self.apart.items():
-            outline.add({"row": row, "t": t, name: curves[name]})
+        curves |= {"residual": found.residual} | dict(zip(self.misfits, misfit, strict=True))
+        for name, outline in self.outlines.items():
+            outline.add({"row": row, "t": t, name: np.array(curves[name])})
         for name in self.squares:
             known = curves[name][np.isfinite(curves[name])]
             self.squares[name] += float(known @ known)
