@@ -15,7 +15,7 @@ import pytest
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
 import piga
-from piga.records import array_columns, container, hdf5_reader, limits
+from piga.records import array_columns, container, hdf5_reader, limits, xlsx_reader
 from piga.records.container_child import READERS
 from piga.records.spool import arrays_like
 from piga.records.xlsx_reader import read_xlsx
@@ -244,6 +244,30 @@ def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
     table = direct(tmp_path / "a.xlsx", ("t", "n"))
     assert table.units == {"t": "s", "n": "1"}
     assert table.file_rows(slice(0, 2)).tolist() == [4, 6]
+
+
+@pytest.mark.parametrize("held", [7, 8, 100])
+def test_a_sheet_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, held: int) -> None:
+    """What is written down on the way is what was in the cells: numbers, labels, missing ones and where they stood."""
+    monkeypatch.setattr(xlsx_reader, "HELD_ROWS", held)
+    book = openpyxl.Workbook()
+    book.active.append(["t", "n", "part"])
+    for i in range(40):
+        book.active.append([i / 4.0, None if i in (9, 30) else i, (None, 1.0, "up", "down")[i // 10]])
+        if i == 20:
+            book.active.append([])
+    book.save(tmp_path / "a.xlsx")
+    table = direct(tmp_path / "a.xlsx", ("t", "n"), "part")
+    i = np.arange(40.0)
+    np.testing.assert_array_equal(table.numbers["t"], i / 4.0)
+    np.testing.assert_array_equal(table.numbers["n"], np.where(np.isin(i, (9, 30)), np.nan, i))
+    assert table.labels["part"][1] == ("1", "up", "down")
+    np.testing.assert_array_equal(table.labels["part"][0], i // 10 - 1)
+    np.testing.assert_array_equal(table.file_rows(slice(0, 40)), i + 2 + (i > 20))
+    assert [(e.kind, e.count, e.first_row, e.detail) for e in table.events] == [
+        ("missing-value", 2, 11, "column 'n'")
+    ]
+    assert all(arrays_like(column).folder is not None for column in table.numbers.values())
 
 
 def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ def without_fallocate(patch: pytest.MonkeyPatch) -> None:
 
 def without_advice(patch: pytest.MonkeyPatch) -> None:
     patch.delattr(mmap, "MADV_DONTNEED")
+    patch.setattr(spool, "_watch", spool._Watch())
 
 
 def nothing_resident(patch: pytest.MonkeyPatch) -> None:

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 STREAM_ROWS = 1 << 18
 """Data files of more rows are streamed; shorter ones are read whole, with all repairs of ``piga check``."""
-M_MMAP_THRESHOLD, LARGE_BLOCK = -3, 400_000
-"""Option of ``mallopt(3)``, and bytes from which a block of memory is one of its own, given back when it is freed."""
 
 
 def compensate(
@@ -314,18 +312,8 @@ def _with_phase(options: _Options, phase: Phase | None) -> _Options:
 
 
 def _spare_memory() -> None:
-    """Let PyArrow take its memory from the system, and the system's library take back what is no longer in use.
-
-    PyArrow's own allocator keeps 30 MB that are not in use. That of the GNU C library raises its idea of a large block
-    with every one that is freed; kept just above the columns of a piece, what is larger goes back: 15 MB.
-    """
+    """Let PyArrow take its memory from the system: its own allocator keeps 30 MB that are not in use."""
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-    if sys.platform == "linux":
-        import ctypes
-
-        limit = getattr(ctypes.CDLL(None), "mallopt", None)
-        if limit is not None:
-            limit(M_MMAP_THRESHOLD, LARGE_BLOCK)
 
 
 def _together(

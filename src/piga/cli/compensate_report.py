@@ -23,6 +23,7 @@ class Report:
 
     def take(self, record: Run, result: Compensated) -> None:
         """Take a whole record."""
+        give_back()
         self._whole = record, result
         self.found.record(record, result)
 

@@ -27,9 +27,13 @@ from piga.compensation.writers import TableWriter
 from piga.errors import CalibrationError, DataError
 from piga.records.calibration import Calibration
 from piga.records.run_file import read_run_file
+from piga.records.spool import give_back
 
 AHEAD = 2
 """Pieces read before they are computed, and rows written behind: a stage that waits once is caught up with."""
+HELD_BYTES = 270_000_000
+"""Resident memory above which what was freed is given back, after so many pieces; sooner when a page is filled, too."""
+GIVEN_BACK_AFTER, GIVEN_BACK_SOONER = 16, 2
 T = TypeVar("T")
 Watch = Callable[[str, Chunk, Compensated], object]
 """Sees the label of a segment, its samples, and what became of them."""
@@ -123,8 +127,10 @@ def _work_off(
     pending: deque[Future[None]] = deque()
     start = summary.rows
     with ThreadPoolExecutor(1) as pen:
-        for piece in pieces:
+        for number, piece in enumerate(pieces, 1):
             part = stepper.step(piece)
+            if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
+                give_back(HELD_BYTES)
             advance(part.size)
             if watch is not None and part.size:
                 watch(piece.label, piece.chunk, part)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from piga.compensation.compensate import check_serial_names
 from piga.compensation.file_length import holds_more
+from piga.compensation.file_to_file import GIVEN_BACK_AFTER, GIVEN_BACK_SOONER, HELD_BYTES
 from piga.compensation.flags import FLAGS
 from piga.compensation.large_file import LargeFile
 from piga.compensation.mounting import Mounted
@@ -89,8 +90,10 @@ def compensate_set_files(
         parts = _whole(runs, instruments, uncertainty, max_age_days, force, method, watch is not None)
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
     with TableWriter(out, kind) as writer:
-        for label, read, part in parts:
+        for number, (label, read, part) in enumerate(parts, 1):
             advance(part.size)
+            if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
+                give_back(HELD_BYTES)
             if watch is not None and part.size:
                 watch(label, read, part)
             for name in FLAGS:

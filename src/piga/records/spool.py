@@ -30,6 +30,7 @@ TRIM_BLOCKS = 8
 """Blocks after which the resident pages are looked at."""
 SPARSE = 1 << 10
 """Rows far apart that are taken at a time: each brings a piece of the file of its own."""
+STATISTICS = Path("/proc/self/statm")
 BUFFER_BYTES = 1 << 16
 """Bytes that wait to be written to a file; more at a time are written at once."""
 RESIDENT_BYTES = 96 << 20
@@ -49,11 +50,21 @@ def trim() -> None:
     _watch.trim()
 
 
-def give_back() -> None:
-    """Give memory that was freed, but is kept for later, to the system, where the allocators can."""
+def give_back(above: int = 0) -> None:
+    """Give memory that was freed, but is kept for later, to the system, where the allocators can.
+
+    With ``above`` only if that many bytes are resident, and the system tells.
+    """
+    if above and (not STATISTICS.exists() or _resident(1) <= above):
+        return
     import pyarrow as pa
 
     pa.default_memory_pool().release_unused()
+
+
+def _resident(field: int) -> int:
+    """Resident bytes of this process: all (1), or those of files (2)."""
+    return int(STATISTICS.read_bytes().split()[field]) * mmap.PAGESIZE
 
 
 def steps(values: NDArray, part: slice) -> NDArray:
@@ -237,12 +248,13 @@ class _Watch:
 
     def __init__(self) -> None:
         self._maps: weakref.WeakSet[_Map] = weakref.WeakSet()
+        self._advice: int = getattr(mmap, "MADV_DONTNEED", -1)
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
 
     def add(self, mapping: _Map) -> None:
         """Look after one more; where the platform can tell."""
-        if not hasattr(mmap, "MADV_DONTNEED") or not Path("/proc/self/statm").exists():
+        if self._advice < 0 or not STATISTICS.exists():
             return
         with self._lock:
             self._maps.add(mapping)
@@ -256,9 +268,9 @@ class _Watch:
             return
         with self._lock:
             maps = list(self._maps)
-        if int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE > RESIDENT_BYTES:
+        if _resident(2) > RESIDENT_BYTES:
             for mapping in maps:
-                mapping.madvise(mmap.MADV_DONTNEED)
+                mapping.madvise(self._advice)
 
     def _run(self) -> None:
         while True:
