@@ -33,8 +33,9 @@ MISFIT = 18 * at.STRIDE
 CHI = 19 * at.STRIDE
 WEIGHT = 20 * at.STRIDE
 SET_WORK = 21 * at.STRIDE
-SET_STATE = 12  # early estimate and force of the last row, early estimates of the two rows before it
+SET_STATE = 21  # early estimate and force of the last row, early estimates of the two rows before it, those without weights
 EARLY_PLACES = (0, 6, 9)  # of the last rows, the latest first
+PLAIN_PLACES = (12, 15, 18)  # the same of the solution without weights
 
 
 @kernel

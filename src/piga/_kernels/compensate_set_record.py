@@ -135,6 +135,22 @@ def weigh_all(
 
 
 @exact
+def take_early(places: tuple[int, int, int], set_state: Array, c: Array) -> None:
+    """Early estimates of the rows before the block, of the solution that they are of."""
+    for k in range(3):
+        for axis in range(3):
+            c[set_of.EARLY_X + axis * at.STRIDE - k] = set_state[places[k] + axis]
+
+
+@exact
+def save_early(n: int, places: tuple[int, int, int], set_state: Array, c: Array) -> None:
+    """Keep those of the last rows."""
+    for k in range(3):
+        for axis in range(3):
+            set_state[places[k] + axis] = c[set_of.EARLY_X + axis * at.STRIDE + n - k]
+
+
+@exact
 def compensate_set(
     t: Array,
     psi: Array,
@@ -196,13 +212,14 @@ def compensate_set(
                 sines[i], cosines[i], states[i], zeros, w[i],
             )  # fmt: skip
         for axis in range(3):
-            for k in range(3):
-                c[set_of.EARLY_X + axis * at.STRIDE - k] = set_state[set_of.EARLY_PLACES[k] + axis]
             c[set_of.FORCE_X + axis * at.STRIDE] = set_state[3 + axis]
+        take_early(set_of.PLAIN_PLACES, set_state, c)
         set_of.start_force(angle.padded(n), c)
         weights[:, :] = 1.0
         solve_rounds(n, count, sampled, has_terms, parameters, axes, weights, w, c)
+        save_early(n, set_of.PLAIN_PLACES, set_state, c)
         if weighed:
+            take_early(set_of.EARLY_PLACES, set_state, c)
             weigh_all(n, sampled, has_terms, parameters, axes, codes, factors, weights, scratch, w, c)
         write_set(
             n, sampled, w[0], c, force[start:stop], dv[start:stop], u[start:stop], residual[start:stop]
@@ -225,9 +242,8 @@ def compensate_set(
                 inside = 0 if begins_here and not sampled else block_flags[j]
                 each[i, start + j] = inside | (at.NO_INCREMENT if begins_here else 0)
         flag_set(sampled, threshold if count > 3 else math.inf, w[0], c, flags[start:stop])
+        save_early(n, set_of.EARLY_PLACES, set_state, c)
         for axis in range(3):
-            for k in range(3):
-                set_state[set_of.EARLY_PLACES[k] + axis] = c[set_of.EARLY_X + axis * at.STRIDE + n - k]
             set_state[3 + axis] = c[set_of.FORCE_X + axis * at.STRIDE + n]
 
 
