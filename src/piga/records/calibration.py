@@ -219,6 +219,7 @@ class Calibration:
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     bias_drift: float = 0.0
+    segment_scatter: float = 0.0
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:

@@ -12,8 +12,8 @@ from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.added_noise import AddedNoise
-from piga.calibration.drift import projected
-from piga.calibration.drift_basis import KNOTS
+from piga.calibration.slow_noise import projected
+from piga.calibration.slow_bases import KNOTS
 from piga.calibration.leverage import all_but_one, leverages
 from piga.calibration.missing_terms import tested
 from piga.calibration.noise import find_noise
