@@ -17,7 +17,7 @@ from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.request import make_request
 from piga.calibration.slow_bases import MOST_SEGMENTS, SegmentBasis, slow_bases
-from piga.calibration.slow_noise import include_slow_noise, quick_look
+from piga.calibration.slow_noise import include_slow_noise, likely_level, quick_look, slow_factor
 from piga.calibration.solution import solve
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble
 
@@ -137,6 +137,20 @@ def test_few_and_very_many_segments_have_none() -> None:
     for count, kinds in ((3, 1), (4, 2), (MOST_SEGMENTS, 2), (MOST_SEGMENTS + 1, 1)):
         scenario = Scenario("few", tumble(count), seconds=1.0, white=1e-5)
         assert len(slow_bases(scenario.record(np.random.default_rng(1)))) == kinds
+
+
+def test_none_is_looked_for_where_coefficients_take_it_up() -> None:
+    """Five positions and as many coefficients of mean rates: whatever they scatter, nothing shows it."""
+    scenario = replace(SCATTER, forces=tumble(5), scatter=1e-4, terms=("scale_factor", "k0", "k2", "m_Y", "k3"))
+    fit, groups = fitted(scenario, 1)
+    assert include_slow_noise(fit, groups).noise.scatter == 0.0
+    assert (
+        likely_level(
+            slow_factor(fit, groups, fit.noise, SegmentBasis.of(fit.design.run)),
+            SegmentBasis.of(fit.design.run),
+        ).gain
+        == 0.0
+    )
 
 
 def test_levels_of_one_kind_replace_the_other() -> None:

@@ -8,10 +8,14 @@ which joins the segments or takes up what a missing term leaves; a suggestion th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from piga.calibration.advice import advise, looks_wrong
+from piga.calibration.coefficients import name_coefficients
 from piga.calibration.fit import Fit
 from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
@@ -41,7 +45,9 @@ def find_remarks(
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
-    fit = _without_slow(fit) if fit.noise.slow > 0.0 else fit
+    if fit.noise.slow > 0.0:
+        coefficients = _known_without_slow(fit, per_segment, coefficients)
+        fit = _without_slow(fit)
     found, alone, moved = find_leverage(fit, groups, per_segment, coefficients)
     return Remarks(found, alone, moved, suggest_terms(fit, groups, per_segment, coefficients))
 
@@ -70,3 +76,17 @@ def _without_slow(fit: Fit) -> Fit:
     weighted = fit.slow_part is None
     summaries = reduce_segments(fit.design, fit.mode, noise) if weighted else fit.summaries
     return replace(fit, noise=noise, summaries=summaries)
+
+
+def _known_without_slow(
+    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...]
+) -> tuple[Coefficient, ...]:
+    """Coefficients with the standard uncertainties that they would have without what a slow noise adds to them."""
+    named = [
+        np.diag(name_coefficients(fit.design, fit.solution, covariance, per_segment)[1])
+        for covariance in (fit.covariance, fit.solution.covariance)
+    ]
+    return tuple(
+        replace(c, std=math.sqrt(max(c.std**2 - all_noise + plain, plain)))
+        for c, all_noise, plain in zip(coefficients, *named, strict=True)
+    )

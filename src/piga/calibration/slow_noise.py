@@ -40,7 +40,9 @@ BELOW, ABOVE = 0.7, 0.35
 LEVELS = 41
 """Levels tried, over eight decades."""
 UNDETERMINED = 1e-9
-"""Part of a parameter's column that the others leave, below which nothing is said of it."""
+"""Part of a column that the others leave, below which nothing is said of it."""
+ENOUGH = 3
+"""Independent values of a slow noise that the coefficients must leave."""
 BINS, MOST_BINS = 16, 2048
 """Bins of a stretch at the quick look, and of all stretches together."""
 
@@ -79,29 +81,33 @@ def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) 
     best = max(candidates, key=lambda found: found.gain, default=None)
     if best is None or best.gain < SIGNIFICANT:
         return fit
-    basis, noise = best.basis, best.noise
-    factor = slow_factor(fit, groups, noise, basis)
+    basis, plain = best.basis, _solved(fit, groups, best.noise)
+    factor = slow_factor(plain, groups, best.noise, basis)
     level = likely_level(factor, basis)
     moved = _moved(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
-    weighted = fit.counted is None and isinstance(basis, DriftBasis) and (best.gain >= clear or moved is None)
-    if moved is None and not weighted:
+    slow, deviation = basis.noise(best.noise, level.variance), level.deviation / basis.unit()
+    drifting = fit.counted is None and isinstance(basis, DriftBasis)
+    if drifting and (best.gain >= clear or moved is None):
+        return replace(_solved(fit, groups, slow), slow_deviation=deviation)
+    if moved is None:
         return fit
-    slow = basis.noise(noise, level.variance)
-    part = None if weighted or moved is None else basis.unit() * moved @ moved.T
-    summaries, solution = fit.summaries, fit.solution
-    if fit.counted is None:
-        summaries = reduce_segments(fit.design, fit.mode, slow if weighted else noise)
-        solution = solve(fit.design, summaries, groups)
+    part = basis.unit() * moved @ moved.T
     return replace(
-        fit,
+        plain,
         noise=slow,
-        summaries=summaries,
-        solution=solution,
-        covariance=(fit.covariance if fit.counted else solution.covariance)
-        + (0.0 if part is None else slow.slow * part),
-        slow_deviation=level.deviation / basis.unit(),
+        covariance=plain.covariance + slow.slow * part,
+        slow_deviation=deviation,
         slow_part=part,
     )
+
+
+def _solved(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Fit:
+    """The fit with other levels and, but for coarse counts, weights."""
+    if fit.counted is not None:
+        return replace(fit, noise=noise)
+    summaries = reduce_segments(fit.design, fit.mode, noise)
+    solution = solve(fit.design, summaries, groups)
+    return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)
 
 
 def _looked_for(fit: Fit, groups: tuple[int, ...], basis: SlowBasis) -> _Candidate | None:
@@ -212,6 +218,8 @@ def _whitened_means(fit: Fit, basis: SlowBasis, left: int, right: int, bins: int
 def likely_level(factor: Array, basis: SlowBasis) -> Level:
     """Likely variance of the numbers from a triangular factor of ``[slow noise | model | y]`` rows of unit variance."""
     values, square, _, _ = projected(factor, basis)
+    if values.size < ENOUGH:
+        return Level(0.0, 0.0, 0.0)
     levels = 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0]
     size = 1.0 + levels[:, None] * values
     gains = (square - square / size - np.log(size)).sum(axis=1)
@@ -223,7 +231,8 @@ def likely_level(factor: Array, basis: SlowBasis) -> Level:
 def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, float]:
     """Eigenvalues of the slow noise with the model projected out, squares of what is seen of each, the rest, ``log|X'X|``.
 
-    There ``y = B s + e``; eigenvectors of ``B B'`` have variance ``1 + v lambda``.
+    There ``y = B s + e``; eigenvectors of ``B B'`` have variance ``1 + v lambda``. Those that the model takes up are
+    left out: of a scatter as many as there are coefficients of mean rates.
     """
     size = factor.shape[1] - 1
     model = size - basis.count
@@ -231,6 +240,8 @@ def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, flo
     turned = _triangle(factor[:, order])
     block, y = turned[model:size, model:size], turned[model:size, -1]
     vectors, values, _ = np.linalg.svd(block)
-    rest = float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0
+    square = (vectors.T @ y) ** 2
+    seen = values > UNDETERMINED * math.sqrt(float(np.sum(factor[:, : basis.count] ** 2)))
+    rest = float(square[~seen].sum()) + (float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0)
     diagonal = np.abs(np.diag(turned)[:model])
-    return values**2, (vectors.T @ y) ** 2, rest, 2.0 * float(np.log(diagonal).sum())
+    return values[seen] ** 2, square[seen], rest, 2.0 * float(np.log(diagonal).sum())
