@@ -188,6 +188,7 @@ class Calibration:
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
     Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
+    ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate that was found, 0 where none was.
     """
 
     serial: str
