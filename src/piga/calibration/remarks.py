@@ -45,10 +45,11 @@ def find_remarks(
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
-    if fit.noise.slow > 0.0:
+    slow = fit.noise.slow > 0.0
+    if slow:
         coefficients = _known_without_slow(fit, per_segment, coefficients)
         fit = _without_slow(fit)
-    found, alone, moved = find_leverage(fit, groups, per_segment, coefficients)
+    found, alone, moved = find_leverage(fit, groups, per_segment, coefficients, slow)
     return Remarks(found, alone, moved, suggest_terms(fit, groups, per_segment, coefficients))
 
 
