@@ -59,6 +59,7 @@ class Scenario:
     turning: Array | None = None
     phi: float = PHI
     drift: float = 0.0
+    scatter: float = 0.0
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
@@ -84,6 +85,8 @@ class Scenario:
         starts = rng.uniform(-math.pi, math.pi, count)
         if self.drift:
             noise += h * self._wandering(rng)
+        if self.scatter:
+            noise += h * self.scatter * rng.standard_normal((count, 1))
         for s in range(count):
             _motion(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
         output = psi.ravel() - self.phi
@@ -136,13 +139,14 @@ class Scenario:
         """Fisher information of the coefficients (file units).
 
         ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted. With a drift
-        the segments are not independent.
+        the segments are not independent; a scatter moves all increments of a segment alike.
         """
         steps, h = round(self.seconds * self.rate), 1.0 / self.rate
         r = self.white**2 + self.count**2 / 12.0
         V = np.diag(np.full(steps, self.walk**2 * h + 2.0 * r)) - r * (
             np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
         )
+        V += (self.scatter * h) ** 2
         parts = [
             self._derivatives(run.output[run.segment == s] + self.phi, s, h) for s in range(len(self.forces))
         ]
@@ -285,6 +289,9 @@ SCENARIOS: dict[str, Scenario | Joint] = {
         Scenario("walk", tumble(8, (0.5, 1.0)), white=1e-9, walk=3e-5, truth=_STATIC, terms=_TERMS),
         Scenario(
             "drift", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=1e-5, drift=1e-6, truth=_STATIC, terms=_TERMS
+        ),
+        Scenario(
+            "scatter", tumble(8, (0.5, 1.0)), white=2.5e-5, walk=1e-5, scatter=8e-6, truth=_STATIC, terms=_TERMS
         ),
         *(
             Scenario(

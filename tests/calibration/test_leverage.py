@@ -84,6 +84,20 @@ def test_a_position_that_is_wrong_is_named():
     assert not any("without segment" in note for note in piga.calibrate(run, TERMS).notes)
 
 
+@pytest.mark.only_compiled
+def test_positions_that_all_scatter_are_not_named_one_by_one():
+    """Thirty times the scatter that the noise explains: one remark on all, none on each; one that is far off, still."""
+    scenario = replace(SCENARIOS["scatter"], scatter=1e-4)
+    run = scenario.record(np.random.default_rng(4))
+    notes = scenario.calibrate(run).notes
+    assert any("the mean rates of the segments scatter" in note for note in notes)
+    assert not any("without segment" in note for note in notes)
+    off = np.zeros((16, 3))
+    off[3, 0] = 3e-2 * G0
+    notes = piga.calibrate(replace(run, f=run.f + off[run.segment]), scenario.terms).notes
+    assert any("without segment '3'" in note for note in notes)
+
+
 def test_one_segment_has_no_leverage():
     run = SCENARIOS["static"].record(np.random.default_rng(2))
     keep = run.segment == 0

@@ -18,13 +18,13 @@ from piga.calibration.candidates import _without_phase, coefficient_names
 from piga.calibration.coefficients import name_parameters
 from piga.calibration.counted import count_of
 from piga.calibration.cross_validation import predict
-from piga.calibration.drift import _whitened_means, quick_look
-from piga.calibration.drift_basis import KNOTS, DriftBasis
 from piga.calibration.identifiability import _aligned, notes_in_words, refuse_useless
 from piga.calibration.monte_carlo import standard_draws
 from piga.calibration.mounting import plan_mounting
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.slow_bases import KNOTS, DriftBasis
+from piga.calibration.slow_noise import _whitened_means, quick_look
 from piga.calibration.solution import Estimate, Layout
 from piga.calibration.trend import Forecast
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
@@ -95,11 +95,11 @@ def test_doubts_are_said_when_there_are_and_only_then() -> None:
     assert "scatter" not in notes(sure, scatter={"segment_scatter_ratio": 1.9, "segment_scatter_g": 1e-6})
     drift = {
         "segment_scatter_ratio": 1.0,
-        "segment_scatter_ratio_without_drift": 3.1,
+        "segment_scatter_ratio_without_it": 3.1,
         "segment_scatter_g": 1e-6,
     }
     assert "scatter 3.1 times more than the noise of the angle" in notes(sure, scatter=drift)
-    assert "scatter" not in notes(sure, scatter=drift | {"segment_scatter_ratio_without_drift": 1.9})
+    assert "scatter" not in notes(sure, scatter=drift | {"segment_scatter_ratio_without_it": 1.9})
     loose = [*sure, coefficient("phi", 0.1, 0.6, "rad", "7"), coefficient("phi", 0.1, 0.01, "rad", "8")]
     assert "phi is not determined in segment 7:" in notes(loose, phase="per-segment")
     assert "has its own phase" not in notes(loose, phase="per-segment")
@@ -158,7 +158,8 @@ def test_draws_of_students_t_have_its_wider_spread() -> None:
 def residual_of(d: np.ndarray, noise: Noise, stretches: int = 1) -> SimpleNamespace:
     """What the quick look needs of a fit: stretches of a record at 10 Hz, with residual increments ``d``."""
     t = 0.1 * np.arange(d.size)
-    run = SimpleNamespace(t=t, size=d.size, begins=np.arange(d.size) % (d.size // stretches) == 0)
+    begins = np.arange(d.size) % (d.size // stretches) == 0
+    run = SimpleNamespace(t=t, size=d.size, begins=begins, segment=np.cumsum(begins) - 1)
     return SimpleNamespace(design=SimpleNamespace(run=run), noise=noise, d=d)
 
 
@@ -188,7 +189,8 @@ def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
         angle = np.cumsum(np.sqrt(0.1 * noise.walk) * rng.standard_normal(size))
         rate = np.cumsum(np.sqrt(0.1 * drift) * rng.standard_normal(size))
         angle += np.cumsum(0.1 * rate) + np.sqrt(noise.white) * rng.standard_normal(size)
-        return quick_look(residual_of(np.diff(angle, prepend=0.0), noise, 8)).gain  # type: ignore[arg-type]
+        fit = residual_of(np.diff(angle, prepend=0.0), noise, 8)
+        return quick_look(fit, DriftBasis.of(fit.design.run)).gain  # type: ignore[arg-type]
 
     assert np.median([gain(0.0) for _ in range(20)]) < 0.3
     assert np.median([gain(1e-15) for _ in range(20)]) > 3.0
@@ -197,7 +199,8 @@ def test_the_quick_look_sees_a_drift_and_no_noise_for_one() -> None:
 def test_a_quick_look_at_few_bins_sees_nothing() -> None:
     """Fewer rows than steps of the drift: whatever the residuals are, they are no evidence."""
     d = np.linspace(0.0, 1.0, KNOTS)
-    assert quick_look(residual_of(d, Noise(1e-12, 1e-12))).gain == 0.0  # type: ignore[arg-type]
+    fit = residual_of(d, Noise(1e-12, 1e-12))
+    assert quick_look(fit, DriftBasis.of(fit.design.run)).gain == 0.0  # type: ignore[arg-type]
 
 
 def test_spikes_of_a_log_of_rates() -> None:

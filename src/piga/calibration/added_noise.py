@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.design import Design
-from piga.calibration.drift_basis import KNOTS, DriftBasis
 from piga.calibration.fit import Fit
 from piga.calibration.noise import Noise
+from piga.calibration.slow_bases import DriftBasis, SegmentBasis, SlowBasis
 from piga.calibration.weighting import reduce_segments
 from piga.calibration.whitened_rows import whitened_rows
 
@@ -58,9 +58,12 @@ class AddedNoise:
 def added_noise(fit: Fit, design: Design, groups: tuple[int, ...]) -> tuple[AddedNoise, ...]:
     """What a fit has in its covariance and not in its weights, with the columns of ``design``."""
     found = []
-    if fit.drift_part is not None:
-        scores = _grouped(_drift_scores(fit, design), groups)
-        found.append(AddedNoise("drift", fit.noise.drift, fit.drift_deviation, True, scores))
+    if fit.slow_part is not None:
+        drifting = fit.noise.drift > 0.0
+        basis = DriftBasis.of(design.run) if drifting else SegmentBasis.of(design.run)
+        scores = _grouped(_slow_scores(fit, design, basis), groups)
+        name = "drift" if drifting else "scatter"
+        found.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
     if fit.faint is not None:
         deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
         scores = _walk_scores(design, fit.mode, fit.weights, groups, PROBE * deviation)
@@ -76,13 +79,13 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
     )
 
 
-def _drift_scores(fit: Fit, design: Design) -> list[Array]:
-    """``X'W B`` (m, KNOTS) of every segment for a unit of bias drift."""
-    m, spacing = len(design.names), DriftBasis.of(design.run).spacing
-    found = [np.zeros((m, KNOTS)) for _ in design.run.labels]
-    for segment, columns in whitened_rows(fit, design, fit.weights):
-        found[segment] += columns[:m] @ columns[m : m + KNOTS].T
-    return [np.sqrt(spacing) * part for part in found]
+def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
+    """``X'W B`` (m, count) of every segment for a unit of slow noise."""
+    m = len(design.names)
+    found = [np.zeros((m, basis.count)) for _ in design.run.labels]
+    for segment, columns in whitened_rows(fit, design, fit.weights, basis):
+        found[segment] += basis.placed(columns[:m] @ columns[m:-1].T, segment)
+    return [np.sqrt(basis.unit()) * part for part in found]
 
 
 def _walk_scores(

@@ -17,7 +17,6 @@ from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
-from piga.calibration.drift import include_drift
 from piga.calibration.faint_walk import include_faint_walk
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
 from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
@@ -37,6 +36,7 @@ from piga.calibration.revolutions import (
     name_revolutions,
     revolutions_result,
 )
+from piga.calibration.slow_noise import include_slow_noise
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
 from piga.calibration.uncertainty import contributions
@@ -99,7 +99,7 @@ def calibrate(
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
     try:
-        fit = include_drift(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
+        fit = include_slow_noise(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
         fit = include_faint_walk(fit, groups)
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
         spread = 0.0 if run.temperature is None else _range(run.temperature)
@@ -181,6 +181,7 @@ def _assemble(
         quality=fit.design.run.quality,
         outliers=fit.outliers,
         bias_drift=fit.noise.bias_drift,
+        segment_scatter=fit.noise.segment_scatter,
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,

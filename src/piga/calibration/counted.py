@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.design import Design
-from piga.calibration.drift_basis import DriftBasis
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.saw_tooth import HARMONICS, LOOKED, SawTooth, counting_covariances, follow, looks_white
+from piga.calibration.slow_bases import SlowBasis
 from piga.calibration.solution import Solution, solve
 from piga.calibration.stretches import (
     Stretch,
@@ -176,16 +176,16 @@ class Counted:
             summaries[segment].absorb(columns)
         return summaries
 
-    def whitened(self, design: Design, basis: DriftBasis | None = None) -> Iterator[tuple[int, Array]]:
-        """Segment and whitened columns (m + 1, K) of every stretch; those of a bias drift come before the last."""
+    def whitened(self, design: Design, basis: SlowBasis | None = None) -> Iterator[tuple[int, Array]]:
+        """Segment and whitened columns (m + 1, K) of every stretch; those of a slow noise come before the last."""
         held = self.stretches
         parts, rows = held.parts, held.rows
         if design is not held.design:
             parts = find_stretches(design, self.modes)
             rows = np.array([part.rows for part in parts])
         if basis is not None:
-            drift = [part.contrasts @ basis.angle(part.mean(part.time)).T for part in parts]
-            rows = np.concatenate([rows[:, :, :-1], np.array(drift), rows[:, :, -1:]], axis=2)
+            slow = [part.contrasts @ basis.angle(part.mean(part.time)).T for part in parts]
+            rows = np.concatenate([rows[:, :, :-1], np.array(slow), rows[:, :, -1:]], axis=2)
         factor = np.linalg.cholesky(held.covariance(self.noise))
         for part, columns in zip(parts, np.linalg.solve(factor, rows), strict=True):
             yield part.segment, np.ascontiguousarray(columns.T)

@@ -98,11 +98,11 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     scale = np.array([fit.noise.white, fit.noise.walk])
     covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     unseen = fit.noise.walk <= SEEN * math.sqrt(float(covariance[1, 1]))
-    if unseen and fit.noise.drift > 0.0:
+    if unseen and fit.noise.slow > 0.0:
         return _satterthwaite(fit, groups, per_segment, (), rest)
     if unseen:
         return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
-    if fit.design.rows > LARGE and fit.noise.drift == 0.0:
+    if fit.design.rows > LARGE and fit.noise.slow == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))
     return _satterthwaite(fit, groups, per_segment, _directions(covariance), rest)
@@ -130,9 +130,9 @@ def _satterthwaite(
         size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
         moved = variances(replace(levels, white=levels.white + size * white, walk=levels.walk + size * walk))
         spread += ((moved - now) / size) ** 2
-    if levels.drift > 0.0:
-        moved = variances(replace(levels, drift=(1.0 + STEP) * levels.drift))
-        spread += ((moved - now) * fit.drift_deviation / (STEP * levels.drift)) ** 2
+    if levels.slow > 0.0:
+        moved = variances(levels.slower(1.0 + STEP))
+        spread += ((moved - now) * fit.slow_deviation / (STEP * levels.slow)) ** 2
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
 
 
@@ -147,9 +147,9 @@ def _by_precision(
     precision = np.array([1.0 / variances(replace(fit.noise, walk=walk)) for walk in walks])
     relative = precision / (weights @ precision) - 1.0
     spread = weights @ relative**2
-    if fit.noise.drift > 0.0:
+    if fit.noise.slow > 0.0:
         now = variances(fit.noise)
-        moved = variances(replace(fit.noise, drift=fit.noise.drift + fit.drift_deviation))
+        moved = variances(fit.noise.slower(1.0 + fit.slow_deviation / fit.noise.slow))
         spread += (moved / now - 1.0) ** 2
     return np.minimum(rest, 2.0 / np.maximum(spread, 1e-300))
 
@@ -159,15 +159,15 @@ def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable
 
     def variances(noise: Noise) -> Array:
         if fit.counted is None:
-            weights = noise if fit.drift_part is None else replace(noise, drift=0.0)
+            weights = noise if fit.slow_part is None else noise.without_slow()
             weights = weights if fit.faint is None else replace(weights, walk=fit.noise.walk)
             summaries = reduce_segments(fit.design, fit.mode, weights)
         else:
             summaries = fit.counted.with_walk(noise.walk).reduce(fit.design)
         solution = solve(fit.design, summaries, groups)
         added = np.zeros_like(solution.covariance)
-        if fit.drift_part is not None:
-            added += noise.drift * fit.drift_part
+        if fit.slow_part is not None:
+            added += noise.slow * fit.slow_part
         if fit.faint is not None:
             added += (noise.walk - fit.noise.walk) * fit.faint.part
         return np.diag(

@@ -45,12 +45,12 @@ ENOUGH = 3.0
 def include_faint_walk(fit: Fit, groups: tuple[int, ...]) -> Fit:
     """The same fit with a random walk that is not clear in its covariance; unchanged where it is clear.
 
-    Left out beside a bias drift, with coarse counts, given noise levels and methods other than whitened least squares in
+    Left out beside a slow noise, with coarse counts, given noise levels and methods other than whitened least squares in
     one go, in records of more than ``fit.SMALL`` increments, and where the coefficients leave no slow values.
     """
     request, noise = fit.design.request, fit.noise
     able = fit.mode == "increments" and request.method == "information" and fit.counted is None
-    if not able or request.angle_rms is not None or noise.drift > 0.0 or fit.design.rows > SMALL:
+    if not able or request.angle_rms is not None or noise.slow > 0.0 or fit.design.rows > SMALL:
         return fit
     unit = slowest(fit)
     if noise.white == 0.0 or noise.walk > UNCLEAR * unit * noise.white:

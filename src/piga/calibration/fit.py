@@ -64,7 +64,7 @@ class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
     ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
-    ``drift_deviation`` is the standard uncertainty of ``noise.drift``; ``drift_part`` what a unit of drift adds to the
+    ``slow_deviation`` is the standard uncertainty of ``noise.slow``; ``slow_part`` what a unit of it adds to the
     covariance, where the fit is not weighted by it; ``faint`` is a random walk that is not clear.
     """
 
@@ -79,14 +79,14 @@ class Fit:
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
     counted: Counted | None = None
-    drift_deviation: float = 0.0
-    drift_part: Array | None = field(default=None, repr=False)
+    slow_deviation: float = 0.0
+    slow_part: Array | None = field(default=None, repr=False)
     faint: FaintWalk | None = field(default=None, repr=False)
 
     @property
     def weights(self) -> Noise:
         """The noise that the rows are weighted by."""
-        return self.noise if self.drift_part is None else replace(self.noise, drift=0.0)
+        return self.noise if self.slow_part is None else self.noise.without_slow()
 
     @property
     def levels(self) -> Noise:

@@ -237,12 +237,12 @@ def notes_in_words(
             f"explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
             "the model does not hold; the standard uncertainties do not include it"
         )
-    elif scatter.get("segment_scatter_ratio_without_drift", 0.0) > SCATTER:
+    elif scatter.get("segment_scatter_ratio_without_it", 0.0) > SCATTER:
         notes.append(
-            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio_without_drift']:.1f} times more "
-            f"than the noise of the angle explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms); as a bias drift it is "
-            "in the standard uncertainties, but an effect of the stand or of the servo that the model does not hold "
-            "looks the same: repeat the positions in another order to tell them apart"
+            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio_without_it']:.1f} times more "
+            f"than the noise of the angle explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): the standard "
+            "uncertainties include it as noise, but an effect of the stand or of the servo that the model does not hold, "
+            "the same at every visit of a position, does not average out"
         )
     if phase == "per-segment" and not loose:
         notes.append("every segment has its own phase: nothing is assumed about the counter between segments")

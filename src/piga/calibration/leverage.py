@@ -18,7 +18,9 @@ from piga.calibration.fit import Fit
 from piga.calibration.identifiability import RANK, SHARE, term_of
 from piga.calibration.reduction import Reduction
 from piga.calibration.segment_parts import has_phases, parameter_rows
+from piga.calibration.slow_bases import SegmentBasis
 from piga.calibration.solution import Estimate, Layout, layout_of, solve_parts
+from piga.calibration.whitened_rows import whitened_rows
 from piga.records.calibration import Coefficient
 
 Array = NDArray[np.float64]
@@ -29,6 +31,8 @@ SHIFTS = 3.0
 """Shift of a coefficient, in standard uncertainties, from which leaving a segment out is said to move it."""
 UNLIKELY = 4.5
 """The same in standard deviations that the noise gives such a shift: 1 in 150 000."""
+NORMAL_MEDIAN = 0.6745
+"""Median size of a normal deviate of one."""
 MOST = 500
 """Segments up to which each is left out in turn."""
 WORDS = 4
@@ -45,7 +49,11 @@ class Without:
 
 
 def find_leverage(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
+    fit: Fit,
+    groups: tuple[int, ...],
+    per_segment: bool,
+    coefficients: tuple[Coefficient, ...],
+    slow: bool = False,
 ) -> tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]:
     """Leverage of every segment for ``diagnostics``, and what is to be said about it.
 
@@ -54,7 +62,10 @@ def find_leverage(
     fit, groups, per_segment:
         The finished fit and its phases.
     coefficients:
-        The result, with combined standard uncertainties.
+        The result, with combined standard uncertainties, slow noise left out of them.
+    slow:
+        A slow noise was found: all segments move coefficients by more than the noise of the angle lets expect, and one
+        is named only if its rate stands out among the others.
 
     Returns
     -------
@@ -79,7 +90,23 @@ def find_leverage(
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
         left = _named(fit, layout, rest, per_segment, linear)
         table[label] = {"leverage": traced + (1.0 if linear else 0.0)} | _influence(common, whole, left)
-    return {"leverage": table}, _sole_words(table, common), _shift_words(table, common, whole, size)
+    alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
+    unit = "standard uncertainties" + (" by the noise of the angle" if slow else "")
+    return {"leverage": table}, alone, _shift_words({k: table[k] for k in named}, common, whole, size, unit)
+
+
+def odd_segments(fit: Fit) -> tuple[str, ...]:
+    """Labels of the segments whose residual rate is far from that of the others, by their median deviation."""
+    basis, size = SegmentBasis.of(fit.design.run), len(fit.design.run.labels)
+    product, square = np.zeros(size), np.zeros(size)
+    for segment, columns in whitened_rows(fit, fit.design, fit.noise, basis):
+        y = columns[-1] - fit.solution.values[segment] @ columns[:-2]
+        product[segment] += columns[-2] @ y
+        square[segment] += columns[-2] @ columns[-2]
+    rate = np.divide(product, square, out=np.zeros(size), where=square > 0.0)
+    away = np.abs(rate - np.median(rate))
+    odd = away > UNLIKELY * np.median(away) / NORMAL_MEDIAN
+    return tuple(label for label, far in zip(fit.design.run.labels, odd, strict=True) if far)
 
 
 def _amplitude_parts(layout: Layout, fit: Fit, groups: tuple[int, ...]) -> list[Reduction]:
@@ -188,7 +215,7 @@ def _sole_words(table: dict[str, Any], common: list[Coefficient]) -> tuple[str, 
 
 
 def _shift_words(
-    table: dict[str, Any], common: list[Coefficient], whole: Without, size: float
+    table: dict[str, Any], common: list[Coefficient], whole: Without, size: float, unit: str
 ) -> tuple[str, ...]:
     """Segments that move a coefficient by more than noise would."""
     found: list[tuple[float, str]] = []
@@ -200,7 +227,7 @@ def _shift_words(
             usual = size * whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
             if abs(shift) > UNLIKELY * usual:
                 words = (
-                    f"without segment '{label}' {c.name} changes by {shift:+.1f} standard uncertainties (noise would "
+                    f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
                     f"explain {usual:.1g}): look at that segment"
                 )
                 found.append((abs(shift), words))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +33,16 @@ REFINEMENTS = 4
 
 @dataclass(frozen=True)
 class Noise:
-    """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s], bias ``drift`` [rad^2/s^3].
+    """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s].
 
-    The bias drift is a random walk of the rate.
+    Besides them one of two slow noises: a bias ``drift`` [rad^2/s^3], a random walk of the rate; ``scatter``
+    [rad^2/s^2] of the rate from segment to segment.
     """
 
     white: float
     walk: float
     drift: float = 0.0
+    scatter: float = 0.0
 
     @property
     def angle_rms(self) -> float:
@@ -56,6 +58,24 @@ class Noise:
     def bias_drift(self) -> float:
         """Random walk of the rate [rad/s/sqrt(s)]."""
         return math.sqrt(self.drift)
+
+    @property
+    def segment_scatter(self) -> float:
+        """Standard deviation of the rate from segment to segment [rad/s]."""
+        return math.sqrt(self.scatter)
+
+    @property
+    def slow(self) -> float:
+        """Level of the slow noise, whichever it is."""
+        return self.drift + self.scatter
+
+    def slower(self, factor: float) -> Noise:
+        """The same with ``factor`` times the slow noise."""
+        return replace(self, drift=factor * self.drift, scatter=factor * self.scatter)
+
+    def without_slow(self) -> Noise:
+        """White noise and random walk alone."""
+        return replace(self, drift=0.0, scatter=0.0)
 
     def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:
         """True when both give nearly the same weights: variances of an increment and of a long span agree."""

@@ -2,20 +2,23 @@
 
 One cause gets one remark: data that fit far better when read otherwise look as if terms were missing, and a
 missing term moves single segments. So advice on the data holds back the suggestions of terms, and both hold
-back the remarks on segments that move a coefficient. Nothing is ever applied. All are found without a bias drift
-in the noise, which joins the segments and takes up what a missing term leaves; a suggestion then says so.
+back the remarks on segments that move a coefficient. Nothing is ever applied. All are found without a slow noise,
+which joins the segments or takes up what a missing term leaves; a suggestion then says so.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from piga.calibration.advice import advise, looks_wrong
+from piga.calibration.coefficients import name_coefficients
 from piga.calibration.fit import Fit
 from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
-from piga.calibration.noise import Noise
 from piga.calibration.weighting import reduce_segments
 from piga.records.calibration import Calibration, Coefficient
 
@@ -42,8 +45,11 @@ def find_remarks(
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
-    fit = _without_drift(fit) if fit.noise.drift > 0.0 else fit
-    found, alone, moved = find_leverage(fit, groups, per_segment, coefficients)
+    slow = fit.noise.slow > 0.0
+    if slow:
+        coefficients = _known_without_slow(fit, per_segment, coefficients)
+        fit = _without_slow(fit)
+    found, alone, moved = find_leverage(fit, groups, per_segment, coefficients, slow)
     return Remarks(found, alone, moved, suggest_terms(fit, groups, per_segment, coefficients))
 
 
@@ -56,7 +62,8 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration
         found |= {"advice": list(advice)}
     if missing:
         found |= {"missing_terms": list(missing)}
-    also = "; the bias drift found may be the same effect" if fit.noise.drift > 0.0 else ""
+    slow = "bias drift" if fit.noise.drift > 0.0 else "scatter of the segments"
+    also = f"; the {slow} found may be the same effect" if fit.noise.slow > 0.0 else ""
     suggested = tuple(words + also for words in suggestions_in_words(missing))
     cause = (*advice, *suggested) or remarks.moved
     return replace(
@@ -64,9 +71,23 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration
     )
 
 
-def _without_drift(fit: Fit) -> Fit:
+def _without_slow(fit: Fit) -> Fit:
     """The fit with one summary per segment again."""
-    noise = Noise(fit.noise.white, fit.noise.walk)
-    weighted = fit.drift_part is None
+    noise = fit.noise.without_slow()
+    weighted = fit.slow_part is None
     summaries = reduce_segments(fit.design, fit.mode, noise) if weighted else fit.summaries
     return replace(fit, noise=noise, summaries=summaries)
+
+
+def _known_without_slow(
+    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...]
+) -> tuple[Coefficient, ...]:
+    """Coefficients with the standard uncertainties that they would have without what a slow noise adds to them."""
+    named = [
+        np.diag(name_coefficients(fit.design, fit.solution, covariance, per_segment)[1])
+        for covariance in (fit.covariance, fit.solution.covariance)
+    ]
+    return tuple(
+        replace(c, std=math.sqrt(max(c.std**2 - all_noise + plain, plain)))
+        for c, all_noise, plain in zip(coefficients, *named, strict=True)
+    )

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.design import Design
-from piga.calibration.drift_basis import DRIFT_NAMES, KNOTS
 from piga.calibration.reduction import Reduction, solve_upper
+from piga.calibration.slow_bases import DRIFT_NAMES, KNOTS
 from piga.errors import CalibrationError
 
 Array = NDArray[np.float64]

@@ -16,14 +16,14 @@ from piga.calibration.added_noise import AddedNoise, added_noise
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
-from piga.calibration.drift import include_drift
-from piga.calibration.drift_basis import DRIFT_NAMES
 from piga.calibration.faint_walk import include_faint_walk
 from piga.calibration.fit import Fit, fit_run, phase_groups
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
+from piga.calibration.slow_bases import DRIFT_NAMES
+from piga.calibration.slow_noise import include_slow_noise
 from piga.calibration.solution import drift_columns, merged
 from piga.calibration.uncertainty import Source, sources
 from piga.calibration.weighting import reduce_segments
@@ -217,7 +217,11 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         groups, per_segment = phase_groups(run, wish)
         try:
             fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
-            fit = include_drift(fit, groups, clear=math.inf) if per_segment else include_drift(fit, groups)
+            fit = (
+                include_slow_noise(fit, groups, clear=math.inf)
+                if per_segment
+                else include_slow_noise(fit, groups)
+            )
             fit = include_faint_walk(fit, groups)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
@@ -292,12 +296,12 @@ def _as_weighted(fit: Fit) -> Fit:
         replace(
             fit,
             noise=fit.weights,
-            drift_part=None,
-            drift_deviation=0.0,
+            slow_part=None,
+            slow_deviation=0.0,
             faint=None,
             covariance=fit.solution.covariance,
         )
-        if fit.drift_part is not None or fit.faint is not None
+        if fit.slow_part is not None or fit.faint is not None
         else fit
     )
 

@@ -91,7 +91,7 @@ def write_summary(summary: RunSummary, path: Path) -> None:
     """Write a summary as JSON, every float with all its digits."""
     document: dict[str, Any] = {"schema": SCHEMA} | {name: getattr(summary, name) for name in _PLAIN}
     document |= {
-        "noise": [summary.noise.white, summary.noise.walk, summary.noise.drift],
+        "noise": [summary.noise.white, summary.noise.walk, summary.noise.drift, summary.noise.scatter],
         "parts": [_plain(part) for part in summary.parts],
         "sources": [
             {

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
-from piga.calibration.drift_basis import DRIFT_NAMES, KNOTS, DriftBasis
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.slow_bases import DRIFT_NAMES, KNOTS, DriftBasis, SlowBasis
 from piga.calibration.workers import workers
 from piga.records.spool import arrays_like
 
@@ -57,20 +57,20 @@ def weighting_mode(design: Design, method: str) -> str:
 
 
 def weighted_blocks(
-    design: Design, mode: str, noise: Noise, basis: DriftBasis | None = None
+    design: Design, mode: str, noise: Noise, basis: SlowBasis | None = None
 ) -> Iterator[tuple[Block, Array]]:
-    """Blocks with their weighted columns, in order; those of a bias drift come before the last."""
-    whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else KNOTS) + 1)
+    """Blocks with their weighted columns, in order; those of a slow noise come before the last."""
+    whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else basis.size) + 1)
     for block in design.blocks():
-        yield block, whitener.apply_columns(_with_drift(design, block, basis), block.h)
+        yield block, whitener.apply_columns(_with_slow(design, block, basis), block.h)
 
 
-def _with_drift(design: Design, block: Block, basis: DriftBasis | None) -> Array:
-    """Columns of the model, of the drift if there is one, and of the observation."""
+def _with_slow(design: Design, block: Block, basis: SlowBasis | None) -> Array:
+    """Columns of the model, of a slow noise if there is one, and of the observation."""
     if basis is None:
         return block.columns
-    drift = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
-    return np.vstack([block.columns[:-1], drift, block.columns[-1:]])
+    slow = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
+    return np.vstack([block.columns[:-1], slow, block.columns[-1:]])
 
 
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:

@@ -1,4 +1,4 @@
-"""The rows of a fit with its weights, those of a bias drift among them, however they are found."""
+"""The rows of a fit with its weights, those of a slow noise among them, however they are found."""
 
 from __future__ import annotations
 
@@ -8,20 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.design import Design
-from piga.calibration.drift_basis import DriftBasis
 from piga.calibration.fit import Fit
 from piga.calibration.noise import Noise
+from piga.calibration.slow_bases import SlowBasis
 from piga.calibration.weighting import weighted_blocks
 
 Array = NDArray[np.float64]
 
 
-def whitened_rows(fit: Fit, design: Design, noise: Noise) -> Iterator[tuple[int, Array]]:
-    """Segment and whitened columns (m + KNOTS + 1, n) of model, bias drift and observation, piece by piece.
+def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: SlowBasis) -> Iterator[tuple[int, Array]]:
+    """Segment and whitened columns (m + size + 1, n) of model, slow noise and observation, piece by piece.
 
     ``noise`` is what increments are whitened with; coarse counts have the covariance that was found for them.
     """
-    basis = DriftBasis.of(design.run)
     if fit.counted is not None:
         yield from fit.counted.whitened(design, basis)
         return

@@ -188,6 +188,7 @@ class Calibration:
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
     Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
+    ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate that was found, 0 where none was.
     """
 
     serial: str
@@ -219,6 +220,7 @@ class Calibration:
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     bias_drift: float = 0.0
+    segment_scatter: float = 0.0
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:

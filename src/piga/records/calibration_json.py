@@ -71,6 +71,7 @@ class _Noise(msgspec.Struct, frozen=True):
     angle_rms: _Quantity
     angle_random_walk: _Quantity
     bias_drift: _Quantity | None = None
+    segment_scatter: _Quantity | None = None
 
 
 class _Residual(msgspec.Struct, frozen=True):
@@ -170,6 +171,7 @@ def _estimates(c: Calibration) -> dict[str, Any]:
             "angle_rms": {"value": c.angle_rms, "unit": "rad"},
             "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
             "bias_drift": {"value": c.bias_drift, "unit": "rad/s/sqrt(s)"},
+            "segment_scatter": {"value": c.segment_scatter, "unit": "rad/s"},
         },
     }
 
@@ -241,7 +243,8 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         degrees_of_freedom=document.degrees_of_freedom,
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
         angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
-        bias_drift=0.0 if document.noise.bias_drift is None else document.noise.bias_drift.value,
+        bias_drift=_level(document.noise.bias_drift),
+        segment_scatter=_level(document.noise.segment_scatter),
         residual_rms=document.residual.rms.value,
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,
@@ -291,6 +294,11 @@ def _decode(raw: bytes, path: Path) -> _Document:
         raise CalibrationError(
             f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
         ) from None
+
+
+def _level(found: _Quantity | None) -> float:
+    """A noise level that older files do not have."""
+    return 0.0 if found is None else found.value
 
 
 def _in_si(quantity: _Quantity, like: str, path: Path) -> float:

@@ -32,7 +32,7 @@ from piga.reports.calibration_tables import (
     scalars,
     segment_table,
 )
-from piga.reports.calibration_text import calibration_text, drift_found
+from piga.reports.calibration_text import calibration_text, drift_found, scatter_found
 from piga.reports.figure import Figure
 from piga.reports.long_record import leading_part
 from piga.reports.model_choice import comparison_sections
@@ -312,6 +312,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
         ("Bias drift", drift_found(cal)),
+        ("Scatter of the rate from segment to segment", scatter_found(cal)),
         *scalars({key: value for key, value in cal.diagnostics.items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))

@@ -36,6 +36,14 @@ def drift_found(cal: Calibration) -> str:
     return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
 
 
+def scatter_found(cal: Calibration) -> str:
+    """Scatter of the rate from segment to segment, or that there is none to be seen."""
+    if cal.segment_scatter == 0.0:
+        return "none seen"
+    shown = short(cal.segment_scatter / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg ({printed(short(cal.segment_scatter))} rad/s)"
+
+
 def _text_table(cal: Calibration) -> list[str]:
     lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
     for coefficient in cal.coefficients:
@@ -67,6 +75,7 @@ def _text_figures(cal: Calibration) -> list[str]:
             if cal.bias_drift > 0.0
             else []
         ),
+        *([("scatter of segments", scatter_found(cal).replace("µ", "u"))] if cal.segment_scatter > 0.0 else []),
         ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
         ("condition number", short(cal.condition)),
     ]

@@ -12,12 +12,12 @@ from piga._kernels.counting import saw_tooth_covariance
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.added_noise import AddedNoise
-from piga.calibration.drift import projected
-from piga.calibration.drift_basis import KNOTS
 from piga.calibration.leverage import all_but_one, leverages
 from piga.calibration.missing_terms import tested
 from piga.calibration.noise import find_noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.slow_bases import KNOTS, DriftBasis
+from piga.calibration.slow_noise import projected
 from piga.instrument.parameters import ErrorModel
 from piga.units import G0
 from tests.compensation.twin_data import TAN_BETA, instrument
@@ -135,7 +135,8 @@ def _drift() -> Iterator[Pair]:
     residual = y - X @ np.linalg.solve(inner, X.T @ np.linalg.solve(V, y))
     square = residual @ np.linalg.solve(V, residual)
     literal = (n - m) * np.log(square) + np.linalg.slogdet(V)[1] + np.linalg.slogdet(inner)[1]
-    values, z2, rest, model = projected(np.linalg.qr(np.column_stack([B, X, y]), mode="r"))
+    factor = np.linalg.qr(np.column_stack([B, X, y]), mode="r")
+    values, z2, rest, model = projected(factor, DriftBasis(0.0, 1.0))
     size = 1.0 + v * values
     yield literal, (n - m) * np.log(rest + np.sum(z2 / size)) + np.log(size).sum() + model, 1e-9
 
