@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 APART = 1e-6
 """Part of the interval by which times of one row may differ between the files."""
-READINGS = 1 << 16
+READINGS = 1 << 15
 """Rows worked on at a time, times the instruments."""
 ROW = ("t", "output", "begins", "base_rate", "temperature")
 """What is kept of a file."""
