@@ -180,3 +180,11 @@ def test_levels_of_one_kind_replace_the_other() -> None:
     assert basis.angle(np.array([1.0, 12.0])).tolist() == [[1.0, 2.0]]
     placed = basis.placed(np.array([[1.0, 7.0], [0.0, 8.0]]), 1)
     assert placed.tolist() == [[0.0, 1.0, 7.0], [0.0, 0.0, 8.0]]
+
+
+def test_columns_that_are_all_one_rate_in_a_segment_do_not_spoil_the_weights() -> None:
+    """Constant force: without the segment's own rate nothing is left of some columns but rounding errors."""
+    found = SCATTER.calibrate(SCATTER.record(np.random.default_rng([193, 2026])))
+    errors = SCATTER.errors(found)
+    assert found.segment_scatter > 0.0
+    assert (np.abs(errors) < 4.0 * np.array([c.std for c in found.coefficients])).all()
