@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import piga
+from piga.calibration import slow_noise
 from piga.calibration.added_noise import AddedNoise
 from piga.calibration.slow_noise import include_slow_noise
 from piga.calibration.summary import RunSummary
@@ -29,7 +30,8 @@ assert isinstance(SCATTER, Scenario)
 
 
 def never_clear(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A drift that is seen is never weighted by."""
+    """A slow noise that is seen is never weighted by."""
+    monkeypatch.setattr(slow_noise, "CLEAR", math.inf)
     for room in ("calibrate", "summary"):
         monkeypatch.setattr(
             sys.modules[f"piga.calibration.{room}"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import piga
+from piga.calibration import slow_noise
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.degrees_of_freedom import type_a_degrees
@@ -50,8 +52,9 @@ def test_known_scatter_is_found_on_average_and_not_taken_for_a_drift(phase: str)
     assert sum(row[0] > 0.0 for row in found) >= 10
 
 
-def test_covariance_is_the_dense_one_of_these_weights() -> None:
+def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights of white noise and random walk: the dense covariance of that estimate with the scatter, levels as found."""
+    monkeypatch.setattr(slow_noise, "CLEAR", math.inf)
     fit, groups = fitted(SCATTER, 3)
     found = include_slow_noise(fit, groups)
     noise, steps, h = found.noise, round(SCATTER.seconds * SCATTER.rate), 1.0 / SCATTER.rate
@@ -69,6 +72,22 @@ def test_covariance_is_the_dense_one_of_these_weights() -> None:
     assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
     assert 5.0 < type_a_degrees(found, groups, False)[0] < 25.0
     assert type_a_degrees(replace(found, slow_deviation=0.0), groups, False)[0] > 25.0
+
+
+def test_a_clear_scatter_is_weighted_by() -> None:
+    """The estimate and covariance of generalised least squares with the dense covariance, levels as found."""
+    fit, groups = fitted(replace(SCATTER, scatter=3e-5), 3)
+    found = include_slow_noise(fit, groups)
+    noise = found.noise
+    exact = replace(
+        SCATTER, scatter=noise.segment_scatter, white=noise.angle_rms, walk=noise.angle_random_walk
+    ).bound(fit.design.run)
+    coefficients, covariance = name_coefficients(found.design, found.solution, found.covariance, False)
+    plain = name_coefficients(fit.design, fit.solution, fit.covariance, False)[0]
+    assert found.slow_part is None
+    assert found.weights == noise
+    assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(exact)), rel=0.03)
+    assert abs(coefficients[1].value - SCATTER.tan_beta) < 0.5 * abs(plain[1].value - SCATTER.tan_beta)
 
 
 def test_what_it_adds_beside_coarse_counts_is_that_of_records_whose_segments_turn() -> None:
@@ -161,3 +180,11 @@ def test_levels_of_one_kind_replace_the_other() -> None:
     assert basis.angle(np.array([1.0, 12.0])).tolist() == [[1.0, 2.0]]
     placed = basis.placed(np.array([[1.0, 7.0], [0.0, 8.0]]), 1)
     assert placed.tolist() == [[0.0, 1.0, 7.0], [0.0, 0.0, 8.0]]
+
+
+def test_columns_that_are_all_one_rate_in_a_segment_do_not_spoil_the_weights() -> None:
+    """Constant force: without the segment's own rate nothing is left of some columns but rounding errors."""
+    found = SCATTER.calibrate(SCATTER.record(np.random.default_rng([193, 2026])))
+    errors = SCATTER.errors(found)
+    assert found.segment_scatter > 0.0
+    assert (np.abs(errors) < 4.0 * np.array([c.std for c in found.coefficients])).all()

@@ -115,6 +115,10 @@ class Reduction:
         factor = np.asarray(np.linalg.qr(self.factor[:, order], mode="r"))
         return self.of_factor(rest, factor[len(names) :, len(names) :], self.count)
 
+    def behind_first(self) -> Reduction:
+        """The summary of the columns behind the first, that at its best for each estimate, with all digits carried."""
+        return Reduction(self.names[1:], self.weight[:, 1:].copy(), self.unit[:, 1:, 1:].copy(), self.count)
+
     def less(self, name: str, multiple: float) -> Reduction:
         """The summary of the observations less ``multiple`` times a column."""
         unit = self.unit.copy()

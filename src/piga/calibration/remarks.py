@@ -19,6 +19,7 @@ from piga.calibration.coefficients import name_coefficients
 from piga.calibration.fit import Fit
 from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
+from piga.calibration.solution import solve
 from piga.calibration.weighting import reduce_segments
 from piga.records.calibration import Calibration, Coefficient
 
@@ -47,8 +48,9 @@ def find_remarks(
     """
     slow = fit.noise.slow > 0.0
     if slow:
-        coefficients = _known_without_slow(fit, per_segment, coefficients)
-        fit = _without_slow(fit)
+        plain = _without_slow(fit, groups)
+        coefficients = _known_without_slow(fit, plain, per_segment, coefficients)
+        fit = plain
     found, alone, moved = find_leverage(fit, groups, per_segment, coefficients, slow)
     return Remarks(found, alone, moved, suggest_terms(fit, groups, per_segment, coefficients))
 
@@ -71,23 +73,25 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration
     )
 
 
-def _without_slow(fit: Fit) -> Fit:
-    """The fit with one summary per segment again."""
+def _without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
+    """The fit by the weights of white noise and random walk, one summary per segment."""
     noise = fit.noise.without_slow()
-    weighted = fit.slow_part is None
-    summaries = reduce_segments(fit.design, fit.mode, noise) if weighted else fit.summaries
-    return replace(fit, noise=noise, summaries=summaries)
+    if fit.slow_part is not None:
+        return replace(fit, noise=noise, covariance=fit.solution.covariance)
+    summaries = reduce_segments(fit.design, fit.mode, noise)
+    solution = solve(fit.design, summaries, groups)
+    return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)
 
 
 def _known_without_slow(
-    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...]
+    fit: Fit, plain: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...]
 ) -> tuple[Coefficient, ...]:
-    """Coefficients with the standard uncertainties that they would have without what a slow noise adds to them."""
+    """Coefficients with the standard uncertainties that they would have without a slow noise."""
     named = [
-        np.diag(name_coefficients(fit.design, fit.solution, covariance, per_segment)[1])
-        for covariance in (fit.covariance, fit.solution.covariance)
+        np.diag(name_coefficients(one.design, one.solution, one.covariance, per_segment)[1])
+        for one in (fit, plain)
     ]
     return tuple(
-        replace(c, std=math.sqrt(max(c.std**2 - all_noise + plain, plain)))
-        for c, all_noise, plain in zip(coefficients, *named, strict=True)
+        replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
+        for c, noisy, quiet in zip(coefficients, *named, strict=True)
     )

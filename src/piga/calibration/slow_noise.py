@@ -34,7 +34,7 @@ SUSPECTED = 0.3
 SIGNIFICANT = 2.0
 """Gain from which a slow noise is taken into the covariance."""
 CLEAR = 9.0
-"""Gain from which a drift is weighted by, too: weights for one that is not there cost up to six times the variance."""
+"""Gain from which it is weighted by, too: weights for a drift that is not there cost up to six times the variance."""
 BELOW, ABOVE = 0.7, 0.35
 """Decades below and above the random walk found without a drift in which it is looked for with slow noise."""
 LEVELS = 41
@@ -68,8 +68,8 @@ class _Candidate:
 def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) -> Fit:
     """The same fit with a slow noise in its covariance, where the record shows one: the likelier of the two.
 
-    A drift is weighted by from a gain of ``clear`` on. Below, and for a scatter of the segments, the weights stay those
-    of the other noise, and what it adds to the estimates is added to their covariance; so it is with coarse counts.
+    It is weighted by from a gain of ``CLEAR`` on, a drift from ``clear``. Below, the weights stay those of the other
+    noise, and what it adds to the estimates is added to their covariance; so it is with coarse counts, however clear.
     Left out with given noise levels and methods other than whitened least squares in one go.
     """
     request = fit.design.request
@@ -86,8 +86,8 @@ def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) 
     level = likely_level(factor, basis)
     moved = _moved(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
     slow, deviation = basis.noise(best.noise, level.variance), level.deviation / basis.unit()
-    drifting = fit.counted is None and isinstance(basis, DriftBasis)
-    if drifting and (best.gain >= clear or moved is None):
+    limit = clear if isinstance(basis, DriftBasis) else CLEAR
+    if fit.counted is None and (best.gain >= limit or moved is None):
         return replace(_solved(fit, groups, slow), slow_deviation=deviation)
     if moved is None:
         return fit

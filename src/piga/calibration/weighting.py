@@ -13,11 +13,14 @@ from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
-from piga.calibration.slow_bases import DRIFT_NAMES, KNOTS, DriftBasis, SlowBasis
+from piga.calibration.slow_bases import DRIFT_NAMES, KNOTS, DriftBasis, SegmentBasis, SlowBasis
 from piga.calibration.workers import workers
 from piga.records.spool import arrays_like
 
 Array = NDArray[np.float64]
+
+RATE = "rate of the segment"
+"""Name of the column of a scatter until it is integrated out."""
 
 
 @dataclass
@@ -76,24 +79,45 @@ def _with_slow(design: Design, block: Block, basis: SlowBasis | None) -> Array:
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     """One summary per segment of the weighted rows.
 
-    The reduction of a block runs beside the whitening of the next. With a bias drift the summaries have its columns
-    behind those of the model, and what is known of its steps beforehand is in the first one;
-    :func:`~piga.calibration.solution.solve` integrates it out.
+    With a bias drift the summaries have its columns behind those of the model, and what is known of its steps
+    beforehand is in the first one;
+    :func:`~piga.calibration.solution.solve` integrates it out. A scatter of the segments is integrated out of each.
     """
+    if noise.scatter > 0.0 and mode == "increments":
+        return _reduce_scattered(design, mode, noise)
     basis = DriftBasis.of(design.run) if noise.drift > 0.0 and mode == "increments" else None
     names = design.names if basis is None else (*design.names, *DRIFT_NAMES)
+    summaries = _absorbed(design, names, weighted_blocks(design, mode, noise, basis))
+    if basis is not None:
+        summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * basis.spacing)])
+    return summaries
+
+
+def _reduce_scattered(design: Design, mode: str, noise: Noise) -> list[Reduction]:
+    """With rates that scatter: that of each segment, known to be zero with their variance, is integrated out."""
+    m = len(design.names)
+    order = [m, *range(m), m + 1]
+    blocks = weighted_blocks(design, mode, noise, SegmentBasis.of(design.run))
+    summaries = _absorbed(design, (RATE, *design.names), ((b, columns[order]) for b, columns in blocks))
+    known = np.zeros((m + 2, 1))
+    known[0] = 1.0 / noise.segment_scatter
+    for part in summaries:
+        part.absorb(known, count=0)
+    return [part.behind_first() for part in summaries]
+
+
+def _absorbed(design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Block, Array]]) -> list[Reduction]:
+    """One summary of the columns per segment; the reduction of a block runs beside the whitening of the next."""
     summaries = [Reduction.empty(names) for _ in design.run.labels]
     with workers(design.run.size, 1) as pool:
         jobs = []
-        for block, columns in weighted_blocks(design, mode, noise, basis):
+        for block, columns in blocks:
             count = int(np.count_nonzero(block.h > 0.0))
             jobs.append(pool.submit(summaries[block.segment].absorb, columns, count=count))
             if len(jobs) > 4:
                 jobs.pop(0).result()
         for job in jobs:
             job.result()
-    if basis is not None:
-        summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * basis.spacing)])
     return summaries
 
 
