@@ -89,7 +89,10 @@ def test_positions_that_all_scatter_are_not_named_one_by_one():
     """Thirty times the scatter that the noise explains: one remark on all, none on each; one that is far off, still."""
     scenario = replace(SCENARIOS["scatter"], scatter=1e-4)
     run = scenario.record(np.random.default_rng(4))
-    notes = scenario.calibrate(run).notes
+    found = scenario.calibrate(run)
+    notes = found.notes
+    shifts = [row["shift"]["scale_factor"] for row in found.diagnostics["leverage"].values()]
+    assert max(map(abs, shifts)) < 3.0, "in units of the uncertainty with the scatter"
     assert any("the mean rates of the segments scatter" in note for note in notes)
     assert not any("without segment" in note for note in notes)
     off = np.zeros((16, 3))

@@ -47,12 +47,21 @@ def find_remarks(
         Those of the result, with combined standard uncertainties.
     """
     slow = fit.noise.slow > 0.0
-    if slow:
-        plain = _without_slow(fit, groups)
-        coefficients = _known_without_slow(fit, plain, per_segment, coefficients)
-        fit = plain
-    found, alone, moved = find_leverage(fit, groups, per_segment, coefficients, slow)
-    return Remarks(found, alone, moved, suggest_terms(fit, groups, per_segment, coefficients))
+    plain = _without_slow(fit, groups) if slow else fit
+    known = _known_without_slow(fit, plain, per_segment, coefficients) if slow else coefficients
+    found, alone, moved = find_leverage(plain, groups, per_segment, known, slow)
+    _in_reported_uncertainties(found, known, coefficients)
+    return Remarks(found, alone, moved, suggest_terms(plain, groups, per_segment, coefficients))
+
+
+def _in_reported_uncertainties(
+    found: dict[str, Any], known: tuple[Coefficient, ...], coefficients: tuple[Coefficient, ...]
+) -> None:
+    """The shifts of the table in units of the standard uncertainties that are reported."""
+    for row in found.get("leverage", {}).values():
+        for one, reported in zip(known, coefficients, strict=True):
+            if one.segment is None and row["shift"].get(one.name) is not None and one.std != reported.std:
+                row["shift"][one.name] *= one.std / reported.std
 
 
 def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration:
