@@ -8,14 +8,127 @@ restoring torque about the inner axis, and through the transverse input, which i
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.errors import ArgumentError
 from piga.instrument.twin_linear import loop_poles, tilt_compliance, tilt_transfer
 from piga.instrument.twin_parameters import TwinParameters
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ServoParameters:
+    """What the servo terms depend on, SI units; symbols as in :class:`~piga.instrument.twin_parameters.TwinParameters`.
+
+    ``scale_factor`` K [(rad/s)/(m/s^2)], ``pendulosity`` ml [kg m], ``integral_gain`` k_i [N m/(rad s)],
+    ``proportional_gain`` k_p [N m/rad], ``rate_gain`` k_d [N m s/rad], ``damping`` c of the float [N m s/rad].
+
+    Raises
+    ------
+    ArgumentError
+        If K, ml or k_i is not positive, or another one is negative; names the parameter.
+    """
+
+    scale_factor: float
+    pendulosity: float
+    integral_gain: float
+    proportional_gain: float = 0.0
+    rate_gain: float = 0.0
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value, least = getattr(self, entry.name), "positive" if entry.default != 0.0 else "zero or more"
+            if not (value > 0.0 or (value == 0.0 and least != "positive")) or not math.isfinite(value):
+                remedy = (
+                    "the servo terms are those of a servo that integrates" if "integral" in entry.name else ""
+                )
+                raise ArgumentError(f"servo {entry.name} = {value:g}: must be {least}", remedy=remedy or None)
+
+    @classmethod
+    def of_twin(cls, p: TwinParameters) -> ServoParameters:
+        """Those of a twin."""
+        return cls(p.K, p.pendulosity, p.integral_gain, p.proportional_gain, p.rate_gain, p.damping)
+
+
+@dataclass(frozen=True)
+class ServoTerms:
+    """Coefficients of the terms ``servo`` and ``servo_damping``, both in 1/(m/s^2)^2.
+
+    ``sources`` tells by parameter name what one standard uncertainty of that parameter adds to each:
+    one draw moves both. ``u_servo`` and ``u_servo_damping`` are the standard uncertainties of all together.
+    """
+
+    servo: float
+    servo_damping: float
+    sources: Mapping[str, tuple[float, float]]
+
+    @property
+    def u_servo(self) -> float:
+        """Standard uncertainty of ``servo`` [1/(m/s^2)^2]."""
+        return math.hypot(*(change for change, _ in self.sources.values()))
+
+    @property
+    def u_servo_damping(self) -> float:
+        """Standard uncertainty of ``servo_damping`` [1/(m/s^2)^2]."""
+        return math.hypot(*(change for _, change in self.sources.values()))
+
+
+def servo_terms(
+    p: TwinParameters | ServoParameters, u: Mapping[str, float] | None = None, *, rate: float = 0.0
+) -> ServoTerms:
+    r"""Predict the terms ``servo`` (s) and ``servo_damping`` (d) from the parameters of the servo.
+
+    .. math::
+
+       s = \frac{K\,ml}{2 k_i}, \qquad d = \frac{c K^2}{k_i}
+
+    Parameters
+    ----------
+    p:
+        A twin, or the numbers alone.
+    u:
+        Standard uncertainties by the parameter's name in :class:`ServoParameters`, SI units; they are taken as
+        independent.
+    rate:
+        Output rate [rad/s] at which the terms are taken: both are multiplied by ``k_i Im G(jw)/w``, which is
+        1 at rate zero, ``G = 1/(k_i/(jw) + k_p + (k_d + ml/K) jw)``.
+
+    Raises
+    ------
+    ArgumentError
+        If ``u`` names an unknown parameter, or a parameter is not physical (a servo without integral gain has
+        none of these terms).
+
+    Notes
+    -----
+    Derivation, and what is of the next order: theory page "The servo in the model".
+    """
+    own = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
+    names = [entry.name for entry in fields(ServoParameters)]
+    sources = {}
+    for name, uncertainty in (u or {}).items():
+        if name not in names:
+            raise ArgumentError(f"servo: unknown parameter '{name}'", remedy=f"choose {', '.join(names)}")
+        value, step = getattr(own, name), 1e-4
+        size = value or 1.0
+        up = _servo_pair(replace(own, **{name: value + step * size}), rate)
+        down = _servo_pair(replace(own, **{name: max(0.0, value - step * size)}), rate)
+        span = step * size + min(value, step * size)
+        sources[name] = ((up[0] - down[0]) / span * uncertainty, (up[1] - down[1]) / span * uncertainty)
+    return ServoTerms(*_servo_pair(own, rate), sources)
+
+
+def _servo_pair(p: ServoParameters, rate: float) -> tuple[float, float]:
+    """``s`` and ``d`` at ``rate``."""
+    stiffness = p.integral_gain - (p.rate_gain + p.pendulosity / p.scale_factor) * rate**2
+    compliance = stiffness / (stiffness**2 + (p.proportional_gain * rate) ** 2)
+    return 0.5 * p.scale_factor * p.pendulosity * compliance, p.damping * p.scale_factor**2 * compliance
 
 
 def predicted_rate_error(p: TwinParameters, t: Array, alpha: Array, f: Array, base_rate: Array) -> Array:
