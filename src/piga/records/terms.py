@@ -1,6 +1,15 @@
 """Names of the error-model terms, their units in files, and what they multiply (``physics.md``).
 
 Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is claimed.
+
+Two terms describe the servo. Its finite stiffness lets the rotor axis give way to the transverse force. With
+``w = u_x = K a_x - Omega_x`` the indicated specific force gains, per unit of the coefficient,
+
+- ``servo``: ``-2 (w/K) (a_Y sin(alpha) - a_Z cos(alpha))^2``, coefficient ``s = K ml/(2 k_i)``;
+- ``servo_damping``: ``-(w/K)^2 (a_Y cos(alpha) + a_Z sin(alpha))``, coefficient ``d = c K^2/k_i``,
+
+with ``k_i`` the integral gain of the servo [N m/(rad s)] and ``c`` the damping of the float [N m s/rad]; SI unit
+1/(m/s^2)^2, derived in docs/theory/calibration.
 """
 
 from __future__ import annotations
@@ -29,6 +38,8 @@ UNITS = {
     "k0_t": "g/s",
     "k0_T": "g/K",
     "k1_T": "1/K",
+    "servo": "g/g^3",
+    "servo_damping": "g/g^3",
 }
 """Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
 
@@ -51,6 +62,8 @@ MEANING = {
     "k0_t": "bias drift with time",
     "k0_T": "bias drift with temperature",
     "k1_T": "scale-factor drift with temperature",
+    "servo": "finite stiffness of the servo (a_x a_t^2)",
+    "servo_damping": "float damping under the servo (a_x^2 a_t, in quadrature with tan_beta)",
 }
 
 _HARMONIC = re.compile(r"^([sc])([1-9]\d?)$")

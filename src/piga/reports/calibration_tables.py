@@ -41,6 +41,8 @@ _MEANING = {
     "k0_t": "bias drift with time",
     "k0_T": "bias with temperature",
     "k1_T": "scale factor with temperature",
+    "servo": "stiffness of the servo (a_x a_t²)",
+    "servo_damping": "float damping under the servo (a_x² a_t)",
 }
 _SHOWN_SEGMENTS = 60
 SHOWN_NAMES = 14
