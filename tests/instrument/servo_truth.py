@@ -51,7 +51,9 @@ class Design:
 
 
 def motion(p, f, omega, alpha, t, rtol=1e-10, atol=1e-12):
-    """Gimbal angle [rad] at times ``t`` [s] under constant force and base rate; ``alpha`` is the angle at ``t[0]``.
+    """States ``(alpha, beta, w, v, z)`` at times ``t`` [s], (n, 5), under constant force and base rate.
+
+    ``alpha`` is the angle at ``t[0]``.
 
     It starts at rest in tilt, and the servo's transient dies within some 0.3 s. LSODA: after a minute it differs by
     1e-10 rad from ``solve_ivp`` with DOP853 and a tolerance of 1e-12, in a thirtieth of its time.
@@ -75,7 +77,7 @@ def motion(p, f, omega, alpha, t, rtol=1e-10, atol=1e-12):
 
     load = p.ml * (a_Y * cos(alpha) + a_Z * sin(alpha)) - p.H * (o_Y * cos(alpha) + o_Z * sin(alpha))
     start = [alpha, p.beta, p.K * a_x - o_x, 0.0, load / p.k_i]
-    return odeint(rhs, start, t, tfirst=True, rtol=rtol, atol=atol, mxstep=100_000)[:, 0]
+    return odeint(rhs, start, t, tfirst=True, rtol=rtol, atol=atol, mxstep=100_000)
 
 
 def mean_rate(p, f, turns=1, settle=1.0):
@@ -83,10 +85,26 @@ def mean_rate(p, f, turns=1, settle=1.0):
     w = p.K * float(p.felt(f[0]))
     end = settle + 2.0 * math.pi * turns / abs(w)
     near = end * (1.0 + np.linspace(-2e-3, 2e-3, 9))
-    alpha = motion(p, f, (0.0, 0.0, 0.0), 0.3, np.concatenate([[0.0, settle], near]))
+    alpha = motion(p, f, (0.0, 0.0, 0.0), 0.3, np.concatenate([[0.0, settle], near]))[:, 0]
     goal = alpha[1] + math.copysign(2.0 * math.pi * turns, w)
     inverse = np.polynomial.Polynomial.fit(alpha[2:] - goal, near - settle, 6)
     return (goal - alpha[1]) / float(inverse(0.0))
+
+
+def waves(p, f, omega=(0.0, 0.0, 0.0), settle=1.0):
+    """What turns with the gimbal in its rate [rad/s]: mean, sine and cosine of ``theta``, of ``2 theta``.
+
+    ``theta`` is the angle from the transverse ``u = K f - Omega``; the first number is the mean over theta less
+    ``u_x``.
+    """
+    u = p.K * np.array([p.felt(f[0]), f[1], f[2]]) - np.asarray(omega)
+    t = settle + np.linspace(0.0, 1.02 * 2.0 * math.pi / abs(u[0]), 2000)
+    states = motion(p, f, omega, 0.3, np.concatenate([[0.0], t]))[1:]
+    theta = states[:, 0] - math.atan2(u[2], u[1])
+    basis = [np.ones(t.size)]
+    for order in (1, 2, 3, 4):
+        basis += [np.sin(order * theta), np.cos(order * theta)]
+    return np.linalg.lstsq(np.column_stack(basis), states[:, 2] - u[0])[0][:5]
 
 
 @dataclass(frozen=True)
@@ -107,7 +125,7 @@ def record(p, forces, rates, *, dwell, pause=30.0, sampling=0.05, settle=1.0, se
     within = np.arange(count) * sampling
     start = np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi, size)
     times = np.concatenate([[0.0], settle + within])
-    alpha = [motion(p, f, o, a, times)[1:] for f, o, a in zip(forces, rates, start, strict=True)]
+    alpha = [motion(p, f, o, a, times)[1:, 0] for f, o, a in zip(forces, rates, start, strict=True)]
     segment = np.repeat(np.arange(size), count)
     t = np.tile(within, size) + segment * (dwell + pause)
     return Record(t, segment.astype(np.int32), np.concatenate(alpha), forces[segment], rates[segment])

@@ -9,7 +9,7 @@ from piga.errors import ArgumentError
 from piga.instrument.twin_parameters import PRESETS
 from piga.instrument.twin_predictions import ServoParameters, servo_terms
 
-from .servo_truth import Design, G, mean_rate
+from .servo_truth import Design, G, mean_rate, waves
 
 CASE = Design(K=0.8884 / G)
 """The reference case of the theory page."""
@@ -72,3 +72,35 @@ def test_a_servo_that_cannot_be_is_refused(change, words):
 def test_an_unknown_source_is_refused():
     with pytest.raises(ArgumentError, match="unknown parameter 'gain'"):
         servo_terms(PRESETS["example"], {"gain": 1.0})
+
+
+@pytest.mark.parametrize("friction", [1e-3, 5e-3])
+def test_friction_on_the_outer_axis_does_not_change_the_mean_rate(friction):
+    f = head(math.radians(45.0))
+    smooth, rough = mean_rate(CASE, f), mean_rate(replace(CASE, friction=friction), f)
+    assert rough / smooth - 1.0 == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_turning_base_counts_as_transverse_input():
+    """A centrifuge arm that carries the instrument round: u = K f - Omega, not the force alone, ripples the tilt.
+
+    The float carried round by the base, ``B q'/H`` (docs/twin.md), is taken off the wave once a turn.
+    """
+    f, turn = (5.0 * G, 0.0, G), (0.0, 0.0, 7.0)
+    mean, sine, cosine, _, double = waves(CASE, f, turn)
+    across, terms = CASE.K * G - 7.0, servo_terms(of_design(CASE), rate=CASE.K * f[0])
+    shift = -terms.servo * CASE.K * f[0] * (across / CASE.K) ** 2
+    assert mean == pytest.approx(shift, rel=0.012)
+    assert double == pytest.approx(-shift, rel=0.012)
+    assert sine == pytest.approx(CASE.J_y / CASE.H * CASE.K * f[0] * 7.0, rel=0.012)
+    damped = -terms.servo_damping * f[0] ** 2 / CASE.K * CASE.K * abs(across)
+    assert cosine == pytest.approx(damped, rel=0.012)
+
+
+def test_next_order_changes_the_coupling_with_the_cube_of_the_rate():
+    """``(B k_i - c k_p) w^3/k_i^2``: the damping's part has the opposite sign of the inertia's."""
+    for level in (10.0, -8.0):
+        w = CASE.K * level * G
+        sine = waves(CASE, (level * G, G, 0.0))[1] / (CASE.K * G)
+        assert sine == pytest.approx((CASE.J_y * CASE.k_i - CASE.c * CASE.k_p) / CASE.k_i**2 * w**3, rel=5e-3)
+        assert abs(sine) == pytest.approx(CASE.c * CASE.k_p / CASE.k_i**2 * abs(w) ** 3, rel=0.12)

@@ -4,7 +4,16 @@ An entry returns pairs ``(literal, library, tolerance)``; both sides are arrays 
 literal side is the formula as it is printed, in plain NumPy or SciPy.
 """
 
-from . import axis_and_locking, calibration, compensation, motion, platform, twin
+from . import axis_and_locking, calibration, compensation, motion, platform, servo, twin
 from .registry import EQUATIONS
 
-__all__ = ["EQUATIONS", "axis_and_locking", "calibration", "compensation", "motion", "platform", "twin"]
+__all__ = [
+    "EQUATIONS",
+    "axis_and_locking",
+    "calibration",
+    "compensation",
+    "motion",
+    "platform",
+    "servo",
+    "twin",
+]
