@@ -12,7 +12,11 @@ from piga.cli.common import output_directory, print_json, progress, say, write_b
 from piga.cli.groups import Group
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from piga.stable_platform.analysis import Array
     from piga.stable_platform.chain import Comparison
+    from piga.stable_platform.scenario import Model
     from piga.stable_platform.simulate import Run
 
 app = typer.Typer(
@@ -149,17 +153,20 @@ def compare(
 
     Leaves comparison.json and a page, day by day.
     """
-    from piga.stable_platform.budget import error_budget, monte_carlo, standard_sources
-    from piga.stable_platform.output import budget_document, scatter_document
+    from piga.stable_platform.budget import error_budget, line_budget, monte_carlo, standard_sources
+    from piga.stable_platform.output import budget_document, line_budget_document, scatter_document
 
     comparison = _compared(scenario)
     s = comparison.run.scenario
     with progress("budget and scatter"):
         rows = error_budget(s, standard_sources(comparison.preparation.alignment)) if budget else ()
+        lines = line_budget(s, comparison.preparation.identification) if budget else ()
         scatter = monte_carlo(s, seeds) if seeds else None
     document = comparison.document()
     if rows:
         document["budget"] = budget_document(rows)
+    if lines:
+        document["line_budget"] = line_budget_document(lines)
     if scatter is not None:
         document["scatter"] = scatter_document(scatter)
     if out is not None:
@@ -169,7 +176,7 @@ def compare(
 
         folder = output_directory(out)
         _write_json(folder / "comparison.json", document)
-        _page(folder, comparison_page(comparison, rows, scatter))
+        _page(folder, comparison_page(comparison, rows, lines, scatter))
         if s.sensors.piga is not None:
             with progress("gyro accelerometers"):
                 _page(folder, capstone_page(capstone(s)), "capstone.html")
@@ -195,15 +202,23 @@ def _compared(scenario: Path) -> Comparison:
 
 
 def _lines_text(comparison: Comparison, out: Path | None) -> str:
-    lines = ["day   " + "".join(f"{m:>12}" for m in comparison.models) + "   east velocity line [m/s]"]
-    days = next(iter(comparison.models.values())).lines.day
-    for k, day in enumerate(days):
-        values = "".join(f"{r.lines.amplitude['east_velocity'][k]:12.3e}" for r in comparison.models.values())
-        lines.append(f"{int(day):<6}{values}")
+    runs = comparison.models
+    lines = [_day_table({m: r.lines.amplitude for m, r in runs.items()}, "east velocity line [m/s]")]
+    equatorial = {m: r.lines.equatorial for m, r in runs.items() if r.lines.equatorial}
+    if equatorial:
+        lines.append(_day_table(equatorial, "east velocity line of the equatorial gyro's case [m/s]"))
     lines += [f"note: {text}" for text in comparison.preparation.notes]
     if out is not None:
         lines.append(f"wrote {out}/comparison.json, report.html")
     return "\n".join(lines)
+
+
+def _day_table(amplitudes: Mapping[Model, Mapping[str, Array]], heading: str) -> str:
+    columns = {m: named["east_velocity"] for m, named in amplitudes.items()}
+    rows = ["day   " + "".join(f"{m:>12}" for m in columns) + f"   {heading}"]
+    for k, values in enumerate(zip(*columns.values(), strict=True), start=1):
+        rows.append(f"{k:<6}" + "".join(f"{v:12.3e}" for v in values))
+    return "\n".join(rows)
 
 
 def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:

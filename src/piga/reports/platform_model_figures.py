@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from piga.reports.platform_figures import (
     schuler_peak,
     time_axis,
 )
-from piga.stable_platform.analysis import spectrum
+from piga.stable_platform.analysis import case_rates, spectrum
 from piga.stable_platform.chain import Comparison, ModelRun
+from piga.stable_platform.scenario import Model
 
 MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
 _LABELS = {
@@ -36,8 +38,14 @@ _SAYINGS = {
 }
 
 
-def lines_figure(comparison: Comparison) -> Figure:
-    """Amplitude at the case-rotation period against the day, each model, with the theory dashed."""
+Case = Literal["amplitude", "equatorial"]
+"""Which lines: at the polar case's rate, or at the equatorial one's where it turns at another speed."""
+REFERENCE_MODEL: dict[Case, Model] = {"amplitude": "A", "equatorial": "none"}
+"""Model whose theory stands beside the lines: what A leaves grows at the polar rate, at the equatorial one it is nothing."""
+
+
+def lines_figure(comparison: Comparison, which: Case = "amplitude") -> Figure:
+    """Amplitude at a case-rotation period against the day, each model, with the theory dashed."""
     panels = []
     for name in ("east_velocity", "heading", "roll", "north_velocity"):
         quantity, unit, scale = _LABELS[name]
@@ -46,25 +54,28 @@ def lines_figure(comparison: Comparison) -> Figure:
             role = MODEL_ROLES[model]
             label = model_name(model)
             series.append(
-                Series(found.lines.day, found.lines.amplitude[name] / scale, label, "line+points", role)
+                Series(found.lines.day, getattr(found.lines, which)[name] / scale, label, "line+points", role)
             )
-            if model == "A" and found.theory is not None:
+            if model == REFERENCE_MODEL[which] and found.theory is not None:
                 series.append(
                     Series(
                         found.theory.day,
-                        found.theory.amplitude[name] / scale,
-                        "theory, model A",
+                        getattr(found.theory, which)[name] / scale,
+                        f"theory, {model_name(model)}",
                         "line",
                         "reference",
                         dashed=True,
                     )
                 )
         panels.append(Panel(Axis("day", "1"), Axis(quantity, unit, log=True), tuple(series)))
+    key, whose = ("fig-lines-per-day", "case-rotation") if which == "amplitude" else (
+        "fig-equatorial-lines-per-day", "equatorial case's")  # fmt: skip
+    sayings = [_SAYINGS[m] for m in comparison.models if m in _SAYINGS]
     return Figure(
-        "fig-lines-per-day",
-        "What each model leaves at the case-rotation period",
+        key,
+        f"What each model leaves at the {whose} period",
         tuple(panels),
-        "Amplitude fitted over each day. " + " ".join(_SAYINGS[m] for m in comparison.models if m in _SAYINGS),
+        " ".join(["Amplitude fitted over each day.", *(sayings if which == "amplitude" else ())]),
         columns=2,
         height=2.6,
     )
@@ -180,11 +191,14 @@ def spectrum_figure(comparison: Comparison) -> Figure:
         low, high = min(low, float(np.percentile(amplitude, 10))), max(high, float(amplitude.max()))
         label = model_name(model)
         series.append(Series(1.0 / frequency[keep] / MINUTE, amplitude, label, "line", MODEL_ROLES[model]))
-    if s.polar_rotation.rate > 0.0:
-        period = 2.0 * np.pi / s.polar_rotation.rate / MINUTE
-        series.append(
-            Series([period, period], [low, 2.0 * high], "case rotation", "line", "reference", dashed=True)
-        )
+    if s.polar_rotation.rate > 0.0 or s.equatorial_rotation.rate > 0.0:
+        rates = case_rates(s)
+        labels = ("case rotation",) if len(rates) == 1 else ("polar case", "equatorial case")
+        roles: tuple[Role, Role] = ("reference", "warning")
+        for rate, label, role in zip(rates, labels, roles, strict=False):
+            if rate > 0.0:
+                period = 2.0 * np.pi / rate / MINUTE
+                series.append(Series([period] * 2, [low, 2.0 * high], label, "line", role, dashed=True))
     panel = Panel(
         Axis("period", "min", log=True), Axis("east velocity amplitude", "m/s", log=True), tuple(series)
     )

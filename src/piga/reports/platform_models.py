@@ -10,6 +10,8 @@ from piga.reports.numbers import short
 from piga.reports.page import Block, Column, FigureBlock, Notice, Page, Section, Table, Text, Tile
 from piga.reports.platform_figures import ARCMIN, model_name
 from piga.reports.platform_model_figures import (
+    REFERENCE_MODEL,
+    Case,
     histories_figure,
     lines_figure,
     model_figure,
@@ -18,9 +20,11 @@ from piga.reports.platform_model_figures import (
     spectrum_figure,
 )
 from piga.reports.platform_parts import page, parameter_table
-from piga.stable_platform.budget import BudgetRow, Scatter
+from piga.stable_platform.analysis import case_rates
+from piga.stable_platform.budget import BudgetRow, LineRow, Scatter, last_east_lines
 from piga.stable_platform.chain import Comparison, Preparation
 from piga.stable_platform.scenario import Scenario
+from piga.units import ARCSEC
 
 
 def navigation_page(comparison: Comparison) -> Page:
@@ -42,22 +46,15 @@ def navigation_page(comparison: Comparison) -> Page:
 
 
 def comparison_page(
-    comparison: Comparison, budget: Sequence[BudgetRow] = (), scatter: Scatter | None = None
+    comparison: Comparison,
+    budget: Sequence[BudgetRow] = (),
+    lines: Sequence[LineRow] = (),
+    scatter: Scatter | None = None,
 ) -> Page:
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario
     sections = [
-        Section(
-            "Lines at the case-rotation period",
-            "lines",
-            (
-                Text(_lines_sentence(comparison), lead=True),
-                *((FigureBlock(lines_figure(comparison)),) if _days(comparison) > 1 else ()),
-                _line_table(comparison, "east_velocity", "East velocity line", "mm/s", 1e3),
-                _line_table(comparison, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
-                _line_table(comparison, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
-            ),
-        ),
+        *_line_sections(comparison),
         Section(
             "Forty minutes and the whole run",
             "histories",
@@ -71,10 +68,41 @@ def comparison_page(
         _preparation_section(s, comparison.preparation),
     ]
     if budget:
-        sections.append(Section("Error budget by source", "budget", (_budget_table(budget),)))
+        tables = (_budget_table(budget), *((_line_budget_table(lines),) if lines else ()))
+        sections.append(Section("Error budget by source", "budget", tables))
     if scatter is not None:
         sections.append(Section("Scatter over seeds", "scatter", (_scatter_table(scatter),)))
     return page("Compensation models compared", s, _comparison_tiles(comparison), tuple(sections))
+
+
+def _line_sections(c: Comparison) -> list[Section]:
+    """Lines at the polar case's rate and, at another speed, at the equatorial one's."""
+    if not _unequal(c):
+        return [Section("Lines at the case-rotation period", "lines", _line_blocks(c, "amplitude"))]
+    periods = [2.0 * np.pi / rate if rate > 0.0 else np.inf for rate in case_rates(c.run.scenario)]
+    titles = [
+        f"Lines of the {gyro} gyro's case, period {short(period)} s"
+        for gyro, period in zip(("polar", "equatorial"), periods, strict=True)
+    ]
+    return [
+        Section(titles[0], "lines", _line_blocks(c, "amplitude")),
+        Section(titles[1], "equatorial-lines", _line_blocks(c, "equatorial")),
+    ]
+
+
+def _unequal(c: Comparison) -> bool:
+    return any(r.lines.equatorial for r in c.models.values())
+
+
+def _line_blocks(c: Comparison, which: Case) -> tuple[Block, ...]:
+    tables = (
+        _line_table(c, which, "east_velocity", "East velocity line", "mm/s", 1e3),
+        _line_table(c, which, "north_velocity", "North velocity line", "mm/s", 1e3),
+        _line_table(c, which, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
+        _line_table(c, which, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
+    )
+    figure = (FigureBlock(lines_figure(c, which)),) if _days(c) > 1 else ()
+    return (Text(_lines_sentence(c, which), lead=True), *figure, *tables)
 
 
 def _preparation_section(s: Scenario, p: Preparation) -> Section:
@@ -87,12 +115,13 @@ def _preparation_section(s: Scenario, p: Preparation) -> Section:
 
 
 def _comparison_tiles(c: Comparison) -> tuple[Tile, ...]:
+    whose = " (polar, equatorial case)" if _unequal(c) else ""
     return tuple(
         Tile(
             model_name(m),
-            short(1e3 * float(r.lines.amplitude["east_velocity"][-1])),
+            ", ".join(short(1e3 * line) for line in last_east_lines(r.lines)),
             "mm/s",
-            f"east velocity line, day {int(r.lines.day[-1])}",
+            f"east velocity line{whose}, day {int(r.lines.day[-1])}",
         )
         for m, r in c.models.items()
     )
@@ -102,32 +131,33 @@ def _days(c: Comparison) -> int:
     return int(next(iter(c.models.values())).lines.day[-1])
 
 
-def _lines_sentence(c: Comparison) -> str:
-    day = _days(c)
-    if "A" not in c.models:
+def _lines_sentence(c: Comparison, which: Case) -> str:
+    day, shown = _days(c), REFERENCE_MODEL[which]
+    east = {m: float(getattr(r.lines, which)["east_velocity"][-1]) for m, r in c.models.items()}
+    left = east.get(shown, np.nan)
+    if not np.isfinite(left):
         return f"Amplitudes at the case-rotation period, fitted over each of {day} days."
-    left = float(c.models["A"].lines.amplitude["east_velocity"][-1])
-    parts = [f"On day {day} model A leaves an east velocity line of {short(1e3 * left)} mm/s."]
-    for m in ("B", "C"):
-        if m in c.models:
-            share = 1.0 - float(c.models[m].lines.amplitude["east_velocity"][-1]) / left
-            parts.append(f"Model {m} removes {100.0 * share:.1f} % of it.")
-    theory = c.models["A"].theory
+    whose = "no model leaves" if shown == "none" else f"model {shown} leaves"
+    parts = [f"On day {day} {whose} an east velocity line of {short(1e3 * left)} mm/s."]
+    removed = {m: 100.0 * (1.0 - line / left) for m, line in east.items() if m not in ("none", shown)}
+    parts += [f"Model {m} removes {share:.1f} % of it." for m, share in removed.items()]
+    theory = c.models[shown].theory
     if theory is not None:
-        ratio = float(theory.amplitude["east_velocity"][-1]) / left
-        parts.append(f"The closed form for model A is {100.0 * (ratio - 1.0):+.2f} % off what was navigated.")
+        ratio = float(getattr(theory, which)["east_velocity"][-1]) / left
+        name = "no model" if shown == "none" else f"model {shown}"
+        parts.append(f"The closed form for {name} is {100.0 * (ratio - 1.0):+.2f} % off what was navigated.")
     return " ".join(parts)
 
 
-def _line_table(c: Comparison, channel: str, heading: str, unit: str, scale: float) -> Table:
-    """One channel day by day: every model, and the theory of model A beside it."""
+def _line_table(c: Comparison, which: Case, channel: str, heading: str, unit: str, scale: float) -> Table:
+    """One channel day by day: every model, and the theory of one of them beside it."""
     columns, values = [Column("day", align="text")], []
     for m, r in c.models.items():
         columns.append(Column(model_name(m), unit))
-        values.append(r.lines.amplitude[channel] * scale)
-        if r.theory is not None and m == "A":
-            columns.append(Column("theory of A", unit))
-            values.append(r.theory.amplitude[channel] * scale)
+        values.append(getattr(r.lines, which)[channel] * scale)
+        if r.theory is not None and m == REFERENCE_MODEL[which]:
+            columns.append(Column(f"theory, {model_name(m)}", unit))
+            values.append(getattr(r.theory, which)[channel] * scale)
     days = next(iter(c.models.values())).lines.day
     rows = tuple((str(int(day)), *(short(float(v[k])) for v in values)) for k, day in enumerate(days))
     return Table(tuple(columns), rows, caption=heading)
@@ -160,27 +190,45 @@ def _budget_table(budget: Sequence[BudgetRow]) -> Table:
     )
 
 
+def _line_budget_table(budget: Sequence[LineRow]) -> Table:
+    """Lines of each misalignment alone: closed form and full run."""
+    shown = (("east_velocity", "mm/s", 1e3), ("north_velocity", "mm/s", 1e3), ("heading", "arcsec", 1.0 / ARCSEC),
+             ("roll", "arcsec", 1.0 / ARCSEC))  # fmt: skip
+    columns = [Column("source", align="text"), Column("period", "s")]
+    for name, unit, _ in shown:
+        columns += [Column(f"{name.replace('_', ' ')}, {how}", unit) for how in ("linear", "full run")]
+    rows = []
+    for b in budget:
+        numbers = [short(scale * v[name]) for name, _, scale in shown for v in (b.theory, b.full)]
+        rows.append((b.source, f"{b.period:g}", *numbers))
+    return Table(
+        tuple(columns),
+        tuple(rows),
+        caption="Lines at the case-rotation periods by misalignment",
+        notes=(
+            "Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
+        ),
+    )
+
+
 def _scatter_table(scatter: Scatter) -> Table:
-    columns = (
+    lines = [("east line", scatter.east_line)]
+    if scatter.equatorial_line:
+        lines.append(("east line, equatorial case", scatter.equatorial_line))
+    columns = [
         Column("model", align="text"),
         Column("position, median", "m"),
         Column("position, largest", "m"),
-        Column("east line, mean", "mm/s"),
-        Column("east line, scatter", "mm/s"),
-    )
-    rows = tuple(
-        (
-            model_name(m),
-            short(float(np.median(p))),
-            short(float(p.max())),
-            short(1e3 * float(scatter.east_line[m].mean())),
-            short(1e3 * float(scatter.east_line[m].std())),
-        )
-        for m, p in scatter.position.items()
-    )
+    ]
+    for name, _ in lines:
+        columns += [Column(f"{name}, {what}", "mm/s") for what in ("mean", "scatter")]
+    rows = []
+    for m, p in scatter.position.items():
+        numbers = [f(1e3 * drawn[m]) for _, drawn in lines for f in (np.mean, np.std)]
+        rows.append((model_name(m), *(short(float(v)) for v in (np.median(p), p.max(), *numbers))))
     return Table(
-        columns,
-        rows,
+        tuple(columns),
+        tuple(rows),
         notes=(
             f"{len(scatter.seeds)} runs of the whole chain, seeds {scatter.seeds[0]} to {scatter.seeds[-1]}.",
         ),

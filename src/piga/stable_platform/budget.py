@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga.stable_platform.alignment import Alignment
+from piga.stable_platform.analysis import Lines, case_rates, daily_lines, day_slices, theory_lines
 from piga.stable_platform.chain import compare
 from piga.stable_platform.error_model import Perturbation, linear_errors
 from piga.stable_platform.geodesy import local_axes
+from piga.stable_platform.identified import Identification
 from piga.stable_platform.models import compensator, true_knowledge
 from piga.stable_platform.navigation import Errors, Start, errors, navigate, true_start
-from piga.stable_platform.scenario import Model, Scenario
+from piga.stable_platform.scenario import Gyro, Model, MotionPlan, Scenario
 from piga.stable_platform.simulate import Run, simulate
 from piga.units import ARCSEC
 
@@ -121,35 +123,102 @@ def _row(run: Run, quiet: Errors, source: str, perturbation: Perturbation) -> Bu
     )
 
 
+@dataclass(frozen=True)
+class LineRow:
+    """Lines of the last day that misalignments of known size leave, by channel in SI: closed form and full run.
+
+    ``period`` [s] of the case at whose rate the lines stand.
+    """
+
+    source: str
+    period: float
+    theory: Mapping[str, float]
+    full: Mapping[str, float]
+
+
+def line_budget(scenario: Scenario, identification: Identification | None = None) -> tuple[LineRow, ...]:
+    """Lines that an error of each misalignment alone, then of both, leaves on a base at rest; perfect sensors.
+
+    The errors are the standard uncertainties of the identification, or one arc-second. The redundancy angle grows as
+    the scenario says. None where a case rests or turns back and forth.
+    """
+    rotations = (scenario.polar_rotation, scenario.equatorial_rotation)
+    if any(r.rate == 0.0 or r.turns > 0 for r in rotations):
+        return ()
+    sizes = [
+        ARCSEC if identification is None else identification[f"{gyro}.misalignment"].std
+        for gyro in ("polar", "equatorial")
+    ]
+    growth = scenario.equatorial.drift[0] - scenario.polar.drift[1]
+    still = replace(scenario.without_errors(), motion=MotionPlan(heading=scenario.motion.heading))
+    rows: list[LineRow] = []
+    labels = ("polar misalignment", "equatorial misalignment", "both misalignments")
+    for label, used in zip(labels, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), strict=True):
+        polar, equatorial = used[0] * sizes[0], used[1] * sizes[1]
+        alone = replace(
+            still,
+            polar=Gyro(polar, scenario.polar.phase),
+            equatorial=Gyro(equatorial, scenario.equatorial.phase, drift=(growth, 0.0)),
+        )
+        size = " and ".join(f"{value / ARCSEC:.2g}" for value in (polar, equatorial) if value > 0.0)
+        rows += _line_rows(alone, f"{label}, {size} arcsec")
+    return tuple(rows)
+
+
+def _line_rows(scenario: Scenario, source: str) -> Iterator[LineRow]:
+    run, known = simulate(scenario), true_knowledge(scenario)
+    made = compensator("none", known, run.readouts)
+    every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(case_rates(scenario))) / scenario.step))
+    shown = navigate(run.readouts, made, true_start(run.truth), damping_time=scenario.damping_time, every=every)
+    error, rates = errors(shown, run.truth, run.readouts), case_rates(scenario)
+    full = daily_lines(error, rates, scenario.place.latitude)
+    theory = theory_lines(scenario, made, known, day_slices(error.times), error.times)
+    pairs = ((theory.amplitude, full.amplitude), (theory.equatorial, full.equatorial))
+    for rate, (expected, seen) in zip(rates, pairs, strict=False):
+        if max(expected["heading"]) > 0.0:
+            yield LineRow(
+                source, 2.0 * np.pi / rate, {name: float(v[-1]) for name, v in expected.items()},
+                {name: float(v[-1]) for name, v in seen.items()},
+            )  # fmt: skip
+
+
 def _cores() -> int:
     return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Monte Carlo over seeds: largest horizontal error [m] and last day's line [m/s] per model, (seeds,)."""
+    """Monte Carlo over seeds: largest horizontal error [m] and last day's lines [m/s] per model, (seeds,).
+
+    ``equatorial_line`` is empty where both cases turn at one speed.
+    """
 
     seeds: tuple[int, ...]
     position: Mapping[Model, Array]
     east_line: Mapping[Model, Array]
+    equatorial_line: Mapping[Model, Array]
 
 
 def monte_carlo(scenario: Scenario, seeds: int, *, workers: int | None = None) -> Scatter:
     """Repeat the whole chain with ``seeds`` seeds on all cores (threads over kernels that free the lock)."""
     numbers = tuple(scenario.seed + k for k in range(seeds))
 
-    def once(seed: int) -> dict[Model, tuple[float, float]]:
+    def once(seed: int) -> dict[Model, list[float]]:
         found = compare(replace(scenario, seed=seed)).models
-        return {
-            m: (float(r.lines.position.max()), float(r.lines.amplitude["east_velocity"][-1]))
-            for m, r in found.items()
-        }
+        return {m: [float(r.lines.position.max()), *last_east_lines(r.lines)] for m, r in found.items()}
 
     with ThreadPoolExecutor(workers or _cores()) as pool:
         results = list(pool.map(once, numbers))
-    models = scenario.compensation.models
+    drawn = {m: np.array([r[m] for r in results]).T for m in scenario.compensation.models}
     return Scatter(
         numbers,
-        {m: np.array([r[m][0] for r in results]) for m in models},
-        {m: np.array([r[m][1] for r in results]) for m in models},
+        {m: rows[0] for m, rows in drawn.items()},
+        {m: rows[1] for m, rows in drawn.items()},
+        {m: rows[2] for m, rows in drawn.items() if len(rows) > 2},
     )
+
+
+def last_east_lines(lines: Lines) -> list[float]:
+    """East velocity lines [m/s] of the last day: at the polar case's rate and, at another speed, the equatorial one's."""
+    each = (lines.amplitude, lines.equatorial)
+    return [float(amplitude["east_velocity"][-1]) for amplitude in each if amplitude]

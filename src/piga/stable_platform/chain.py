@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.stable_platform.alignment import Alignment, align
-from piga.stable_platform.analysis import CHANNELS, Lines, daily_lines, day_slices, theory_lines
+from piga.stable_platform.analysis import (
+    Lines,
+    case_rates,
+    daily_lines,
+    day_slices,
+    lines_note,
+    theory_lines,
+)
 from piga.stable_platform.identification import identify
 from piga.stable_platform.identified import Identification
 from piga.stable_platform.models import Compensator, Knowledge, compensator, true_knowledge
@@ -82,6 +89,8 @@ def prepare(run: Run) -> Preparation:
         notes += found.notes
     elif c.misalignment == "identified":
         notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
+    if indistinct := lines_note(s):
+        notes.append(indistinct)
     known = true_knowledge(s) if found is None else found.knowledge
     aligned = None
     start = true_start(run.truth)
@@ -111,10 +120,10 @@ def run_model(run: Run, preparation: Preparation, model: Model, *, every: int = 
     made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
     navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
     error = errors(navigation, run.truth, run.readouts)
-    rate = s.polar_rotation.rate or 2.0 * np.pi / 480.0
-    lines = daily_lines(error, rate, s.place.latitude)
+    lines = daily_lines(error, case_rates(s), s.place.latitude)
     theory = None
-    if run.truth.motion.at_rest and s.polar_rotation.rate > 0.0 and s.polar_rotation.turns == 0:
+    turning = max(s.polar_rotation.rate, s.equatorial_rotation.rate) > 0.0
+    if run.truth.motion.at_rest and turning and s.polar_rotation.turns == 0:
         theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
     return ModelRun(made, navigation, error, lines, theory)
 
@@ -136,10 +145,14 @@ def compare(scenario: Scenario) -> Comparison:
 
 def _lines_document(lines: Lines) -> dict[str, Any]:
     document: dict[str, Any] = {"day": [int(day) for day in lines.day]}
-    for name in CHANNELS:
-        if name.endswith("velocity"):
-            document[f"{name}_line_m_s"] = [float(v) for v in lines.amplitude[name]]
-        else:
-            document[f"{name}_line_arcmin"] = [float(v / ARCMIN) for v in lines.amplitude[name]]
-    document["position_error_m"] = [None if np.isnan(v) else float(v) for v in lines.position]
+    for amplitude, label in ((lines.amplitude, "line"), (lines.equatorial, "equatorial_line")):
+        for name, values in amplitude.items():
+            scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            document[f"{name}_{label}_{unit}"] = finite(values / scale)
+    document["position_error_m"] = finite(lines.position)
     return document
+
+
+def finite(values: Array) -> list[float | None]:
+    """Numbers for JSON: None where there is none (NaN)."""
+    return [None if np.isnan(v) else float(v) for v in values]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from piga.records.arrow_columns import number_column
 from piga.stable_platform.alignment import UNKNOWNS, Alignment
-from piga.stable_platform.budget import BudgetRow, Scatter
-from piga.stable_platform.chain import ModelRun
+from piga.stable_platform.budget import BudgetRow, LineRow, Scatter
+from piga.stable_platform.chain import ARCMIN, ModelRun, finite
 from piga.stable_platform.identified import Identification
 from piga.stable_platform.observability import UNKNOWNS as MISALIGNMENTS
 from piga.stable_platform.observability import Observability
@@ -146,12 +146,27 @@ def budget_document(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:
     ]
 
 
+def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
+    """Lines of each misalignment alone and of both as JSON rows; a line that no day gave is null."""
+    document = []
+    for row in rows:
+        entry: dict[str, Any] = {"source": row.source, "period_s": row.period}
+        for name, theory in row.theory.items():
+            scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            linear, full = finite(np.array([theory, row.full[name]]) / scale)
+            entry |= {f"{name}_line_linear_{unit}": linear, f"{name}_line_full_{unit}": full}
+        document.append(entry)
+    return document
+
+
 def scatter_document(scatter: Scatter) -> dict[str, Any]:
-    """Monte Carlo as JSON."""
-    return {
-        "seeds": list(scatter.seeds),
-        "models": {
-            m: {"position_error_m": p.tolist(), "east_velocity_line_m_s": scatter.east_line[m].tolist()}
-            for m, p in scatter.position.items()
-        },
-    }
+    """Monte Carlo as JSON; a line that no day gave is null."""
+    models: dict[str, dict[str, Any]] = {}
+    for m, position in scatter.position.items():
+        models[m] = {
+            "position_error_m": position.tolist(),
+            "east_velocity_line_m_s": finite(scatter.east_line[m]),
+        }
+        if m in scatter.equatorial_line:
+            models[m]["east_velocity_equatorial_line_m_s"] = finite(scatter.equatorial_line[m])
+    return {"seeds": list(scatter.seeds), "models": models}
