@@ -3,13 +3,14 @@
 Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is claimed.
 
 Two terms describe the servo. Its finite stiffness lets the rotor axis give way to the transverse force. With
-``w = u_x = K a_x - Omega_x`` the indicated specific force gains, per unit of the coefficient,
+``u = K f - Omega``, the indicated
+specific force gains, per unit of the coefficient,
 
-- ``servo``: ``-2 (w/K) (a_Y sin(alpha) - a_Z cos(alpha))^2``, coefficient ``s = K ml/(2 k_i)``;
-- ``servo_damping``: ``-(w/K)^2 (a_Y cos(alpha) + a_Z sin(alpha))``, coefficient ``d = c K^2/k_i``,
+- ``servo``: ``-2 (u_x/K) ((u_Y sin(alpha) - u_Z cos(alpha))/K)^2``, coefficient ``s = K ml/(2 k_i)``;
+- ``servo_damping``: ``-(u_x/K)^2 (u_Y cos(alpha) + u_Z sin(alpha))/K``, coefficient ``d = c K^2/k_i``,
 
-with ``k_i`` the integral gain of the servo [N m/(rad s)] and ``c`` the damping of the float [N m s/rad]; SI unit
-1/(m/s^2)^2, derived in docs/theory/calibration.
+with ``k_i`` the integral gain of the servo [N m/(rad s)] and ``c`` the damping of the float [N m s/rad]. The SI unit of
+both is 1/(m/s^2)^2. Without base rate ``u/K`` is the specific force. Derived in docs/theory/calibration.
 """
 
 from __future__ import annotations
