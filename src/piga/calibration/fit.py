@@ -121,18 +121,20 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw, groups))
     raw.forget()
-    flags = find_flags(misses, first_noise(misses), resolution)
+    noise = first_noise(misses)
+    flags = find_flags(misses, noise, resolution)
     for _ in range(MAX_ROUNDS):
         if not flags.any() or is_misfit(run, misses, flags):
             return plain
         refuse_if_too_many(flags)
-        cleaned, found = leave_out(run, misses, flags)
+        cleaned, found = leave_out(run, misses, flags, raw, noise)
         fit.design.forget()
         fit = replace(_fit(cleaned, request, groups, per_segment), outliers=found)
         raw = raw.with_phase_of(fit.design)
         misses = misses_of(raw, fit.solution.values)
         raw.forget()
-        again = find_flags(misses, later_noise(misses, fit.noise, flags), resolution)
+        noise = later_noise(misses, fit.noise, flags)
+        again = find_flags(misses, noise, resolution)
         if np.array_equal(again, flags):
             break
         flags = again
