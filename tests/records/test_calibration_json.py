@@ -11,13 +11,22 @@ import numpy as np
 import pytest
 
 import piga
+from piga.records.calibration_json import calibration_to_bytes
 from tests.calibration.synthetic import TERMS, record
+from tests.cli.runner import exit_code
+from tests.records.files import lines, write_log, write_run
 
 
 @pytest.fixture(scope="module")
 def calibration() -> piga.Calibration:
     run = record(np.random.default_rng(1), seconds=5.0, rate=4.0, count=6, per_segment=True)
     return piga.calibrate(run, [*TERMS, "s2", "c2"], phase="per-segment")
+
+
+@pytest.fixture
+def document(calibration: piga.Calibration) -> dict:
+    """A valid record as JSON values, to be changed."""
+    return json.loads(calibration_to_bytes(calibration))
 
 
 def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) -> None:
@@ -47,7 +56,7 @@ def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) ->
         (lambda d: d.pop("noise"), "missing required field `noise`"),
         (lambda d: d["coefficients"][0].update(unit="furlong"), "'rad/s/g' is needed"),
         (lambda d: d["coefficients"][0].update(name="k99"), "unknown coefficient 'k99'"),
-        (lambda d: d["coefficients"][0].update(std=-1.0), "no valid number"),
+        (lambda d: d["coefficients"][0].update(std=-1.0), "coefficients"),
         (lambda d: d["covariance"]["names"].reverse(), "covariance names differ"),
         (lambda d: d["covariance"]["matrix"].pop(), "not a full square"),
         (lambda d: d["covariance"]["matrix"][0].__setitem__(1, 1.0), "not symmetric"),
@@ -62,6 +71,140 @@ def test_damaged_records(calibration: piga.Calibration, tmp_path: Path, change, 
     with pytest.raises(piga.CalibrationError, match=message) as caught:
         piga.Calibration.from_json(path)
     assert str(path) in str(caught.value)
+
+
+def _coefficient(document: dict, name: str) -> dict:
+    return next(c for c in document["coefficients"] if c["name"] == name)
+
+
+def _scaled(document: dict, row: int, factor: float) -> None:
+    """One row and column of the covariance times a factor, its diagonal by the square of it."""
+    matrix = document["covariance"]["matrix"]
+    for i in range(len(matrix)):
+        matrix[row][i] *= factor
+        matrix[i][row] *= factor
+
+
+def _second_scale_factor(document: dict) -> None:
+    """The attack that compensated with 1.78 times the acceleration: the later of two entries won."""
+    names, matrix = document["covariance"]["names"], document["covariance"]["matrix"]
+    at = names.index("scale_factor")
+    document["coefficients"].append(document["coefficients"][at] | {"value": 0.5})
+    names.append("scale_factor")
+    matrix.append(list(matrix[at]))
+    for row in matrix:
+        row.append(row[at])
+
+
+def _correlated(document: dict) -> None:
+    """A correlation of 1.2 between the first two coefficients."""
+    matrix = document["covariance"]["matrix"]
+    matrix[0][1] = matrix[1][0] = 1.2 * (matrix[0][0] * matrix[1][1]) ** 0.5
+
+
+IMPOSSIBLE = [
+    (_second_scale_factor, "the coefficient 'scale_factor' is there twice"),
+    (lambda d: _coefficient(d, "scale_factor").update(value=0.0), "scale_factor.*must be positive"),
+    (lambda d: _coefficient(d, "scale_factor").update(value=-0.8884), "scale_factor.*must be positive"),
+    (lambda d: _coefficient(d, "tan_beta").update(value=-1e-3), "tan_beta.*must not be negative"),
+    (lambda d: d["instrument"]["scale_factor_nominal"].update(value=0.0), "scale_factor_nominal"),
+    (lambda d: d["instrument"]["scale_factor_nominal"].update(unit="furlong"), "unknown unit 'furlong'"),
+    (lambda d: d["covariance"]["matrix"][0].__setitem__(0, -1e-12), "variance of 'scale_factor' is negative"),
+    (_correlated, "not positive semi-definite"),
+    (lambda d: _scaled(d, 0, 1e3), "uncertainty of 'scale_factor'.*covariance"),
+    (lambda d: _coefficient(d, "scale_factor").update(std=1e-30), "uncertainty of 'scale_factor'.*covariance"),
+    (lambda d: d["model"].update(phase="sometimes"), "Invalid enum value 'sometimes'.*model.phase"),
+    (lambda d: d["model"].update(phase="shared"), "phase is 'shared'.*'phi"),
+    (lambda d: d["model"].update(phase_source="moon"), "model.phase_source"),
+    (lambda d: d["model"].update(method="guess"), "model.method"),
+    (lambda d: d["model"].update(terms=["scale_factor", "scale_factor"]), "named twice"),
+    (lambda d: d["model"]["terms"].append("k3"), "no coefficient of the term 'k3'"),
+    (lambda d: d["model"]["terms"].remove("k0"), "'k0' is not among the terms"),
+    (lambda d: d["noise"]["angle_rms"].update(value=-1.0), "noise.angle_rms"),
+    (lambda d: d["residual"]["rms"].update(value=-1.0), "residual.rms"),
+    (lambda d: d["quality"].update(used=10**9), "more rows are used or masked than there are"),
+    (lambda d: d["quality"].update(rows=-1), "quality.rows"),
+    (lambda d: d["identifiability"].update(condition=0.5), "identifiability.condition"),
+    (lambda d: d.update(degrees_of_freedom=-3.0), "degrees_of_freedom"),
+    (lambda d: d["coefficients"][0].update(value=1e308), "coefficients"),
+    (lambda d: d["coefficients"][0].update(interval=[2.0, 1.0]), "ends of the interval of 'scale_factor'"),
+    (lambda d: d["coefficients"][0].update(run="b"), "belongs to the instrument, not to a run"),
+    (lambda d: _coefficient(d, "k0").update(run="b"), "'k0.b.': there is no run 'b'"),
+    (lambda d: d["coefficients"][0].update(segment="3"), "'scale_factor.3.'.*only a phase"),
+    (lambda d: d["instrument"].update(serial="G-1\nG-2"), "serial.*control character"),
+    (lambda d: d["instrument"].update(serial=""), "serial.*empty"),
+    (lambda d: d["instrument"].update(serial="G" * 300), "serial.*300 characters"),
+    (lambda d: d["provenance"].update(created="yesterday"), "created.*'yesterday' is not a time"),
+    (lambda d: d["diagnostics"].update(range={"a_x": "wide"}), "diagnostics.range"),
+    (lambda d: d["uncertainty_budget"][0].update(contributions={"k0": "much"}), "uncertainty_budget"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), IMPOSSIBLE)
+def test_impossible_records(document: dict, tmp_path: Path, change, message: str) -> None:
+    """What no calibration can say is refused at the door, with the file and what is wrong."""
+    path = tmp_path / "calibration.json"
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(piga.CalibrationError, match=message) as caught:
+        piga.Calibration.from_json(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('"serial":', '"serial": "G-2", "serial":'),
+        ('"method":', '"method": "rate", "method":'),
+        ('"unit": "rad/s/g"', '"unit": "rad/s/g", "value": 7.0'),
+        ('"diagnostics":', '"diagnostics": {"a": 1, "a": 2}, "extra":'),
+    ],
+)
+def test_duplicate_keys(document: dict, tmp_path: Path, before: str, after: str) -> None:
+    path = tmp_path / "calibration.json"
+    text = json.dumps(document)
+    assert before in text
+    path.write_text(text.replace(before, after, 1))
+    with pytest.raises(piga.CalibrationError, match="there twice in one object"):
+        piga.Calibration.from_json(path)
+
+
+@pytest.mark.parametrize("command", ["compensate", "certificate", "records"])
+def test_commands_refuse_an_impossible_record(
+    document: dict, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The three doors share one check: exit 2 and one message."""
+    path = tmp_path / "calibration.json"
+    _correlated(document)
+    path.write_text(json.dumps(document))
+    run = write_run(tmp_path)
+    write_log(tmp_path, lines())
+    arguments = {
+        "compensate": [run, "--calibration", path, "--out", tmp_path / "out.csv"],
+        "certificate": [path, "--data", "examples/certificate.toml", "--out", tmp_path / "certificate"],
+        "records": [
+            "add", run, "--results", tmp_path, "--store", tmp_path / "lab.sqlite", "--operator", "A", "--reason", "B",
+        ],
+    }[command]  # fmt: skip
+    assert exit_code(command, *arguments) == 2
+    message = capsys.readouterr().err
+    assert message.count("piga: ") == 1
+    assert f"{path}: the covariance is not positive semi-definite" in message
+    assert not list(tmp_path.glob("*.sqlite")) + list(tmp_path.glob("out*"))
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("method", ["information", "rate", "recursive", "published", "revolutions"])
+def test_every_method_writes_what_can_be_read(tmp_path: Path, method: str) -> None:
+    """The consistency that the reader asks for is what each method gives."""
+    run = record(np.random.default_rng(2), seconds=40.0, rate=4.0, count=6)
+    terms = ["tan_beta", "k0", "k1", "k2"] if method == "published" else ["scale_factor", "tan_beta", "k0"]
+    source = "input" if method == "published" else "output"
+    calibration = piga.calibrate(run, terms, method, phase_source=source)
+    calibration.to_json(tmp_path / "calibration.json")
+    again = piga.Calibration.from_json(tmp_path / "calibration.json")
+    assert again.coefficients == calibration.coefficients
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:

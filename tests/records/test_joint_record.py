@@ -37,13 +37,15 @@ def joint() -> Calibration:
     """Two runs with a common scale factor and a bias of their own."""
     return replace(
         calibration(with_residuals=False),
+        terms=("scale_factor", "k0"),
+        phase="per-segment",
         coefficients=(
             Coefficient("scale_factor", 0.8885, 1e-6, "rad/s/g", interval=(0.888497, 0.888505)),
             Coefficient("k0", 1.6e-3, 1e-6, "g", run="east", degrees_of_freedom=11.0),
             Coefficient("k0", 1.7e-3, 2e-6, "g", run="west"),
             Coefficient("phi", 0.4, 1e-3, "rad", segment="up", run="west"),
         ),
-        covariance=np.diag([1e-12, 1e-12, 4e-12, 1e-6]) + 1e-14,
+        covariance=np.diag([1e-12, 1e-12, 4e-12, 1e-6]) + 1e-14 * (1.0 - np.eye(4)),
         runs=(run_record("east", "shared", 1e-5), run_record("west", "per-segment", 2e-5)),
         outliers=(Outlier("spike", 12.5, 251, 1, 3e-4, "east"), Outlier("jump", 30.0, 600, 4, -2e-4)),
     )

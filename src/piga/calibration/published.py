@@ -63,7 +63,13 @@ def run_published(run: Run, request: Request) -> PublishedResult:
     history[:, 1] += gamma
     count = s.size - state.size
     return PublishedResult(
-        names, state, covariance * total / count, marks, history, float(np.sqrt(total / s.size)), count
+        names,
+        state,
+        0.5 * (covariance + covariance.T) * total / count,
+        marks,
+        history,
+        float(np.sqrt(total / s.size)),
+        count,
     )
 
 

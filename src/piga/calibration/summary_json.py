@@ -15,6 +15,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.errors import CalibrationError
 from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
+from piga.records.json_file import JsonError, decode_json, schema_of
 from piga.records.limits import read_whole
 from piga.records.terms import check_name
 
@@ -183,14 +184,14 @@ def read_summary(path: Path) -> RunSummary:
 def _decode(path: Path) -> _Summary:
     raw = read_whole(path, MAX_BYTES, "a run summary", CalibrationError)
     try:
-        kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        kind = schema_of(raw)
         if kind != SCHEMA:
             raise CalibrationError(
                 f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
                 remedy="name a run file (.toml), or a summary that --summary wrote",
             )
-        return msgspec.json.decode(raw, type=_Summary)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        return decode_json(raw, _Summary)
+    except JsonError as error:
         raise CalibrationError(
             f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
         ) from None

@@ -8,12 +8,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Count = Annotated[int, Meta(ge=0)]
+"""A number of rows or findings; the limit is checked where a record is read."""
 
 
 def coverage_factor(degrees_of_freedom: float, probability: float = 0.95) -> float:
@@ -81,7 +84,7 @@ class Event:
     """One kind of finding in the data: what, how often, first data row (1-based), detail in words."""
 
     kind: str
-    count: int
+    count: Count
     first_row: int | None = None
     detail: str = ""
 
@@ -90,9 +93,9 @@ class Event:
 class Quality:
     """Rows read, used and masked, and everything that was found or repaired on the way."""
 
-    rows: int
-    used: int
-    masked: int
+    rows: Count
+    used: Count
+    masked: Count
     events: tuple[Event, ...] = ()
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 import math
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import CalibrationError, UnitError
+from piga.errors import CalibrationError, PigaError, UnitError
 from piga.records.calibration import (
     Calibration,
     Coefficient,
@@ -21,68 +24,91 @@ from piga.records.calibration import (
     RunRecord,
     SegmentSummary,
 )
-from piga.records.limits import read_whole
+from piga.records.json_file import JsonError, decode_json, schema_of
+from piga.records.limits import check_label, read_whole
+from piga.records.run_file import Method, Phase, PhaseSource
+from piga.records.terms import check_name, unit_of
 from piga.units import conversion_factor, from_si
 
 Array = NDArray[np.float64]
 
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
+ROUNDING = 1e-9
+"""Largest error of a correlation by rounding; the smallest eigenvalue may be that far below zero, times the size."""
+SAME = 1e-6
+"""Relative difference up to which a standard uncertainty is the square root of its variance."""
 MOST_OUTLIERS = 10_000
 """Outliers listed one by one; the events of the quality section count all of them."""
 
 
+Number = Annotated[float, msgspec.Meta(ge=-1e100, le=1e100)]
+"""Far beyond any quantity here, and small enough that squares and unit factors stay finite."""
+Level = Annotated[float, msgspec.Meta(ge=0.0, le=1e100)]
+"""A number that is not negative: a standard uncertainty, a noise level, a largest residual."""
+
+
 class _Quantity(msgspec.Struct, frozen=True):
-    value: float
+    value: Number
+    unit: str
+
+
+class _Level(msgspec.Struct, frozen=True):
+    value: Level
+    unit: str
+
+
+class _Nominal(msgspec.Struct, frozen=True):
+    value: Annotated[float, msgspec.Meta(gt=0.0, le=1e100)]
     unit: str
 
 
 class _Instrument(msgspec.Struct, frozen=True):
     serial: str
-    scale_factor_nominal: _Quantity
+    scale_factor_nominal: _Nominal
 
 
 class _Model(msgspec.Struct, frozen=True):
     terms: tuple[str, ...]
-    phase: str
-    phase_source: str
-    method: str
-    temperature_reference: _Quantity = _Quantity(293.15, "K")
+    phase: Phase
+    phase_source: PhaseSource
+    method: Method
+    temperature_reference: _Level = _Level(293.15, "K")
     time_reference: _Quantity = _Quantity(0.0, "s")
 
 
 class _Coefficient(msgspec.Struct, frozen=True):
     name: str
-    value: float
-    std: float
+    value: Number
+    std: Level
     unit: str
     segment: str | None = None
     run: str | None = None
-    degrees_of_freedom: float | None = None
-    interval: tuple[float, float] | None = None
+    degrees_of_freedom: Level | None = None
+    interval: tuple[Number, Number] | None = None
 
 
 class _Covariance(msgspec.Struct, frozen=True):
     names: tuple[str, ...]
-    matrix: tuple[tuple[float, ...], ...]
+    matrix: tuple[tuple[Annotated[float, msgspec.Meta(ge=-1e200, le=1e200)], ...], ...]
 
 
 class _Noise(msgspec.Struct, frozen=True):
-    angle_rms: _Quantity
-    angle_random_walk: _Quantity
-    bias_drift: _Quantity | None = None
-    segment_scatter: _Quantity | None = None
+    angle_rms: _Level
+    angle_random_walk: _Level
+    bias_drift: _Level | None = None
+    segment_scatter: _Level | None = None
 
 
 class _Residual(msgspec.Struct, frozen=True):
-    rms: _Quantity
-    rms_before: _Quantity
-    max_before: _Quantity
-    max_after: _Quantity
+    rms: _Level
+    rms_before: _Level
+    max_before: _Level
+    max_after: _Level
 
 
 class _Identifiability(msgspec.Struct, frozen=True):
-    condition: float | None
+    condition: Annotated[float, msgspec.Meta(ge=1.0)] | None
     notes: tuple[str, ...] = ()
 
 
@@ -91,6 +117,23 @@ class _Provenance(msgspec.Struct, frozen=True):
     software: str
     created: str
     options: dict[str, Any] = {}
+
+
+class _Source(msgspec.Struct, frozen=True):
+    source: str
+    type: Literal["A", "B"]
+    contributions: dict[str, Number]
+    distribution: str = "normal"
+    standard_uncertainty: _Quantity | None = None
+    degrees_of_freedom: Level | None = None
+    sensitivities: dict[str, _Quantity] = {}
+
+
+class _Diagnostics(msgspec.Struct, frozen=True):
+    residual_kind: Literal["angle", "rate"] = "angle"
+    range: dict[str, tuple[Number, Number]] = {}
+    monte_carlo: dict[str, Any] = {}
+    leverage: dict[str, Any] = {}
 
 
 class _Document(msgspec.Struct, frozen=True):
@@ -105,11 +148,18 @@ class _Document(msgspec.Struct, frozen=True):
     identifiability: _Identifiability
     provenance: _Provenance
     uncertainty_budget: tuple[dict[str, Any], ...] = ()
-    degrees_of_freedom: float = math.inf
+    degrees_of_freedom: Level = math.inf
     diagnostics: dict[str, Any] = {}
     segments: tuple[SegmentSummary, ...] = ()
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
+
+
+class _Checked(msgspec.Struct, frozen=True):
+    """The parts that are kept as plain values, with the types they must have."""
+
+    uncertainty_budget: tuple[_Source, ...] = ()
+    diagnostics: _Diagnostics = _Diagnostics()
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -215,7 +265,8 @@ def read_calibration(path: Path) -> Calibration:
     Raises
     ------
     CalibrationError
-        If the file is missing, is no calibration record, or is of a newer schema.
+        If the file is missing, is no calibration record, is of a newer schema, or contradicts itself: what
+        compensation, certificates and the store read passes here.
     """
     return calibration_from_bytes(read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError), path)
 
@@ -229,7 +280,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         As :func:`read_calibration`.
     """
     document = _decode(raw, path)
-    matrix = _matrix(path, document)
+    matrix = _check(path, document)
     condition = document.identifiability.condition
     return Calibration(
         serial=document.instrument.serial,
@@ -279,7 +330,7 @@ def _coefficient(found: _Coefficient) -> Coefficient:
 
 def _decode(raw: bytes, path: Path) -> _Document:
     try:
-        kind = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        kind = schema_of(raw)
         if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
             raise CalibrationError(
                 f"{path}: schema '{kind}' is not known to this version",
@@ -289,56 +340,128 @@ def _decode(raw: bytes, path: Path) -> _Document:
             raise CalibrationError(
                 f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
             )
-        return msgspec.json.decode(raw, type=_Document)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        document = decode_json(raw, _Document)
+        msgspec.convert(
+            {"uncertainty_budget": document.uncertainty_budget, "diagnostics": document.diagnostics}, _Checked
+        )
+    except (JsonError, msgspec.ValidationError) as error:
         raise CalibrationError(
             f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
         ) from None
+    return document
 
 
-def _level(found: _Quantity | None) -> float:
+def _level(found: _Level | None) -> float:
     """A noise level that older files do not have."""
     return 0.0 if found is None else found.value
 
 
-def _in_si(quantity: _Quantity, like: str, path: Path) -> float:
+def _in_si(quantity: _Quantity | _Level | _Nominal, like: str, path: Path) -> float:
     try:
         return quantity.value * conversion_factor(quantity.unit, like)
     except UnitError as error:
         raise CalibrationError(f"{path}: {error.message}", remedy="calibrate again") from None
 
 
-def _matrix(path: Path, document: _Document) -> Array:
-    """The covariance, once the parts fit: names and units known, square, symmetric, in the order of the names."""
-    from piga.records.terms import check_name, unit_of
+def _check(path: Path, document: _Document) -> Array:
+    """Hold the parts against each other, and give the covariance.
 
+    Raises
+    ------
+    CalibrationError
+        Naming the file and the first part that contradicts another.
+    """
+    coefficients = tuple(_coefficient(c) for c in document.coefficients)
     try:
-        matrix = np.array(document.covariance.matrix, dtype=float)
-    except ValueError:
-        matrix = np.empty(0)
-
-    keys = tuple(
-        Coefficient(c.name, c.value, c.std, c.unit, c.segment, c.run).key for c in document.coefficients
-    )
-    for coefficient in document.coefficients:
-        if not check_name(coefficient.name):
-            raise CalibrationError(f"{path}: unknown coefficient '{coefficient.name}'", remedy="update piga")
-        if coefficient.unit != unit_of(coefficient.name):
-            raise CalibrationError(
-                f"{path}: coefficient '{coefficient.name}' in '{coefficient.unit}', '{unit_of(coefficient.name)}' is needed",
-                remedy="convert it",
-            )
-        if not (math.isfinite(coefficient.value) and coefficient.std >= 0.0):
-            raise CalibrationError(
-                f"{path}: coefficient '{coefficient.name}' is no valid number", remedy="calibrate again"
-            )
-    if document.covariance.names != keys:
-        raise CalibrationError(
-            f"{path}: covariance names differ from the coefficients", remedy="calibrate again"
+        check_label(document.instrument.serial, "the serial")
+        wrong = (
+            *(fault for c in coefficients for fault in _faults(c)),
+            *_contradictions(document, coefficients),
         )
-    if matrix.shape != (len(keys), len(keys)) or not np.isfinite(matrix).all():
-        raise CalibrationError(f"{path}: the covariance is not a full square matrix", remedy="calibrate again")
-    spread = np.abs(matrix - matrix.T).max() if matrix.size else 0.0
-    if spread > 1e-9 * np.abs(matrix).max():
-        raise CalibrationError(f"{path}: the covariance is not symmetric", remedy="calibrate again")
+        if not wrong:
+            return _covariance(document, coefficients)
+    except PigaError as error:
+        raise CalibrationError(f"{path}: {error.message}", remedy=error.remedy or "calibrate again") from None
+    raise CalibrationError(f"{path}: {wrong[0]}", remedy="get the file from its author, or calibrate again")
+
+
+def _faults(c: Coefficient) -> Iterator[str]:
+    """What is wrong with one coefficient by itself."""
+    if not check_name(c.name):
+        yield f"unknown coefficient '{c.name[:60]}': a later version may know it"
+    elif c.unit != unit_of(c.name):
+        yield f"coefficient '{c.name}' in '{c.unit[:60]}', '{unit_of(c.name)}' is needed"
+    elif c.name == "scale_factor" and not c.value > 0.0:
+        yield f"scale_factor is {c.value:g}, it must be positive"
+    elif c.name == "tan_beta" and c.value < 0.0:
+        yield f"tan_beta is {c.value:g}, it must not be negative: its sign is in phi"
+    if c.interval is not None and not c.interval[0] <= c.interval[1]:
+        yield f"the ends of the interval of '{c.key}' are interchanged"
+    if c.segment is not None and c.name != "phi":
+        yield f"'{c.key}': only a phase can belong to a segment"
+    if c.run is not None and c.name in ("scale_factor", "tan_beta"):
+        yield f"'{c.key}': the coefficient belongs to the instrument, not to a run"
+
+
+def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) -> Iterator[str]:
+    """What the parts of a record say against each other."""
+    model, quality = document.model, document.quality
+    keys = [c.key for c in coefficients]
+    names = {c.name for c in coefficients}
+    twice = next((key for key, count in Counter(keys).items() if count > 1), None)
+    if twice is not None:
+        yield f"the coefficient '{twice}' is there twice"
+    if len(set(model.terms)) < len(model.terms):
+        yield f"a term is named twice: {', '.join(model.terms)[:80]}"
+    for term in model.terms:
+        if term not in names:
+            yield f"there is no coefficient of the term '{term[:60]}'"
+    runs = {run.name for run in document.runs}
+    for c in coefficients:
+        if c.name not in (*model.terms, "phi"):
+            yield f"the coefficient '{c.name[:60]}' is not among the terms"
+        if c.run is not None and c.run not in runs:
+            yield f"'{c.key}': there is no run '{c.run}'"
+        if model.phase == "shared" and c.segment is not None:
+            yield f"the phase is 'shared', but '{c.key}' is of one segment"
+    if max(quality.used, quality.masked) > quality.rows:
+        yield "more rows are used or masked than there are"
+    try:
+        dt.datetime.fromisoformat(document.provenance.created)
+    except ValueError:
+        yield f"provenance.created: '{document.provenance.created[:40]}' is not a time"
+
+
+def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> Array:
+    """The covariance matrix, once it is one and is that of the coefficients.
+
+    It must be square, symmetric and positive semi-definite (to :data:`ROUNDING` of the correlations), in the
+    order of the coefficients, and its diagonal the squares of their standard uncertainties. The published recursion
+    of piga 0.1 left its covariance uneven by rounding: there it is held against the largest element.
+    """
+    again = "calibrate again"
+    if document.covariance.names != tuple(c.key for c in coefficients):
+        raise CalibrationError("covariance names differ from the coefficients", remedy=again)
+    size = len(coefficients)
+    if [len(row) for row in document.covariance.matrix] != [size] * size:
+        raise CalibrationError("the covariance is not a full square matrix", remedy=again)
+    matrix = np.array(document.covariance.matrix, dtype=float).reshape(size, size)
+    for c, variance in zip(coefficients, np.diag(matrix), strict=True):
+        if variance < 0.0:
+            raise CalibrationError(f"the variance of '{c.key}' is negative", remedy=again)
+        if abs(math.sqrt(variance) - c.std) > SAME * max(c.std, math.sqrt(variance)):
+            raise CalibrationError(
+                f"the standard uncertainty of '{c.key}' is {c.std:.6g}, the covariance says {math.sqrt(variance):.6g}",
+                remedy=again,
+            )
+    scale = np.sqrt(np.diag(matrix))
+    scale[scale == 0.0] = 1.0
+    correlation = matrix / scale / scale[:, None]
+    held = matrix if document.model.method == "published" else correlation
+    if np.abs(held - held.T).max() > ROUNDING * np.abs(held).max():
+        raise CalibrationError("the covariance is not symmetric", remedy=again)
+    try:
+        np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * ROUNDING * np.eye(size))
+    except np.linalg.LinAlgError:
+        raise CalibrationError("the covariance is not positive semi-definite", remedy=again) from None
     return matrix

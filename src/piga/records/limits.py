@@ -20,6 +20,10 @@ CPU_BASE, CPU_PER_MIB = 5.0, 4.0
 """CPU time for reading a container [s], and per MiB of file."""
 
 
+MOST_LETTERS = 200
+"""Characters of a name; a file name takes 255 bytes."""
+
+
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
     """All bytes of a file of at most ``most`` bytes; ``wanted`` is what to name instead of a larger one.
 
@@ -34,6 +38,25 @@ def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = Data
         return path.read_bytes()
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})", remedy="check the file name") from None
+
+
+def check_label(text: str, what: str) -> None:
+    """Refuse what cannot stand in a list, a file name or a page: the name of an instrument, a run, a segment.
+
+    Raises
+    ------
+    DataError
+        If the text is empty, longer than :data:`MOST_LETTERS`, or holds a control character or line break.
+    """
+    if not text.strip():
+        raise DataError(f"{what} is empty", remedy="give it a name")
+    if len(text) > MOST_LETTERS:
+        raise DataError(f"{what} has {len(text)} characters", remedy=f"use {MOST_LETTERS} or fewer")
+    odd = next((letter for letter in text if not letter.isprintable() and letter != "\u3000"), None)
+    if odd is not None:
+        raise DataError(
+            f"{what} {text[:40]!r} holds the control character {odd!r}", remedy="use letters, digits and signs"
+        )
 
 
 def first_line(error: Exception) -> str:

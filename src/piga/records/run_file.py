@@ -7,7 +7,7 @@ data: keys, types, units, term names, and options that contradict each other.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
@@ -19,9 +19,13 @@ from piga.units import conversion_factor, to_si
 
 Quantity = str | float | int
 
-PHASES = ("shared", "per-segment")
-PHASE_SOURCES = ("output", "input")
-METHODS = ("information", "rate", "recursive", "published", "revolutions")
+Phase = Literal["shared", "per-segment"]
+PhaseSource = Literal["output", "input"]
+Method = Literal["information", "rate", "recursive", "published", "revolutions"]
+
+PHASES: tuple[str, ...] = get_args(Phase)
+PHASE_SOURCES: tuple[str, ...] = get_args(PhaseSource)
+METHODS: tuple[str, ...] = get_args(Method)
 
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -106,8 +110,8 @@ class ModelTable(Table, frozen=True):
 
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
     compare: tuple[tuple[str, ...], ...] = ()
-    phase: Literal["shared", "per-segment"] = "shared"
-    phase_source: Literal["output", "input"] = "output"
+    phase: Phase = "shared"
+    phase_source: PhaseSource = "output"
     temperature_reference: Quantity = "20 degC"
 
 
@@ -117,7 +121,7 @@ class EstimationTable(Table, frozen=True):
     ``per_run`` names the terms that may differ between the runs of a joint calibration.
     """
 
-    method: Literal["information", "rate", "recursive", "published", "revolutions"] = "information"
+    method: Method = "information"
     per_run: tuple[str, ...] = ()
     angle_rms: Quantity | None = None
     angle_random_walk: Quantity | None = None
