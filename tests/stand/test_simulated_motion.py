@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from piga.earth import Site
 from piga.instrument import ErrorModel, Instrument
 from piga.instrument.electronics import Electronics, Temperature
 from piga.stand import (
@@ -16,6 +17,7 @@ from piga.stand import (
     simulate_test,
 )
 from piga.units import G0
+from tests.instrument.servo_truth import Design, motion
 
 from .simulated import COUNTS, HEAD, INST, SITE
 
@@ -48,6 +50,23 @@ def test_harmonics_of_the_gimbal_angle_enter_the_motion():
 
     truth = solve_ivp(slope, (0.0, 10.0), [0.8], method="DOP853", rtol=1e-12, atol=1e-12)
     assert test.alpha[-1] == pytest.approx(truth.y[0, -1], abs=1e-8)
+
+
+@pytest.mark.parametrize("level", [1.0, 6.0])
+def test_servo_terms_enter_the_motion_as_the_rigid_body_has_them(level):
+    """The angle over 5 s at 45 deg, against rotor, float and servo integrated by SciPy; gravity 1 g and 6 g."""
+    p = Design(K=INST.scale_factor, beta=INST.beta)
+    stand = DividingHead(Site(SITE.latitude, gravity=level * G0), (math.pi / 4,), dwell=5.0, move=1.0)
+    f, omega = (v[0] for v in stand.motion(np.zeros(1), Imperfections()))
+    body = motion(p, f, omega, 0.3, np.concatenate([[0.0], 1.0 + np.arange(51) * 0.1]))[1:, 0]
+    start = Instrument(INST.scale_factor, INST.beta, body[0])
+    terms = {"servo": p.K * p.ml / (2.0 * p.k_i), "servo_damping": p.c * p.K**2 / p.k_i}
+    off = {}
+    for name, own in (("with", terms), ("without", {})):
+        test = simulate_test(stand, Specimen(start, **own), COUNTS)
+        off[name] = np.abs(np.interp(np.arange(51) * 0.1, test.profile.t, test.alpha) - body).max()
+    assert off["without"] > 1e-5 * level**3
+    assert off["with"] < 0.02 * off["without"]
 
 
 def test_random_walk_enters_the_motion_exactly():

@@ -41,6 +41,8 @@ def test_twin_refuses_what_it_cannot_do():
     unstable = Specimen(INST, twin=replace(PRESETS["example"], proportional_gain=300.0))
     with pytest.raises(UnstableDesignError, match="unstable"):
         simulate_test(HEAD, unstable, COUNTS, model="twin")
+    with pytest.raises(ArgumentError, match="its servo makes them"):
+        simulate_test(HEAD, Specimen(INST, servo=1e-7, twin=PRESETS["example"]), COUNTS, model="twin")
     with pytest.raises(ArgumentError, match="makes its own"):
         simulate_test(HEAD, Specimen(INST, ErrorModel(s1=1e-3), twin=PRESETS["example"]), COUNTS, model="twin")
 

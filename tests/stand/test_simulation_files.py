@@ -54,6 +54,21 @@ def test_run_file_truth_and_data_belong_together(tmp_path):
     assert table["model"] == {"terms": ["scale_factor", "tan_beta", "k0"], "phase": "shared"}
 
 
+def test_servo_terms_are_prescribed_to_the_quasi_steady_model_and_predicted_of_the_twin(tmp_path):
+    own = 'servo = "13 ug/g^3"\nservo_damping = "5 ug/g^3"\nk0 = "3e-4 g"'
+    path = written(tmp_path, terms=('k0 = "3e-4 g"', own))
+    scenario = read_scenario(path)
+    truth = truth_of(run_scenario(scenario))
+    assert (truth["servo", None], truth["servo_damping", None]) == (pytest.approx(13e-6), pytest.approx(5e-6))
+    table = tomllib.loads(run_file_text(scenario, run_scenario(scenario), "run.parquet"))
+    assert table["model"]["terms"] == ["scale_factor", "tan_beta", "k0", "servo", "servo_damping"]
+    twin = SCENARIO.replace('"0:360:60 deg"', '"45:46:1 deg"').replace('dwell = "20 s"', 'dwell = "1 s"')
+    path.write_text(twin + '[twin]\nintegral_gain = 3000.0\n[run]\nmodel = "twin"\n', encoding="utf-8")
+    truth = truth_of(run_scenario(read_scenario(path)))
+    assert truth["servo", None] == pytest.approx(0.8884 * 0.08884 / 6000.0)
+    assert truth["servo_damping", None] == pytest.approx(0.05 * 0.8884**2 / 3000.0)
+
+
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
     scenario = read_scenario(path)

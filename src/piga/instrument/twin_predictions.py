@@ -124,6 +124,32 @@ def servo_terms(
     return ServoTerms(*_servo_pair(own, rate), sources)
 
 
+def servo_force(
+    servo: float, servo_damping: float, K: float, alpha: Array, f: Array, base_rate: Array
+) -> Array:
+    """Specific force [m/s^2] that the terms ``servo`` and ``servo_damping`` add to the indicated one, (n,).
+
+    With ``u = K f - Omega``:
+    ``-2 s (u_x/K) ((u_Y sin(alpha) - u_Z cos(alpha))/K)^2 - d (u_x/K)^2 (u_Y cos(alpha) + u_Z sin(alpha))/K``.
+
+    Parameters
+    ----------
+    servo, servo_damping:
+        The coefficients s and d [1/(m/s^2)^2].
+    K:
+        Scale factor [(rad/s)/(m/s^2)].
+    alpha:
+        Gimbal angle [rad], (n,).
+    f, base_rate:
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3).
+    """
+    x, y, z = (f - base_rate / K).T
+    sine, cosine = np.sin(alpha), np.cos(alpha)
+    return np.asarray(
+        -2.0 * servo * x * (y * sine - z * cosine) ** 2 - servo_damping * x**2 * (y * cosine + z * sine)
+    )
+
+
 def _servo_pair(p: ServoParameters, rate: float) -> tuple[float, float]:
     """``s`` and ``d`` at ``rate``."""
     stiffness = p.integral_gain - (p.rate_gain + p.pendulosity / p.scale_factor) * rate**2

@@ -21,6 +21,7 @@ from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simul
 from piga.stand.tide import EarthTide
 from piga.units import to_si
 
+_SERVO = ("servo", "servo_damping")
 _MOTION = ("scale_factor", "beta", "tan_beta", "alpha0", "T_ref")
 
 
@@ -143,14 +144,15 @@ def _specimen(table: ScenarioTable) -> Specimen:
         to_si(truth.get("alpha0", 0.0), "rad", what="[truth] alpha0"),
     )
     twin = twin_parameters(table.twin) if table.twin or table.run.model == "twin" else None
-    return Specimen(instrument, _error_model(table), _harmonics(table), twin, table.run.start)
+    s, d = (to_si(truth.get(name, 0.0), unit_of(name), what=f"[truth] {name}") for name in _SERVO)
+    return Specimen(instrument, _error_model(table), _harmonics(table), s, d, twin, table.run.start)
 
 
 def _error_model(table: ScenarioTable) -> ErrorModel:
     terms = {
         name: to_si(value, unit_of(name), what=f"[truth] {name}")
         for name, value in table.truth.items()
-        if name not in _MOTION and harmonic(name) is None
+        if name not in (*_MOTION, *_SERVO) and harmonic(name) is None
     }
     model = ErrorModel.from_terms(terms)
     reference = table.truth.get("T_ref", table.model.get("temperature_reference", "20 degC"))

@@ -25,13 +25,18 @@ from piga.instrument.electronics import (
 from piga.instrument.twin import Start, TwinMotion, run_twin
 from piga.instrument.twin_linear import analyse_loop, require_stable
 from piga.instrument.twin_parameters import TwinParameters
+from piga.instrument.twin_predictions import servo_force
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.stand.tide import EarthTide
+from piga.units import G0
 
 Array = NDArray[np.float64]
 Model = Literal["quasi-steady", "twin"]
 Harmonics = Mapping[int, tuple[float, float]]
+_WAVE_STEP = 0.05
+"""Largest turn of the gimbal in a step where the servo's waves are simulated [rad]: straight between samples,
+they are short by a share of this squared over 12."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +44,16 @@ class Specimen:
     """The instrument under test, true values in SI.
 
     ``error_model`` holds the polynomial and drift terms; ``harmonics`` maps an order to the amplitudes
-    [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle. ``twin`` adds rotor, float and
-    servo for the model ``twin``; then K, beta and alpha0 of ``instrument`` replace its own.
+    [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle; ``servo`` and ``servo_damping``
+    [1/(m/s^2)^2] are the coefficients of the servo's terms. ``twin`` adds rotor, float and servo for the model
+    ``twin``; then K, beta and alpha0 of ``instrument`` replace its own, and the servo's terms come by themselves.
     """
 
     instrument: Instrument
     error_model: ErrorModel = field(default_factory=ErrorModel)
     harmonics: Harmonics = field(default_factory=dict)
+    servo: float = 0.0
+    servo_damping: float = 0.0
     twin: TwinParameters | None = None
     start: Start = "slow-manifold"
 
@@ -172,6 +180,8 @@ def _oversample(
     stand: Stand, specimen: Specimen, electronics: Electronics, model: Model, step: float | None
 ) -> int:
     wanted = step if step is not None else min(stand.fastest, 0.05)
+    if step is None and model == "quasi-steady" and (specimen.servo or specimen.servo_damping):
+        wanted = min(wanted, _WAVE_STEP / _fastest_turn(stand, specimen, electronics.interval))
     if step is None and model == "twin":
         p = specimen.design
         noisy = p.pick_off_noise or p.torque_noise or electronics.angle_random_walk
@@ -179,6 +189,12 @@ def _oversample(
     if wanted <= 0.0:
         raise ArgumentError(f"step: {wanted:g} s is not positive")
     return max(1, math.ceil(electronics.interval / wanted - 1e-9))
+
+
+def _fastest_turn(stand: Stand, specimen: Specimen, interval: float) -> float:
+    """Largest output rate of the test [rad/s], at least that of 0.1 g."""
+    profile, K = sample_stand(stand, interval), specimen.instrument.scale_factor
+    return float(np.max(np.abs(K * profile.force[:, 0] - profile.base_rate[:, 0]), initial=0.1 * K * G0))
 
 
 def _overshoot(stand: Stand, e: Electronics, errors: Imperfections, grid: float) -> int:
@@ -202,6 +218,7 @@ def _quasi_steady(
     force = profile.force.copy()
     force[:, 0] += random_walk(streams[1], profile.t.size, grid, e.bias_random_walk)
     base_rate = profile.base_rate
+    felt = (force, base_rate)
     if density:
         force, base_rate = _walked(force, walk), _walked(base_rate, walk)
     harmonic_rate = np.zeros(profile.t.size)
@@ -218,13 +235,22 @@ def _quasi_steady(
             temperature=kelvin,
         )
         alpha = alpha + walk
-        new_rate = specimen.instrument.scale_factor * harmonic_force(specimen.harmonics, alpha)
+        new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)
         if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
             return alpha, rate
         harmonic_rate = new_rate
     raise ArgumentError(
-        "harmonics: too large to be simulated", remedy="harmonics are small corrections, e.g. 1e-5 g"
+        "harmonics or servo terms: too large to be simulated", remedy="they are small corrections, e.g. 1e-5 g"
     )
+
+
+def _forces_of_angle(specimen: Specimen, alpha: Array, force: Array, base_rate: Array) -> Array:
+    """Specific force [m/s^2] of harmonics and servo at gimbal angle ``alpha`` [rad], (n,)."""
+    total = harmonic_force(specimen.harmonics, alpha)
+    if specimen.servo or specimen.servo_damping:
+        K = specimen.instrument.scale_factor
+        total += servo_force(specimen.servo, specimen.servo_damping, K, alpha, force, base_rate)
+    return total
 
 
 def _walked(vectors: Array, angle: Array) -> Array:
@@ -258,6 +284,11 @@ def _twin_motion(
         require_stable(p)
         stable = True
     own = specimen.error_model
+    if specimen.servo or specimen.servo_damping:
+        raise ArgumentError(
+            "the terms servo and servo_damping cannot be prescribed to the twin: its servo makes them",
+            remedy='set integral_gain and damping in [twin], or use model "quasi-steady"',
+        )
     if specimen.harmonics or own.s1 or own.c1:
         raise ArgumentError(
             "harmonics of the gimbal angle cannot be prescribed to the twin: it makes its own",

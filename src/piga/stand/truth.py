@@ -14,6 +14,7 @@ from piga.instrument.twin_predictions import (
     predicted_rate_error,
     predicted_rectification,
     predicted_second_harmonic,
+    servo_terms,
 )
 from piga.records.terms import si_factor, unit_of
 from piga.stand.imperfections import Imperfections
@@ -37,13 +38,15 @@ class TrueValue:
 def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
     """True coefficients: scale factor, tan beta, phases, and every term that is not zero.
 
-    With the twin, bias and k2 that its torques and inertias make are added to those of the error model.
+    With the twin, bias and k2 that its torques and inertias make are added to those of the error model, and the terms
+    ``servo`` and ``servo_damping`` are what its servo is predicted to make at a small rate.
     Harmonics are turned to the zero of the output angle.
     """
     own = test.specimen.instrument
     values = {"scale_factor": own.scale_factor, "tan_beta": abs(own.tan_beta)}
     model = test.specimen.error_model
     values |= {f.name: getattr(model, f.name) for f in fields(model) if f.name not in ("T_ref", "s1", "c1")}
+    values |= {"servo": test.specimen.servo, "servo_damping": test.specimen.servo_damping}
     if test.model == "twin":
         for name, extra in _of_twin(test.specimen.design).items():
             values[name] += extra
@@ -56,9 +59,13 @@ def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
 
 
 def _of_twin(p: TwinParameters) -> dict[str, float]:
-    """Bias [m/s^2] from torques about the inner axis, k2 [1/(m/s^2)] from the float's inertia."""
+    """Bias [m/s^2] from torques about the inner axis, k2 [1/(m/s^2)] from the float's inertia, the servo's terms."""
     bias = (p.restoring * (p.pick_off_null - p.restoring_zero) - p.inner_torque) / p.pendulosity
-    return {"k0": bias, "k2": predicted_k2(p)}
+    values = {"k0": bias, "k2": predicted_k2(p)}
+    if p.integral_gain > 0.0:
+        terms = servo_terms(p)
+        values |= {"servo": terms.servo, "servo_damping": terms.servo_damping}
+    return values
 
 
 def _harmonics(test: SimulatedTest) -> tuple[TrueValue, ...]:
