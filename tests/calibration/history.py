@@ -29,7 +29,7 @@ def record(values, stds, common=None, *, serial="G-0417"):
         method="information",
         coefficients=coefficients,
         covariance=np.diag([c.std**2 for c in coefficients]),
-        degrees_of_freedom=100.0,
+        surplus_observations=100.0,
         angle_rms=1e-6,
         angle_random_walk=1e-6,
         residual_rms=1e-6,

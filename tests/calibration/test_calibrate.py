@@ -31,7 +31,7 @@ def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> N
     calibration = piga.calibrate(run, TERMS, method)
     assert all(abs(z) < 4.0 for z in errors(calibration).values()), errors(calibration)
     assert calibration["tan_beta"].std < 3e-6
-    assert calibration.degrees_of_freedom == run.size - len(run.labels) - 6
+    assert calibration.surplus_observations == run.size - len(run.labels) - 6
 
 
 def test_recursive_is_batch_and_has_a_history() -> None:

@@ -19,6 +19,9 @@ def test_same_truth_with_larger_uncertainty() -> None:
         turns, whole = piga.calibrate(run, TERMS, "revolutions"), piga.calibrate(run, TERMS)
         z = errors(turns)
         assert all(abs(value) < 4.5 for value in z.values()), z
+        assert {c.degrees_of_freedom for c in turns.coefficients} == {
+            turns.diagnostics["turns"] - len(turns.segments)
+        }
         squares += [value**2 for value in z.values()]
         for name in ("scale_factor", "k0", "k2", "m_Y"):
             assert 1.2 * whole[name].std < turns[name].std < 30.0 * whole[name].std

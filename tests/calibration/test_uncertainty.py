@@ -16,7 +16,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.uncertainty import sources
 from piga.errors import RunFileError
 from piga.records import spool
-from piga.records.calibration import coverage_factor
+from piga.records.coverage import coverage_factor
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS

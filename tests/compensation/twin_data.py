@@ -40,7 +40,7 @@ def calibration_of(
         method="information",
         coefficients=coefficients,
         covariance=np.diag([c.std**2 for c in coefficients]),
-        degrees_of_freedom=1e3,
+        surplus_observations=1e3,
         angle_rms=angle_rms,
         angle_random_walk=angle_random_walk,
         residual_rms=0.0,

@@ -19,8 +19,8 @@ from piga.records.calibration import (
     Quality,
     Residuals,
     RunRecord,
-    coverage_factor,
 )
+from piga.records.coverage import coverage_factor
 from piga.records.residuals_parquet import write_residuals
 from tests.reports.example import calibration
 

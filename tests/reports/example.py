@@ -124,7 +124,7 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
         method="information",
         coefficients=tuple(coefficients),
         covariance=shape * np.outer(std, std),
-        degrees_of_freedom=float(found.t.size - size - SEGMENTS),
+        surplus_observations=float(found.t.size - size - SEGMENTS),
         angle_rms=2.2 * ARCSEC,
         angle_random_walk=1.2 * ARCSEC,
         residual_rms=float(np.std(found.after)),

@@ -160,7 +160,7 @@ def test_odd_numbers_do_not_break_the_page(cal):
     strange = dataclasses.replace(
         cal,
         residuals=None,
-        degrees_of_freedom=math.inf,
+        surplus_observations=math.inf,
         condition=math.inf,
         residual_rms=0.0,
         covariance=np.zeros_like(cal.covariance),

@@ -119,9 +119,11 @@ def test_what_contradicts_itself(cal, tables, words):
 
 def test_what_the_calibration_must_have(cal):
     data = complete()
+    few = tuple(replace(c, degrees_of_freedom=0.5) if c.name == "k0" else c for c in cal.coefficients)
+    unknown = replace(cal, coefficients=few)
     assert any("no source of Type B" in item for item in missing_items(data, replace(cal, budget=())))
     assert any(
-        "degrees of freedom" in item for item in missing_items(data, replace(cal, degrees_of_freedom=0.0))
+        "degrees of freedom for an expanded uncertainty of k0" in item for item in missing_items(data, unknown)
     )
     exact = tuple(replace(c, std=0.0) for c in cal.coefficients)
     assert any("no uncertainty" in item for item in missing_items(data, replace(cal, coefficients=exact)))
@@ -201,8 +203,8 @@ def test_what_stands_on_it(cal):
         "Dividing head DH-3",
         "20.3 °C",
         "Local gravity 9.80166 m/s² 2 × 10⁻⁶ m/s²",
-        "k = 1.960 of Student's t",
-        "1600.2 2.2 µg",
+        "k of Student's t for the effective degrees of freedom",
+        "1600.2 2.2 µg 0.13 % ∞ 1.96",
         "0.8885092 0.0000027 rad/s/g",
         "Dr A. Example Head of the laboratory, authorises this certificate",
         "SHA-256 of calibration.json " + "ab" * 32,

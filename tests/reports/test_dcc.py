@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from piga.errors import PigaError
+from piga.records.calibration import Coefficient
 from piga.records.calibration_json import to_document
+from piga.records.coverage import joint_factor
 from piga.records.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.records.terms import UNITS, si_factor, unit_of
 from tests.reports.certificate_data import SCHEMAS, changed, complete
@@ -24,7 +26,6 @@ etree = pytest.importorskip("lxml.etree")
 from piga.records.dcc_reader import calibration_of, label_of, read_dcc  # noqa: E402
 from piga.records.xml_signature import written  # noqa: E402
 from piga.reports.dcc import dcc_document  # noqa: E402
-from piga.reports.dcc_results import joint_factor  # noqa: E402
 
 N = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 needs_schemas = pytest.mark.skipif(
@@ -78,7 +79,9 @@ def problems(raw):
 
 
 @needs_schemas
-@pytest.mark.parametrize("kind", ["plain", "per-segment", "all terms", "before", "conformity", "statements"])
+@pytest.mark.parametrize(
+    "kind", ["plain", "per-segment", "all terms", "before", "conformity", "statements", "monte carlo"]
+)
 def test_valid_by_schema_and_schematron(cal, per_segment, kind):
     pytest.importorskip("saxonche")
     from tests.reports.schematron import findings
@@ -90,6 +93,9 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
         used = replace(
             all_terms(cal), diagnostics={"range": {"a_x": [-9.8, 9.8], "temperature": [293.0, 295.5]}}
         )
+    elif kind == "monte carlo":
+        by_interval = replace(cal.coefficients[1], interval=(3.5e-4, 3.6e-4))
+        used = replace(cal, coefficients=(cal.coefficients[0], by_interval, *cal.coefficients[2:]))
     elif kind == "before":
         data, before = changed(data, adjustment={"performed": True, "before": "x"}), cal
     elif kind == "statements":
@@ -179,7 +185,7 @@ def test_numbers_are_si(cal):
     )
     assert "nonSI" not in document(cal).decode()
     expanded = scale.find(".//si:expandedMU", N)
-    k = stats.t.ppf(0.975, cal.degrees_of_freedom)
+    k = stats.norm.ppf(0.975)  # the made-up coefficients have infinitely many degrees of freedom
     assert float(expanded.findtext("si:coverageFactor", "", N)) == pytest.approx(k, abs=1e-6)
     u = float(expanded.findtext("si:valueExpandedMU", "", N))
     assert u == pytest.approx(k * cal["scale_factor"].std / 9.80665, rel=1e-12)
@@ -197,10 +203,29 @@ def test_covariance_is_multivariate_uncertainty_in_products_of_units(cal):
     assert value == pytest.approx(cal.covariance[i, j] * 9.80665, rel=1e-14)
 
 
+def few(*degrees):
+    return [Coefficient(f"k{i}", 0.0, 1.0, "g", degrees_of_freedom=nu) for i, nu in enumerate(degrees)]
+
+
 def test_joint_factor():
-    assert joint_factor(1, 10.0) == pytest.approx(stats.t.ppf(0.975, 10))
-    assert joint_factor(3, math.inf) == pytest.approx(math.sqrt(stats.chi2.ppf(0.95, 3)))
-    assert joint_factor(3, 12.0) == pytest.approx(math.sqrt(3 * stats.f.ppf(0.95, 3, 12)))
+    assert joint_factor(few(10.0)) == pytest.approx(stats.t.ppf(0.975, 10))
+    assert joint_factor(few(math.inf, math.inf, math.inf)) == pytest.approx(math.sqrt(stats.chi2.ppf(0.95, 3)))
+    assert joint_factor(few(12.0, math.inf, 40.0)) == pytest.approx(math.sqrt(3 * stats.f.ppf(0.95, 3, 12)))
+
+
+@pytest.mark.parametrize("degrees", [(4.0, 4.0, 4.0), (4.0, 12.0, 60.0), (4.0, 1e6, 1e6, 1e6, 1e6, 1e6)])
+def test_joint_region_holds_95_percent(degrees):
+    """Drawn from the definition: independent errors, each with its own estimated variance, or one for all."""
+    rng, draws = np.random.default_rng(5), 100_000
+    error = rng.standard_normal((draws, len(degrees)))
+    each = np.array([rng.chisquare(nu, draws) / nu for nu in degrees]).T
+    limit = joint_factor(few(*degrees)) ** 2
+    apart = np.mean(np.sum(error**2 / each, axis=1) <= limit)
+    together = np.mean(np.sum(error**2, axis=1) / each[:, 0] <= limit)
+    assert together == pytest.approx(0.95, abs=0.003)  # four standard deviations of the draw
+    assert apart > 0.947
+    by_rows = math.sqrt(stats.chi2.ppf(0.95, len(degrees)))
+    assert np.mean(np.sum(error**2, axis=1) / each[:, 0] <= by_rows**2) < 0.9
 
 
 @pytest.mark.parametrize("name", [*UNITS, "s1", "c3"])

@@ -171,7 +171,7 @@ def _assemble(
         method=request.method,
         coefficients=coefficients,
         covariance=covariance,
-        degrees_of_freedom=float(rows - len(coefficients)),
+        surplus_observations=float(rows - len(coefficients)),
         angle_rms=fit.noise.angle_rms,
         angle_random_walk=fit.noise.angle_random_walk,
         residual_rms=figures["residual_rms"],
@@ -240,9 +240,13 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, type_a)]
     for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
         covariance = covariance + np.outer(change, change)
-        budget.append(budget_row(source.name, "B", "normal", source.value, source.unit, coefficients, change))
-    std = np.sqrt(np.diag(covariance))
-    coefficients = tuple(replace(c, std=float(s)) for c, s in zip(coefficients, std, strict=True))
+        shape, degrees = source.distribution, source.degrees_of_freedom
+        known = degrees if math.isfinite(degrees) else None
+        budget.append(
+            budget_row(source.name, "B", shape, source.value, source.unit, coefficients, change, known)
+        )
+    freedom = np.full(base.size, float(fit.positions.freedom))
+    coefficients = combined(coefficients, covariance, tuple(budget), freedom)
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
     notes = (*notes, note) if note else notes
     return revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)

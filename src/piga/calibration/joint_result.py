@@ -59,7 +59,7 @@ def joint_result(
         method="information",
         coefficients=coefficients,
         covariance=covariance,
-        degrees_of_freedom=float(sum(s.count for s in fit.summaries) - len(coefficients)),
+        surplus_observations=float(sum(s.count for s in fit.summaries) - len(coefficients)),
         angle_rms=_mean_square([r.angle_rms for r in records], weights),
         angle_random_walk=_mean_square([r.angle_random_walk for r in records], weights),
         residual_rms=_mean_square([r.residual_rms for r in records], weights),

@@ -307,7 +307,7 @@ def revolutions_result(
         method="revolutions",
         coefficients=coefficients,
         covariance=covariance,
-        degrees_of_freedom=float(positions.freedom),
+        surplus_observations=float(means.size - len(coefficients)),
         angle_rms=positions.scatter / float(np.sqrt(2.0)),
         angle_random_walk=0.0,
         residual_rms=figures["residual_rms"],

@@ -21,7 +21,8 @@ from piga.calibration.control_chart import LIMIT, moving_average
 from piga.calibration.degrees_of_freedom import welch_satterthwaite
 from piga.calibration.trend_line import Groups, LineFit, fit_line, merge_groups
 from piga.errors import ArgumentError
-from piga.records.calibration import Calibration, coverage_factor
+from piga.records.calibration import Calibration
+from piga.records.coverage import Coverage, coverage_factor
 
 Array = NDArray[np.float64]
 
@@ -131,6 +132,7 @@ class Model:
 class Point:
     """One record in a trend: value, whole standard uncertainty and its own part, in file units.
 
+    ``coverage`` is that of the record's coefficient, ``own_expanded`` the half-width for 95 % of its own part.
     ``forecast`` is what the records of earlier days let expect of this one, or None while there are too few;
     ``score`` the deviation from it.
     """
@@ -141,6 +143,8 @@ class Point:
     value: float
     std: float
     own: float
+    coverage: Coverage
+    own_expanded: float
     forecast: Forecast | None
 
     @property
@@ -310,12 +314,41 @@ def _coefficient_trend(
         forecast = models[day - 3].record_at(years[i], own[i], shared[:, i]) if day > 2 else None
         points.append(
             Point(
-                names[i], float(years[i]), int(day), float(values[i]), float(stds[i]), float(own[i]), forecast
+                names[i],
+                float(years[i]),
+                int(day),
+                float(values[i]),
+                float(stds[i]),
+                float(own[i]),
+                calibrations[i][key].coverage,
+                _own_expanded(calibrations[i], key, float(own[i]), common),
+                forecast,
             )
         )
     model = _model(years, values, own, days, shared, np.ones(days.size, dtype=bool))
     chart = _chart(years, values, own, days, shared, models)
     return CoefficientTrend(key, calibrations[0][key].unit, tuple(points), chart, model)
+
+
+def _own_expanded(calibration: Calibration, key: str, own: float, common: Common) -> float:
+    """Half-width for 95 % of a record's own part: k for its own effective degrees of freedom, times ``own``.
+
+    ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The shared part of each source is taken off.
+    """
+    c = calibration[key]
+    doubt = c.std**4 / c.degrees_of_freedom
+    for row in calibration.budget:
+        if row.get("type") == "B":
+            part = _shared_part(common, str(row["source"]))
+            amount = float(row.get("contributions", {}).get(key, 0.0))
+            doubt -= (1.0 - (1.0 - part) ** 2) * amount**4 / (row.get("degrees_of_freedom") or math.inf)
+    degrees = own**4 / doubt if doubt > 0.0 else math.inf
+    return coverage_factor(degrees) * own
+
+
+def _shared_part(common: Common, source: str) -> float:
+    """Part of the variance of a source of Type B that all records share."""
+    return float(common.get(source, 1.0) if isinstance(common, Mapping) else common)
 
 
 def _model(
@@ -356,8 +389,8 @@ def common_contributions(key: str, calibrations: Sequence[Calibration], common: 
             if row.get("type") == "B":
                 amount = float(row.get("contributions", {}).get(key, 0.0))
                 table[sources.index(str(row["source"])), column] += amount
-    parts = [common if not isinstance(common, Mapping) else common.get(source, 1.0) for source in sources]
-    return table * np.sqrt(np.array(parts, dtype=float)).reshape(-1, 1)
+    parts = np.array([_shared_part(common, source) for source in sources], dtype=float)
+    return table * np.sqrt(parts).reshape(-1, 1)
 
 
 def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:

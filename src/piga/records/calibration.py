@@ -14,20 +14,11 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from piga.records.coverage import Coverage, coverage
+
 Array = NDArray[np.float64]
 Count = Annotated[int, Meta(ge=0)]
 """A number of rows or findings; the limit is checked where a record is read."""
-
-
-def coverage_factor(degrees_of_freedom: float, probability: float = 0.95) -> float:
-    """Student's t for a two-sided interval of this probability (JCGM 100, G.3).
-
-    Infinite degrees of freedom give that of the normal distribution; none, or an unknown number, give nan.
-    """
-    from scipy.special import ndtri, stdtrit
-
-    tail = 0.5 * (1.0 + probability)
-    return float(ndtri(tail) if math.isinf(degrees_of_freedom) else stdtrit(degrees_of_freedom, tail))
 
 
 @dataclass(frozen=True)
@@ -60,23 +51,24 @@ class Coefficient:
         return self.name if self.owner is None else f"{self.name}[{self.owner}]"
 
     @property
+    def coverage(self) -> Coverage:
+        """Coverage factor, half-width and limits for 95 %: :func:`piga.records.coverage.coverage`."""
+        return coverage(self)
+
+    @property
     def coverage_factor(self) -> float:
-        """Student's t for 95 % and these degrees of freedom."""
-        return coverage_factor(self.degrees_of_freedom)
+        """Coverage factor for 95 %; nan where a Monte Carlo interval holds."""
+        return self.coverage.factor
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty: half-width of the 95 % interval."""
-        if self.interval is not None:
-            return 0.5 * (self.interval[1] - self.interval[0])
-        return self.coverage_factor * self.std
+        """Half-width of the 95 % interval: the expanded uncertainty U where the budget is complete."""
+        return self.coverage.half_width
 
     @property
     def limits(self) -> tuple[float, float]:
         """Ends of the 95 % coverage interval."""
-        if self.interval is not None:
-            return self.interval
-        return self.value - self.expanded, self.value + self.expanded
+        return self.coverage.low, self.coverage.high
 
 
 @dataclass(frozen=True)
@@ -191,6 +183,8 @@ class Calibration:
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
     Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
+    ``surplus_observations`` counts observations (increments of the angle, rates, positions) less coefficients; it is
+    no degrees of freedom of an uncertainty, each coefficient has its own effective ones.
     ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate that was found, 0 where none was.
     """
 
@@ -202,7 +196,7 @@ class Calibration:
     method: str
     coefficients: tuple[Coefficient, ...]
     covariance: Array
-    degrees_of_freedom: float
+    surplus_observations: float
     angle_rms: float
     angle_random_walk: float
     residual_rms: float

@@ -148,6 +148,7 @@ class _Document(msgspec.Struct, frozen=True):
     identifiability: _Identifiability
     provenance: _Provenance
     uncertainty_budget: tuple[dict[str, Any], ...] = ()
+    surplus_observations: Level | None = None
     degrees_of_freedom: Level = math.inf
     diagnostics: dict[str, Any] = {}
     segments: tuple[SegmentSummary, ...] = ()
@@ -170,7 +171,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         **_subject(c),
         **_estimates(c),
         "residual": _residual(c),
-        "degrees_of_freedom": c.degrees_of_freedom,
+        "surplus_observations": c.surplus_observations,
         "quality": msgspec.to_builtins(c.quality),
         "identifiability": {
             "condition": c.condition if math.isfinite(c.condition) else None,
@@ -239,13 +240,12 @@ def _residual(c: Calibration) -> dict[str, Any]:
 
 
 def _expanded(coefficient: Coefficient) -> dict[str, Any]:
-    """Degrees of freedom (null: infinite), coverage factor, expanded uncertainty and interval for 95 %."""
-    nu = coefficient.degrees_of_freedom
-    return {
-        "degrees_of_freedom": nu if math.isfinite(nu) else None,
-        "coverage_factor": coefficient.coverage_factor,
-        "expanded": coefficient.expanded,
-    } | ({} if coefficient.interval is None else {"interval": list(coefficient.interval)})
+    """Degrees of freedom (null: infinite), coverage factor or Monte Carlo interval, expanded uncertainty for 95 %."""
+    nu, covered = coefficient.degrees_of_freedom, coefficient.coverage
+    stated: dict[str, Any] = {"degrees_of_freedom": nu if math.isfinite(nu) else None}
+    if covered.monte_carlo:
+        return stated | {"expanded": covered.half_width, "interval": [covered.low, covered.high]}
+    return stated | {"coverage_factor": covered.factor, "expanded": covered.half_width}
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -291,7 +291,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         method=document.model.method,
         coefficients=tuple(_coefficient(c) for c in document.coefficients),
         covariance=matrix,
-        degrees_of_freedom=document.degrees_of_freedom,
+        surplus_observations=_surplus(document),
         angle_rms=_in_si(document.noise.angle_rms, "rad", path),
         angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
         bias_drift=_level(document.noise.bias_drift),
@@ -319,6 +319,12 @@ def _provenance(found: _Provenance) -> Provenance:
     hashes = found.input_sha256
     named = {"input": hashes} if isinstance(hashes, str) else hashes
     return Provenance(named, found.software, found.created, found.options)
+
+
+def _surplus(document: _Document) -> float:
+    """Observations less coefficients; the first version called them degrees of freedom."""
+    surplus = document.surplus_observations
+    return document.degrees_of_freedom if surplus is None else surplus
 
 
 def _coefficient(found: _Coefficient) -> Coefficient:

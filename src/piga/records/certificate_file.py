@@ -316,8 +316,9 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     """What the calibration itself must have."""
     if data.item.serial and data.item.serial != calibration.serial:
         yield f"[item] serial (7.8.2.1 g): '{data.item.serial}', but the calibration is of '{calibration.serial}'"
-    if not calibration.degrees_of_freedom >= 1.0:
-        yield "calibration (7.8.4.1 a): too few degrees of freedom for an expanded uncertainty"
+    for c in calibration.coefficients:
+        if not c.degrees_of_freedom >= 1.0:
+            yield f"calibration (7.8.4.1 a): too few degrees of freedom for an expanded uncertainty of {c.key}"
     if not all(c.std > 0.0 and math.isfinite(c.std) for c in calibration.coefficients):
         yield "calibration (7.8.4.1 a): a coefficient has no uncertainty"
     if not any(row.get("type") == "B" for row in calibration.budget):

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import base64
 import binascii
-from dataclasses import replace
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote
 
 import numpy as np
 
-from piga.errors import DataError
+from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration_json import calibration_from_bytes
+from piga.records.coverage import coverage_factor
 from piga.records.dsi_units import dsi_unit, from_dsi, power_of_g
 from piga.records.terms import check_name, unit_of
 from piga.records.xml_file import read_xml
@@ -34,6 +35,8 @@ RECORD = "piga_calibrationRecord"
 MOST_COEFFICIENTS = 4096
 _NAMES = {"dcc": DCC, "si": SI}
 _SAFE = "[]_.,:;+-=()/*"
+_SLACK = 1e-6
+"""Relative to U: coverage factors are stated with six decimals, and differ in the last digits between libraries."""
 
 
 def label_of(key: str) -> str:
@@ -63,7 +66,8 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
     record = _attached(root, path)
     coefficients, covariance = _joint(root, path)
     _compare(path, record, coefficients, covariance)
-    return replace(record, coefficients=coefficients, covariance=covariance)
+    _compare_coverage(path, root, record)
+    return record
 
 
 def _one(root: etree._Element, query: str, path: Path, what: str) -> etree._Element:
@@ -162,3 +166,54 @@ def _compare(
             )
     if not np.array_equal(covariance, record.covariance):
         raise DataError(f"{path}: contradicts itself: the covariance differs from the attached record's")
+
+
+def _compare_coverage(path: Path, root: etree._Element, record: Calibration) -> None:
+    """The limits that the certificate states one by one must be those of the record.
+
+    Certificates of piga 0.1 took one coverage factor for all coefficients, from the number of rows: these are
+    read, with a warning.
+    """
+    query = ".//dcc:result[@refType='basic_measuredValue']/dcc:data/dcc:list/dcc:quantity/si:real"
+    stated = {unquote(real.findtext("si:label", "", _NAMES)): real for real in root.iterfind(query, _NAMES)}
+    by_rows = coverage_factor(record.surplus_observations)
+    outdated = []
+    for c in record.coefficients:
+        if c.key not in stated:
+            raise DataError(
+                f"{path}: does not state {c.key}, which its record holds", remedy="get the file again"
+            )
+        low, high = _limits(stated[c.key], c, path)
+        slack = _SLACK * c.expanded
+        if abs(low - c.limits[0]) <= slack and abs(high - c.limits[1]) <= slack:
+            continue
+        if abs(0.5 * (high - low) - by_rows * c.std) > slack:
+            raise DataError(
+                f"{path}: contradicts itself: {c.key} is stated with 95 % limits {low:.9g} and {high:.9g}, the attached "
+                f"record has {c.limits[0]:.9g} and {c.limits[1]:.9g}",
+                remedy="do not use the file; ask the issuer",
+            )
+        outdated.append(f"{c.key} {0.5 * (high - low):.2g} for {c.expanded:.2g} {c.unit}")
+    if outdated:
+        warnings.warn(
+            f"{path}: made by an earlier piga, which took k = {by_rows:.3f} from the number of rows; the expanded "
+            f"uncertainties stated and those by the effective degrees of freedom: {', '.join(outdated)}. "
+            "The record that is read back holds the latter",
+            PigaWarning,
+            stacklevel=3,
+        )
+
+
+def _limits(real: etree._Element, c: Coefficient, path: Path) -> tuple[float, float]:
+    """95 % limits of a coefficient as stated, in its file unit."""
+    names = ("si:intervalMin", "si:intervalMax", "si:valueExpandedMU")
+    texts = [real.findtext(f".//{name}", None, _NAMES) for name in names]
+    try:
+        low, high, half = (None if text is None else from_dsi(text, power_of_g(c.unit)) for text in texts)
+    except DataError as error:
+        raise DataError(f"{path}: {c.key}: {error.message}", remedy="get the file again") from None
+    if low is not None and high is not None:
+        return low, high
+    if half is None:
+        raise DataError(f"{path}: {c.key} is stated without an uncertainty", remedy="get the file again")
+    return c.value - half, c.value + half

@@ -93,6 +93,20 @@ def freedom(coefficient: Coefficient) -> str:
     return "∞" if math.isinf(nu) else count(round(nu)) if nu >= 100.0 else f"{nu:.3g}"
 
 
+def factor(coefficient: Coefficient) -> str:
+    """Coverage factor as printed; a dash where a Monte Carlo interval holds."""
+    k = coefficient.coverage.factor
+    return "–" if math.isnan(k) else f"{k:.2f}"
+
+
+def monte_carlo_interval(coefficient: Coefficient) -> str:
+    """Limits of the interval that holds, rounded by their width, with their unit: ``299.1 to 300.7 µg``."""
+    covered = coefficient.coverage
+    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+    ends = [rounded(end * scale, covered.half_width * scale).value for end in (covered.low, covered.high)]
+    return f"{printed(ends[0])} to {printed(ends[1])} {pretty_unit(unit)}".rstrip()
+
+
 def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
     scale = std / coefficient.std if coefficient.std else 1.0
@@ -106,9 +120,7 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
         pretty_unit(unit),
         Cell(relative(value, std), "doubtful" if small else ""),
         freedom(coefficient),
-        "–"
-        if coefficient.interval or math.isnan(coefficient.coverage_factor)
-        else f"{coefficient.coverage_factor:.2f}",
+        factor(coefficient),
     )
 
 
@@ -121,10 +133,9 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
             text = rounded(beta, coefficient.std / ARCSEC / (1.0 + coefficient.value**2)).concise
             notes.append(f"tan_beta corresponds to β = {printed(text)}″.")
         if coefficient.interval is not None:
-            low, high = (printed(short(end, 4)) for end in coefficient.interval)
             notes.append(
-                f"{coefficient.name}: shortest 95 % interval {low} to {high} {pretty_unit(coefficient.unit)} by Monte "
-                "Carlo (JCGM 101); U is its half-width."
+                f"{coefficient.name}: shortest 95 % interval {monte_carlo_interval(coefficient)} by Monte Carlo (JCGM "
+                "101); U is its half-width."
             )
         if coefficient.std > abs(coefficient.value):
             notes.append(

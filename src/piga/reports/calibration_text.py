@@ -5,7 +5,7 @@ from __future__ import annotations
 from piga.records.calibration import Calibration
 from piga.reports.calibration_budget import budget_text
 from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
-from piga.reports.calibration_tables import residual_quantity
+from piga.reports.calibration_tables import factor, freedom, residual_quantity
 from piga.reports.numbers import friendly, printed, rounded, short
 from piga.units import ARCSEC, G0
 
@@ -45,17 +45,31 @@ def scatter_found(cal: Calibration) -> str:
 
 
 def _text_table(cal: Calibration) -> list[str]:
-    lines = [("coefficient", "value", "u", "U (95 %)", "unit")]
+    lines = [("coefficient", "value", "u", "U (95 %)", "unit", "dof", "k")]
     for coefficient in cal.coefficients:
         value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
         scale = std / coefficient.std if coefficient.std else 1.0
         number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
-        lines.append((coefficient.key, number.value, number.uncertainty, wide.uncertainty, unit))
-    width = [max(len(line[column]) for line in lines) for column in range(5)]
+        line = (
+            number.value,
+            number.uncertainty,
+            wide.uncertainty,
+            unit,
+            freedom(coefficient),
+            factor(coefficient),
+        )
+        lines.append((coefficient.key, *line))
+    width = [max(len(line[column]) for line in lines) for column in range(7)]
     return [
-        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit}".rstrip()
-        for name, value, u, wide, unit in ((c.replace("–", "-") for c in line) for line in lines)
+        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit:<{width[4]}}  "
+        f"{nu:>{width[5]}}  {k:>{width[6]}}"
+        for name, value, u, wide, unit, nu, k in ((_ascii(cell) for cell in line) for line in lines)
     ]
+
+
+def _ascii(text: str) -> str:
+    """A cell of a table for any terminal."""
+    return text.replace("–", "-").replace("∞", "inf").replace("\u202f", "")
 
 
 def _text_figures(cal: Calibration) -> list[str]:
@@ -76,7 +90,6 @@ def _text_figures(cal: Calibration) -> list[str]:
             else []
         ),
         *([("scatter of segments", scatter_found(cal).replace("µ", "u"))] if cal.segment_scatter > 0.0 else []),
-        ("degrees of freedom", f"{cal.degrees_of_freedom:.6g} (effective: see calibration.json)"),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]

@@ -6,17 +6,23 @@ marks the end. Nothing is issued while an item is missing: :func:`certificate_ht
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration, Coefficient, coverage_factor
+from piga.records.calibration import Calibration, Coefficient
 from piga.records.certificate_file import CertificateFile, missing_items
 from piga.reports.calibration_budget import budget_table
-from piga.reports.calibration_tables import common_coefficients, correlation_table, meaning
-from piga.reports.certificate_statements import Verdict, decision_rule, statements, verdicts
+from piga.reports.calibration_tables import (
+    common_coefficients,
+    correlation_table,
+    factor,
+    freedom,
+    meaning,
+    monte_carlo_interval,
+)
+from piga.reports.certificate_statements import Conformity, decision_rule, statements, verdicts
 from piga.reports.numbers import (
     count,
     friendly,
@@ -168,16 +174,12 @@ def _standards_table(data: CertificateFile) -> Table:
 
 
 def _results(calibration: Calibration, before: Calibration | None) -> _Part:
-    factor = coverage_factor(calibration.degrees_of_freedom)
-    freedom = calibration.degrees_of_freedom
-    number = "infinitely many" if math.isinf(freedom) else count(round(freedom))
     text = (
-        f"U is the expanded uncertainty: the standard uncertainty times the coverage factor k = {factor:.3f} of "
-        f"Student's t with {number} degrees of freedom, for a coverage probability of 95 %. It was evaluated by "
-        "JCGM 100 from the contributions below and stands in the unit of the value. The unit g is 9.80665 m/s² "
-        "exactly."
+        "U is the expanded uncertainty for a coverage probability of 95 %: the standard uncertainty times the coverage "
+        "factor k of Student's t for the effective degrees of freedom ν of the result. It was evaluated by JCGM 100 "
+        "from the contributions below and stands in the unit of the value. The unit g is 9.80665 m/s² exactly."
     )
-    paragraphs = [text]
+    paragraphs = [text, *_monte_carlo(calibration)]
     tables = [_result_table(calibration, "Results" if before is None else "Results after adjustment")]
     if before is not None:
         tables.insert(0, _result_table(before, "Results before adjustment"))
@@ -204,7 +206,6 @@ def _split(table: Table, fixed: int, caption: str) -> list[Table]:
 
 
 def _result_table(calibration: Calibration, caption: str) -> Table:
-    factor = coverage_factor(calibration.degrees_of_freedom)
     columns = (
         Column("Coefficient", align="text"),
         Column("Meaning", align="text"),
@@ -212,15 +213,29 @@ def _result_table(calibration: Calibration, caption: str) -> Table:
         Column("U (95 %)"),
         Column("Unit", align="text"),
         Column("U / value"),
+        Column("ν"),
+        Column("k"),
     )
-    rows = tuple(_result_row(c, factor) for c in common_coefficients(calibration))
+    rows = tuple(_result_row(c) for c in common_coefficients(calibration))
     return Table(columns, rows, caption)
 
 
-def _result_row(c: Coefficient, factor: float) -> tuple[str, ...]:
-    value, wide, unit = friendly(c.value, factor * c.std, c.unit)
+def _monte_carlo(calibration: Calibration) -> list[str]:
+    """The intervals of the coefficients that the first order does not hold for, in words."""
+    intervals = [(c.key, monte_carlo_interval(c)) for c in common_coefficients(calibration) if c.interval]
+    if not intervals:
+        return []
+    listed = "; ".join(f"{key} {interval}" for key, interval in intervals)
+    return [
+        f"Shortest 95 % interval by Monte Carlo (JCGM 101), where JCGM 100 does not hold: {listed}. U is half its width."
+    ]
+
+
+def _result_row(c: Coefficient) -> tuple[str, ...]:
+    half = c.expanded
+    value, wide, unit = friendly(c.value, half, c.unit)
     if wide >= _COARSE:
-        value, wide, unit = c.value, factor * c.std, c.unit
+        value, wide, unit = c.value, half, c.unit
     number = rounded(value, wide)
     share = relative(value, wide)
     return (
@@ -230,10 +245,12 @@ def _result_row(c: Coefficient, factor: float) -> tuple[str, ...]:
         printed(number.uncertainty),
         pretty_unit(unit) or "1",
         share,
+        freedom(c),
+        factor(c),
     )
 
 
-def _conformity_table(found: tuple[Verdict, ...]) -> Table:
+def _conformity_table(found: tuple[Conformity, ...]) -> Table:
     columns = (
         Column("Coefficient", align="text"),
         Column("Lower limit"),
@@ -248,7 +265,7 @@ def _conformity_table(found: tuple[Verdict, ...]) -> Table:
         _, scale, unit = friendly(
             max(abs(verdict.low), abs(verdict.high), abs(verdict.value)), 1.0, verdict.unit
         )
-        number = rounded(verdict.value * scale, verdict.expanded * scale)
+        number = rounded(verdict.value * scale, verdict.coverage.half_width * scale)
         ends = [printed(f"{end * scale:.6g}") for end in (verdict.low, verdict.high)]
         rows.append(
             (

@@ -6,8 +6,9 @@ import datetime as dt
 from dataclasses import dataclass
 from typing import Literal
 
-from piga.records.calibration import Calibration, coverage_factor
+from piga.records.calibration import Calibration
 from piga.records.certificate_file import CertificateFile, limits_in_file_units
+from piga.records.coverage import Coverage
 
 Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
 
@@ -45,7 +46,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Conformity:
     """Conformity of one coefficient: limits and values in its file unit."""
 
     key: str
@@ -53,7 +54,7 @@ class Verdict:
     low: float
     high: float
     value: float
-    expanded: float
+    coverage: Coverage
     status: Status
 
     @property
@@ -67,28 +68,26 @@ class Verdict:
         return self.status
 
 
-def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Verdict, ...]:
+def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformity, ...]:
     """Conformity of each coefficient that has limits, by the agreed decision rule (JCGM 106, 8.2 and 8.3.2)."""
     rule = data.conformity
     if rule is None:
         return ()
-    factor = coverage_factor(calibration.degrees_of_freedom)
     found = []
     for key, pair in rule.limits.items():
         low, high = limits_in_file_units(key, pair)
         c = calibration[key]
-        guard = factor * c.std if rule.rule == "guarded" else 0.0
-        status = _status(c.value, low, high, guard)
-        found.append(Verdict(key, c.unit, low, high, c.value, factor * c.std, status))
+        least, most = c.limits if rule.rule == "guarded" else (c.value, c.value)
+        status = _status(c.value, least, most, low, high)
+        found.append(Conformity(key, c.unit, low, high, c.value, c.coverage, status))
     return tuple(found)
 
 
-def _status(value: float, low: float, high: float, guard: float) -> Status:
-    if low + guard <= value <= high - guard:
+def _status(value: float, least: float, most: float, low: float, high: float) -> Status:
+    """Verdict on an interval ``least`` to ``most`` around a value, against the limits ``low`` and ``high``."""
+    if low <= least and most <= high:
         return "pass"
-    if value < low - guard or value > high + guard:
-        return "fail"
-    if guard == 0.0:
+    if most < low or least > high:
         return "fail"
     return "conditionalPass" if low <= value <= high else "conditionalFail"
 

@@ -8,14 +8,14 @@ converted exactly; numbers carry all their digits, and ``significantDigit`` says
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Iterable
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
-from piga.records.calibration import Calibration, Coefficient, coverage_factor
+from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.certificate_file import CertificateFile, ConditionTable, quantity_text
+from piga.records.coverage import PROBABILITY, joint_factor
 from piga.records.dcc_reader import JOINT, RECORD, label_of
 from piga.records.dsi_units import dsi_unit, power_of_g, to_dsi
 from piga.records.terms import meaning_of
@@ -25,8 +25,6 @@ from piga.units import parse_unit
 
 if TYPE_CHECKING:
     from lxml import etree
-
-PROBABILITY = 0.95
 
 
 def measurement_result(
@@ -62,10 +60,15 @@ def _methods(data: CertificateFile) -> etree._Element:
         text("name", "Measurement uncertainty"),
         rich(
             "description",
-            "Expanded uncertainties are standard uncertainties times the coverage factor of Student's t for "
-            "a coverage probability of 95 %.",
+            "Expanded uncertainties are standard uncertainties times the coverage factor of Student's t for the "
+            "effective degrees of freedom of each coefficient and a coverage probability of 95 %. A coefficient for "
+            "which that does not hold has the shortest 95 % coverage interval by Monte Carlo. The joint "
+            "result has the coverage factor sqrt(n F(n, nu)) for n coefficients, where nu is the fewest effective "
+            "degrees of freedom of any of them.",
         ),
         dcc("norm", "JCGM 100:2008"),
+        dcc("norm", "JCGM 101:2008"),
+        dcc("norm", "JCGM 102:2011"),
     ]
     return dcc("usedMethods", [dcc("usedMethod", method), dcc("usedMethod", uncertainty, "basic_uncertainty")])
 
@@ -121,21 +124,34 @@ def _univariate(value: str, factor: str) -> etree._Element:
     return si("measurementUncertaintyUnivariate", [si("expandedMU", expanded)])
 
 
+def _interval(coefficient: Coefficient, power: int) -> etree._Element:
+    """The Monte Carlo interval of a coefficient."""
+    covered = coefficient.coverage
+    interval = [
+        si("valueStandardMU", to_dsi(coefficient.std, power)),
+        si("intervalMin", to_dsi(covered.low, power)),
+        si("intervalMax", to_dsi(covered.high, power)),
+        si("coverageProbability", str(PROBABILITY)),
+    ]
+    return si("measurementUncertaintyUnivariate", [si("coverageIntervalMU", interval)])
+
+
 def _coefficients(title: str, calibration: Calibration, marks: dict[str, str], ref_type: str) -> etree._Element:
-    factor = coverage_factor(calibration.degrees_of_freedom, PROBABILITY)
-    quantities = [_quantity(c, factor, marks.get(c.key, "")) for c in calibration.coefficients]
+    quantities = [_quantity(c, marks.get(c.key, "")) for c in calibration.coefficients]
     return dcc("result", [text("name", title), dcc("data", [dcc("list", quantities)])], ref_type)
 
 
-def _quantity(coefficient: Coefficient, factor: float, mark: str) -> etree._Element:
-    power = power_of_g(coefficient.unit)
-    expanded = to_dsi(factor * coefficient.std, power)
+def _quantity(coefficient: Coefficient, mark: str) -> etree._Element:
+    power, covered = power_of_g(coefficient.unit), coefficient.coverage
+    expanded = to_dsi(covered.half_width, power)
     real = [
         si("label", coefficient.key),
         si("value", to_dsi(coefficient.value, power)),
         si("unit", dsi_unit(coefficient.unit)),
         si("significantDigit", str(Decimal(expanded).adjusted() - 1)),
-        _univariate(expanded, f"{factor:.6f}"),
+        _interval(coefficient, power)
+        if covered.monte_carlo
+        else _univariate(expanded, f"{covered.factor:.6f}"),
     ]
     words = meaning_of(coefficient.name)
     where = "" if coefficient.segment is None else f", segment {coefficient.segment}"
@@ -171,7 +187,7 @@ def _joint(calibration: Calibration) -> etree._Element:
     spread = _words(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
     region = [
         si("covarianceMatrixXMLList", columns),
-        si("coverageFactorXMLList", f"{joint_factor(len(units), calibration.degrees_of_freedom):.6f}"),
+        si("coverageFactorXMLList", f"{joint_factor(calibration.coefficients):.6f}"),
         si("coverageProbabilityXMLList", str(PROBABILITY)),
     ]
     vector = [
@@ -195,15 +211,6 @@ def _joint(calibration: Calibration) -> etree._Element:
 
 def _words(parts: Iterable[str]) -> str:
     return " ".join(parts)
-
-
-def joint_factor(count: int, degrees_of_freedom: float) -> float:
-    """Coverage factor of the joint ellipsoid, ``sqrt(n F(n, nu))`` for 95 % (JCGM 102, 6.5.2 with Hotelling's T^2)."""
-    from scipy.special import chdtri, fdtri
-
-    if math.isinf(degrees_of_freedom) or degrees_of_freedom > 1e9:
-        return math.sqrt(float(chdtri(count, 1.0 - PROBABILITY)))
-    return math.sqrt(count * float(fdtri(count, degrees_of_freedom, PROBABILITY)))
 
 
 def _record(calibration: Calibration) -> etree._Element:

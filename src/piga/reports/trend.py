@@ -120,7 +120,7 @@ def _summary_row(found: Trend, trend: CoefficientTrend, at: dt.datetime | None) 
 
 def _plain(trend: CoefficientTrend, scale: float) -> str:
     point = trend.points[-1]
-    return _with_interval(point.value * scale, 1.96 * point.std * scale)
+    return _with_interval(point.value * scale, point.coverage.half_width * scale)
 
 
 def _interval(forecast: Forecast, scale: float) -> str:
@@ -158,6 +158,7 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
         Column("Value", shown),
         Column("u, own part", shown),
         Column("u, whole", shown),
+        Column("U, whole (95 %)", shown),
         Column("Expected ± 95 %", shown),
         Column("Score"),
     )
@@ -173,6 +174,7 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
                 printed(number.value),
                 printed(short(point.own * scale, 2)),
                 printed(short(point.std * scale, 2)),
+                printed(short(point.coverage.half_width * scale, 2)),
                 expected,
                 Cell(score, "bad" if point.outside else ""),
             )
@@ -239,7 +241,9 @@ def _coefficient_document(found: Trend, trend: CoefficientTrend, at: dt.datetime
                 "time": time.isoformat(),
                 "value": point.value,
                 "std": point.std,
+                "expanded": point.coverage.half_width,
                 "own_std": point.own,
+                "own_expanded": point.own_expanded,
                 "expected": _forecast_document(point.forecast),
                 "score": _number(point.score),
                 "out_of_control": point.outside,

@@ -10,7 +10,6 @@ import numpy as np
 
 from piga.calibration.control_chart import LIMIT
 from piga.calibration.trend import YEAR, CoefficientTrend, Forecast, Trend
-from piga.records.calibration import coverage_factor
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.numbers import fixed, pretty_unit
 
@@ -92,7 +91,7 @@ def trend_figure(found: Trend, trend: CoefficientTrend, ahead: float | None) -> 
 def _values(trend: CoefficientTrend, clock: Clock, scale: Scale, ahead: float | None) -> Panel:
     times = np.array([point.time for point in trend.points])
     values = np.array([point.value for point in trend.points])
-    bars = coverage_factor(math.inf) * np.array([point.own for point in trend.points]) * scale.factor
+    bars = np.array([point.own_expanded for point in trend.points]) * scale.factor
     outside = np.array([point.outside for point in trend.points])
     series: list[Series] = []
     if trend.model.line is not None:

@@ -1,0 +1,83 @@
+"""Coverage: factor k, expanded uncertainty U and limits of a coefficient, and the factor of a joint region.
+
+Every number for 95 % that is printed, signed or judged comes from here: terminal, report, calibration.json,
+certificate, DCC, decision rules, ledger and trend call :func:`coverage`; only the joint region of a DCC has a
+factor of its own, :func:`joint_factor`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from piga.records.calibration import Coefficient
+
+PROBABILITY = 0.95
+"""Coverage probability of every interval that piga states."""
+TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
+"""What stands beside every uncertainty of a calibration whose budget has no source of Type B."""
+ALMOST_KNOWN = 1e9
+"""Degrees of freedom from which F(n, nu) is that of infinitely many, to every digit that is printed."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """95 % coverage of one coefficient, in the coefficient's unit.
+
+    ``factor`` is k, nan where ``monte_carlo`` is True: an interval by Monte Carlo has none (JCGM 101, 5.3).
+    ``half_width`` is U: k u, or half the Monte Carlo interval. ``low`` and ``high`` are its limits; they are
+    value -+ U unless by Monte Carlo.
+    """
+
+    factor: float
+    half_width: float
+    low: float
+    high: float
+    monte_carlo: bool
+
+
+def coverage_factor(degrees_of_freedom: float, probability: float = PROBABILITY) -> float:
+    """Student's t for a two-sided interval of this probability (JCGM 100, G.3).
+
+    Infinite degrees of freedom give that of the normal distribution; none, or an unknown number, give nan.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 * (1.0 + probability)
+    return float(ndtri(tail) if math.isinf(degrees_of_freedom) else stdtrit(degrees_of_freedom, tail))
+
+
+def coverage(coefficient: Coefficient) -> Coverage:
+    """Coverage factor, expanded uncertainty and limits of a coefficient for 95 %.
+
+    ``U = k u`` with k of Student's t for the coefficient's effective degrees of freedom (JCGM 100, G.4); where
+    a Monte Carlo propagation replaced the first order (``coefficient.interval``), its interval holds instead
+    (JCGM 101, 8.1).
+    """
+    if coefficient.interval is not None:
+        low, high = coefficient.interval
+        return Coverage(math.nan, 0.5 * (high - low), low, high, monte_carlo=True)
+    factor = coverage_factor(coefficient.degrees_of_freedom)
+    half = factor * coefficient.std
+    return Coverage(factor, half, coefficient.value - half, coefficient.value + half, monte_carlo=False)
+
+
+def joint_factor(coefficients: Iterable[Coefficient]) -> float:
+    """Coverage factor of the ellipsoid that holds all coefficients together with 95 %.
+
+    The region is ``(x - y)' V^-1 (x - y) <= k_p^2`` (JCGM 102, 6.5.2). Where one estimated variance scales the
+    whole covariance V of n coefficients, with nu degrees of freedom, the quadratic form over n is distributed
+    as F(n, nu), so that ``k_p = sqrt(n F_0.95(n, nu))``. Here the coefficients have degrees of freedom of
+    their own. nu is the fewest of them, as if the worst known variance scaled all: exact when they are equal,
+    else the region holds at least 95 %. Infinitely many give ``sqrt(chi2_0.95(n))``.
+    """
+    from scipy.special import chdtri, fdtri
+
+    degrees = [coefficient.degrees_of_freedom for coefficient in coefficients]
+    count, fewest = len(degrees), min(degrees)
+    if fewest > ALMOST_KNOWN:
+        return math.sqrt(float(chdtri(count, 1.0 - PROBABILITY)))
+    return math.sqrt(count * float(fdtri(count, fewest, PROBABILITY)))

@@ -1,0 +1,260 @@
+"""One expanded uncertainty: every place that prints, signs or judges states the same k, U and limits.
+
+The truth is SciPy's Student t for degrees of freedom that are known by construction: rows less coefficients of a
+log of rates with white noise, put together with an exactly known Type B by JCGM 100, equation G.2b.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import html
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from scipy import stats
+
+import piga
+from piga.calibration.trend import find_trend
+from piga.records.calibration import Calibration
+from piga.records.calibration_json import calibration_to_bytes, to_document
+from piga.records.certificate_file import ConformityTable
+from piga.records.run_file import UncertaintyTable
+from piga.reports.calibration import calibration_page, calibration_text
+from piga.reports.certificate import certificate_html
+from piga.reports.certificate_statements import verdicts
+from piga.reports.page import page_html
+from piga.reports.trend import trend_document, trend_page
+from piga.units import G0
+from tests.reports.certificate_data import changed, complete
+
+TERMS = ["scale_factor", "k0", "k2"]
+K = 0.8884 / G0
+ROWS = {4: 7, 12: 15, 997: 1000}
+"""Rows of a record by its degrees of freedom: three coefficients are fitted."""
+
+
+def rate_log(rows: int, seed: int = 1) -> piga.Run:
+    """Rates of a tumble with white noise, and a reference known to 0.2 ppm (exactly known)."""
+    rng = np.random.default_rng(seed)
+    a = G0 * np.cos(np.linspace(0.1, 6.0, rows))
+    f = np.column_stack([a, np.zeros(rows), np.zeros(rows)])
+    rate = K * (a + 300e-6 * G0 + 5e-6 * a**2 / G0 + 2e-6 * G0 * rng.standard_normal(rows))
+    run = piga.Run.from_arrays(
+        np.arange(rows) * 1.0, rate, f, scale_factor="0.8884 rad/s/g", kind="rate", serial="G-0417"
+    )
+    return replace(run, uncertainty=UncertaintyTable(reference_scale="0.2 ppm", reference_bias="0.3e-6 g"))
+
+
+@pytest.fixture(scope="module", params=list(ROWS))
+def calibrated(request) -> tuple[int, Calibration]:
+    cal = piga.calibrate(rate_log(ROWS[request.param]), TERMS, "rate")
+    assert cal.quality.masked == 0
+    assert cal.surplus_observations == request.param
+    return request.param, cal
+
+
+def expected(freedom: int, cal: Calibration, key: str) -> tuple[float, float]:
+    """k and U by hand."""
+    a = cal.budget[0]["contributions"][key]
+    nu = freedom * (cal[key].std / a) ** 4
+    k = float(stats.t.ppf(0.975, nu))
+    return k, k * cal[key].std
+
+
+def shown(text: str) -> float:
+    """A printed number."""
+    return float(
+        text.replace("\u202f", "")
+        .replace(" × 10", "e")
+        .translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-"))
+    )
+
+
+def cells(page: str, key: str, heading: str) -> list[str]:
+    """The row of a coefficient in the first table that has this heading."""
+    table = next(t for t in re.findall(r"<table.*?</table>", page, re.DOTALL) if heading in t)
+    row = next(r for r in re.findall(r"<tr.*?</tr>", table, re.DOTALL) if f">{key}<" in r)
+    plain = (re.sub("<[^>]*>", "", cell) for cell in re.findall(r"<t[hd].*?</t[hd]>", row, re.DOTALL))
+    return [html.unescape(cell).strip() for cell in plain]
+
+
+def same(text: str, half: float, key: str, unit: str) -> None:
+    """Printed to two digits in ``unit``, the number is U."""
+    factor = 1e6 if unit.startswith(("µ", "u")) else 1.0
+    assert shown(text) == pytest.approx(half * factor, rel=0.051), key  # 1.0 stands for 0.95 to 1.05
+    assert f"{shown(text):.1e}" == f"{half * factor:.1e}", key
+
+
+def test_json_and_terminal(calibrated):
+    freedom, cal = calibrated
+    stated = {c["name"]: c for c in json.loads(calibration_to_bytes(cal))["coefficients"]}
+    text = calibration_text(cal).split("coefficient  ")[1].split("\n\n")[0]
+    lines = {line.split()[0]: line.split() for line in text.splitlines()[1:]}
+    for key in TERMS:
+        k, half = expected(freedom, cal, key)
+        assert stated[key]["coverage_factor"] == pytest.approx(k, rel=1e-9)
+        assert stated[key]["expanded"] == pytest.approx(half, rel=1e-9)
+        assert cal[key].limits == pytest.approx((cal[key].value - half, cal[key].value + half), rel=1e-12)
+        same(lines[key][3], half, key, lines[key][4])
+        assert float(lines[key][-1]) == pytest.approx(k, abs=0.0051)
+
+
+def test_page(calibrated):
+    freedom, cal = calibrated
+    page = page_html(calibration_page(cal))
+    for key in TERMS:
+        k, half = expected(freedom, cal, key)
+        row = cells(page, key, "Expanded uncertainty U")
+        same(row[3], half, key, row[4])
+        assert float(row[-1]) == pytest.approx(k, abs=0.0051)
+
+
+def test_certificate(calibrated):
+    freedom, cal = calibrated
+    page = certificate_html(complete(), cal)
+    for key in TERMS:
+        k, half = expected(freedom, cal, key)
+        row = cells(page, key, "U (95 %)")
+        same(row[3], half, key, row[4])
+        assert float(row[-1]) == pytest.approx(k, abs=0.0051)
+
+
+def test_dcc_and_read_back(calibrated, tmp_path):
+    etree = pytest.importorskip("lxml.etree")
+    from piga.records.dcc_reader import read_dcc
+    from piga.records.xml_signature import written
+    from piga.reports.dcc import dcc_document
+
+    freedom, cal = calibrated
+    raw = written(dcc_document(complete(), cal))
+    names = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+    reals = {r.findtext("si:label", "", names): r for r in etree.fromstring(raw).iterfind(".//si:real", names)}
+    to_si = {"scale_factor": 1.0 / G0, "k0": G0, "k2": 1.0 / G0}
+    for key in TERMS:
+        k, half = expected(freedom, cal, key)
+        assert float(reals[key].findtext(".//si:coverageFactor", "", names)) == pytest.approx(k, abs=1e-6)
+        stated = float(reals[key].findtext(".//si:valueExpandedMU", "", names))
+        assert stated == pytest.approx(half * to_si[key], rel=1e-9)
+    path = tmp_path / "c.xml"
+    path.write_bytes(raw)
+    back = read_dcc(path)
+    assert to_document(back) == to_document(cal)
+    assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
+
+
+def test_a_certificate_with_k_from_the_rows_is_read_with_a_warning(calibrated, tmp_path):
+    """As piga 0.1 wrote it; any other U is a contradiction."""
+    pytest.importorskip("lxml")
+    from piga.records.dcc_reader import calibration_of
+    from piga.reports.dcc import dcc_document
+
+    _, cal = calibrated
+    cal = replace(cal, surplus_observations=5000.0)
+    names = {"si": "https://ptb.de/si"}
+    root = dcc_document(complete(), cal)
+    halves = [
+        real.find(".//si:valueExpandedMU", names) for real in root.iterfind(".//si:real[si:label]", names)
+    ]
+    assert len(halves) == len(TERMS)
+    ratio = stats.t.ppf(0.975, 5000) / np.array([c.coverage_factor for c in cal.coefficients])
+    for element, one in zip(halves, ratio, strict=True):
+        element.text = repr(float(element.text) * float(one))
+    if cal["k0"].degrees_of_freedom < 100:
+        with pytest.warns(piga.PigaWarning, match="k = 1.960 from the number of rows"):
+            back = calibration_of(root, Path("old.xml"))
+        assert back["k0"].expanded == cal["k0"].expanded
+    halves[0].text = repr(float(halves[0].text) * 0.5)
+    with pytest.raises(piga.PigaError, match="contradicts itself: scale_factor"):
+        calibration_of(root, Path("forged.xml"))
+
+
+def test_ledger(calibrated, tmp_path):
+    pytest.importorskip("sqlalchemy")
+    from piga.records.store import Draft, DraftFile, open_store
+
+    freedom, cal = calibrated
+    raw = calibration_to_bytes(cal)
+    files = (DraftFile("calibration", "results/calibration.json", raw),)
+    with open_store(tmp_path / "s.sqlite", create=True) as store:
+        kept = store.append(lambda _place: Draft("G-0417", "A", "r", files, {}, {"piga": "0"}))
+        back = store.calibration(kept.id)
+    for key in TERMS:
+        k, half = expected(freedom, cal, key)
+        assert back[key].coverage_factor == pytest.approx(k, rel=1e-9)
+        assert back[key].expanded == pytest.approx(half, rel=1e-9)
+
+
+def test_trend(calibrated):
+    freedom, cal = calibrated
+    times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
+    found = find_trend([("a", times[0], cal), ("b", times[1], cal)])
+    stated = {c["name"]: c["records"][-1] for c in trend_document(found)["coefficients"]}
+    page = page_html(trend_page(found))
+    for key in TERMS:
+        k, half = expected(freedom, cal, key)
+        assert stated[key]["expanded"] == pytest.approx(half, rel=1e-9)
+        on_page = cells(page, key, "On the last day")
+        spread, power = re.fullmatch(r"\(?[^±]*± ([^)]*)\)?(.*)", on_page[2]).groups()
+        same(spread + power, half, key, on_page[1])
+        # without a common part the record's own is Type A alone, with its own degrees of freedom
+        a = cal.budget[0]["contributions"][key]
+        assert stated[key]["own_expanded"] == pytest.approx(stats.t.ppf(0.975, freedom) * a, rel=1e-6)
+        assert k > 1.95
+
+
+@pytest.mark.parametrize("rule", ["guarded", "simple"])
+def test_conformity(calibrated, rule):
+    """Limits at 0.98 and at 1.02 U from the value: the guard band is U, whatever the rows say."""
+    freedom, cal = calibrated
+    _, half = expected(freedom, cal, "k0")
+    for part, status in ((0.98, "conditionalPass"), (1.02, "pass")):
+        limits = {"k0": tuple(f"{cal['k0'].value + sign * part * half!r} g" for sign in (-1, 1))}
+        table = ConformityTable(specification="S", rule=rule, agreed_with_customer=True, limits=limits)
+        (verdict,) = verdicts(msgspec.structs.replace(complete(), conformity=table), cal)
+        assert verdict.coverage.half_width == pytest.approx(half, rel=1e-9)
+        assert verdict.status == (status if rule == "guarded" else "pass")
+
+
+def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(calibrated, tmp_path):
+    """An interval that is not symmetric: limits, guard band and DCC take its ends, not value -+ U."""
+    etree = pytest.importorskip("lxml.etree")
+    from piga.records.dcc_reader import read_dcc
+    from piga.records.xml_signature import written
+    from piga.reports.dcc import dcc_document
+
+    _, cal = calibrated
+    ends = (cal["k0"].value - 1e-6, cal["k0"].value + 3e-6)
+    cal = replace(
+        cal, coefficients=tuple(replace(c, interval=ends) if c.name == "k0" else c for c in cal.coefficients)
+    )
+    for low, high, status in ((-1.1e-6, 3.1e-6, "pass"), (-2.1e-6, 2.9e-6, "conditionalPass")):
+        limits = {"k0": (f"{cal['k0'].value + low!r} g", f"{cal['k0'].value + high!r} g")}
+        table = ConformityTable(specification="S", rule="guarded", agreed_with_customer=True, limits=limits)
+        data = msgspec.structs.replace(complete(), conformity=table)
+        assert verdicts(data, cal)[0].status == status
+    raw = written(dcc_document(changed(complete()), cal))
+    (low,) = etree.fromstring(raw).iterfind(".//{https://ptb.de/si}intervalMin")
+    assert float(low.text) == pytest.approx(ends[0] * G0, rel=1e-12)
+    path = tmp_path / "c.xml"
+    path.write_bytes(raw)
+    assert read_dcc(path)["k0"].limits == ends
+    page = certificate_html(complete(), cal)
+    assert "Shortest 95 % interval by Monte Carlo" in page
+    assert "coverage_factor" not in next(c for c in to_document(cal)["coefficients"] if c["name"] == "k0")
+
+
+def test_old_files_are_read(calibrated, tmp_path):
+    """piga 0.1 called rows less coefficients degrees_of_freedom."""
+    _, cal = calibrated
+    document = json.loads(calibration_to_bytes(cal))
+    document["degrees_of_freedom"] = document.pop("surplus_observations")
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(document))
+    back = Calibration.from_json(path)
+    assert back.surplus_observations == cal.surplus_observations
+    assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
