@@ -256,7 +256,9 @@ def test_a_record_of_other_coefficients_inside(cal, tmp_path):
 
     from piga.records.calibration_json import calibration_to_bytes
 
-    fewer = replace(cal, coefficients=cal.coefficients[:-1], covariance=cal.covariance[:-1, :-1])
+    fewer = replace(
+        cal, coefficients=cal.coefficients[:-1], covariance=cal.covariance[:-1, :-1], terms=cal.terms[:-1]
+    )
     root = dcc_document(complete(), cal)
     data = root.find(".//{*}byteData[@refType='piga_calibrationRecord']/{*}dataBase64")
     data.text = base64.b64encode(calibration_to_bytes(fewer)).decode()

@@ -12,6 +12,7 @@ from piga.compensation.mounting import Mounted
 from piga.errors import RunFileError
 from piga.records import Calibration, read_toml
 from piga.records.run_file import Quantity
+from piga.records.toml_file import toml_document
 from piga.units import to_si
 
 Row = tuple[float, float, float]
@@ -40,11 +41,9 @@ class TriadFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def is_triad_file(path: Path) -> bool:
     """True when a TOML file has a table ``[triad]`` (a file that cannot be read is told by its reader)."""
-    import tomllib
-
     try:
-        return "triad" in tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return "triad" in toml_document(path)
+    except RunFileError:
         return False
 
 

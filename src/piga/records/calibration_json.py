@@ -379,7 +379,8 @@ def _check(path: Path, document: _Document) -> Array:
     """
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
     try:
-        check_label(document.instrument.serial, "the serial")
+        if document.instrument.serial:
+            check_label(document.instrument.serial, "the serial")
         wrong = (
             *(fault for c in coefficients for fault in _faults(c)),
             *_contradictions(document, coefficients),

@@ -61,7 +61,7 @@ def read_container(
     path:
         The file.
     kind:
-        One of :data:`SUFFIXES`.
+        One of :data:`SUFFIXES`, or ``.parquet`` for the labels of a Parquet file.
     numeric, label:
         Names of the number columns and of the segment column, as the reader of that kind takes them.
     sheet:

@@ -19,6 +19,7 @@ from piga.errors import DataError
 from piga.records.hdf5_reader import read_hdf5
 from piga.records.limits import MEMORY_LIMIT
 from piga.records.mat_reader import read_mat
+from piga.records.parquet_reader import read_labels
 from piga.records.table import RawTable
 from piga.records.tdms_reader import read_tdms
 from piga.records.xlsx_reader import read_xlsx
@@ -30,8 +31,9 @@ READERS: dict[str, Callable[..., RawTable]] = {
     ".mat": read_mat,
     ".tdms": read_tdms,
     ".xlsx": read_xlsx,
+    ".parquet": read_labels,
 }
-"""Reader of each kind of container."""
+"""Reader of each kind of container; of Parquet the labels alone are read here."""
 
 
 def limit_resources(cpu: float) -> None:

@@ -43,6 +43,8 @@ def decode_json(raw: bytes, kind: type[T]) -> T:
         json.loads(raw.decode("utf-8"), object_pairs_hook=_refuse_twice, parse_int=float)
     except RecursionError:
         raise JsonError("nested too deeply") from None
+    except UnicodeDecodeError as error:
+        raise JsonError(f"byte {error.start} is not UTF-8") from None
     return document
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import stat
+from io import BufferedReader
 from pathlib import Path
 
 from piga.errors import DataError, PigaError
@@ -20,24 +23,78 @@ CPU_BASE, CPU_PER_MIB = 5.0, 4.0
 """CPU time for reading a container [s], and per MiB of file."""
 
 
+MAX_SEGMENTS = 100_000
+"""Different labels in the segment column of a record."""
 MOST_LETTERS = 200
 """Characters of a name; a file name takes 255 bytes."""
 
 
-def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
-    """All bytes of a file of at most ``most`` bytes; ``wanted`` is what to name instead of a larger one.
+def open_regular(
+    path: Path, most: int | None = None, wanted: str = "the file itself", error: type[PigaError] = DataError
+) -> BufferedReader:
+    """Open a file for reading: the one way that a file from outside is opened.
+
+    A device, a pipe or a folder is refused before anything is read of it: some never end, others never begin.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    most:
+        Most bytes that such a file may have; None: any size, for what is read in pieces.
+    wanted:
+        What to name instead of it, for the message.
+    error:
+        Kind of error for what is refused.
 
     Raises
     ------
     error
-        If the file cannot be read or is larger.
+        If it is not a regular file, or larger.
+    OSError
+        If it is not there or may not be read.
+    """
+    flags = (
+        os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
+    )
+    try:
+        _check_regular(path, os.stat(path), most, wanted, error)  # noqa: PTH116 - as fstat below
+        handle = os.open(path, flags)
+    except ValueError:
+        raise error(f"{str(path)!r}: is not a file name", remedy=f"name {wanted}") from None
+    try:
+        _check_regular(path, os.fstat(handle), most, wanted, error)
+    except PigaError:
+        os.close(handle)
+        raise
+    return os.fdopen(handle, "rb")
+
+
+def _check_regular(
+    path: Path, found: os.stat_result, most: int | None, wanted: str, error: type[PigaError]
+) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise error(f"{path}: is not a regular file", remedy=f"name {wanted}")
+    if most is not None and found.st_size > most:
+        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
+
+
+def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
+    """All bytes of a file of at most ``most`` bytes; ``wanted`` is what to name instead of another one.
+
+    Raises
+    ------
+    error
+        If the file cannot be read, is not a regular file, or is larger.
     """
     try:
-        if path.stat().st_size > most:
-            raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
-        return path.read_bytes()
+        with open_regular(path, most, wanted, error) as stream:
+            data = stream.read(most + 1)
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})", remedy="check the file name") from None
+    if len(data) > most:
+        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
+    return data
 
 
 def check_label(text: str, what: str) -> None:

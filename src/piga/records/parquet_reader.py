@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.limits import first_line
+from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_regular
 from piga.records.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.records.table import RawTable
 
 
 class ParquetStream:
@@ -35,21 +37,44 @@ class ParquetStream:
             self.expected_rows = source.metadata.num_rows
         self.units = _units(schema, self._numeric)
         self.label_names: list[str] = []
-        self._codes, self._missed = LabelCodes(self.label_names), MissingCount()
+        self._missed = MissingCount()
 
     def chunks(self) -> Iterator[Chunk]:
         """The rows in order."""
         if self.expected_rows == 0:
             raise DataError(f"{self._path}: no data row", remedy="check that the logger wrote data")
-        wanted = list(dict.fromkeys([*self._numeric, *([self._label] if self._label else [])]))
+        codes = self._labels() if self._label else None
         row = 1
         with _open(self._path) as source:
-            for batch in source.iter_batches(self._chunk_rows, columns=wanted):
+            for batch in self._batches(source):
                 rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
                 row += batch.num_rows
                 numbers = {name: self._column(batch.column(name), name, rows) for name in self._numeric}
-                codes = self._codes.of(batch.column(self._label)) if self._label else None
-                yield Chunk(numbers, codes, rows)
+                yield Chunk(numbers, None if codes is None else np.array(codes[rows[0] - 1 : row - 1]), rows)
+
+    def _batches(self, source: Any) -> Iterator[Any]:
+        """The number columns; where there are none, empty batches of the rows."""
+        import pyarrow as pa
+
+        if self._numeric:
+            yield from source.iter_batches(self._chunk_rows, columns=list(self._numeric))
+            return
+        for start in range(0, self.expected_rows, self._chunk_rows):
+            count = min(self._chunk_rows, self.expected_rows - start)
+            yield pa.record_batch({"": pa.nulls(count)})
+
+    def _labels(self) -> NDArray[np.int32]:
+        """Codes of the segment column, read in a process of its own: labels of a few bytes can unpack to gigabytes."""
+        from piga.records.container import read_container
+
+        label = str(self._label)
+        codes, names = read_container(self._path, ".parquet", (), label).labels[label]
+        if codes.size != self.expected_rows:
+            raise DataError(
+                f"{self._path}: {codes.size} labels for {self.expected_rows} rows", remedy="export it again"
+            )
+        self.label_names.extend(names)
+        return codes
 
     def events(self) -> list[Event]:
         """What was found, after the last chunk."""
@@ -61,13 +86,44 @@ class ParquetStream:
         return numbers_of(column)
 
 
+def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
+    """The segment column alone; runs in the process that reads containers.
+
+    Raises
+    ------
+    DataError
+        If the file is no Parquet, or holds too many segments or too long a label.
+    """
+    names: list[str] = []
+    codes, parts = LabelCodes(names), []
+    with _open(path, [label]) as source:
+        for batch in source.iter_batches(CHUNK_ROWS, columns=[label]):
+            parts.append(codes.of(batch.column(0)))
+            if len(names) > MAX_SEGMENTS:
+                raise DataError(
+                    f"{path}: column '{label}' has more than {MAX_SEGMENTS} different segments",
+                    remedy="name the column that numbers the positions",
+                )
+    long = next((name for name in names if len(name) > MOST_LETTERS), None)
+    if long is not None:
+        raise DataError(
+            f"{path}: column '{label}': the label '{long[:40]}...' has {len(long)} characters",
+            remedy=f"use {MOST_LETTERS} or fewer",
+        )
+    whole = np.concatenate(parts) if parts else np.zeros(0, np.int32)
+    return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size, 1, {})
+
+
 @contextmanager
-def _open(path: Path) -> Iterator[Any]:
+def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
     import pyarrow as pa
     from pyarrow import parquet
 
     try:
-        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 18) as source:
+        open_regular(path, wanted="the data file in [data] file").close()
+        with parquet.ParquetFile(
+            path, pre_buffer=False, buffer_size=1 << 18, read_dictionary=list(labels)
+        ) as source:
             yield source
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise DataError(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.calibration import Event
+from piga.records.limits import MAX_SEGMENTS, open_regular, read_whole
 from piga.records.run_file import DataTable
 from piga.records.spool import Arrays, arrays_like
 from piga.records.stream import TEXT_SUFFIXES, RecordStream, file_kind, open_stream
@@ -22,7 +23,8 @@ Array = NDArray[np.float64]
 
 LARGE_ROWS = 1 << 22
 """Records of more rows are worked on in columns on disk: half as slow again, in a third of the memory."""
-MAX_SEGMENTS = 100_000
+MAX_SIDECAR = 1 << 16
+"""Largest ``.sha256`` [bytes]: a line of 64 digits and a file name."""
 
 
 @dataclass
@@ -135,16 +137,20 @@ def _state(path: Path) -> tuple[int, int, int, int]:
 
 def file_digest(path: Path) -> str:
     """SHA-256 of a file, as hexadecimal digits."""
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _check_sidecar(path: Path) -> None:
     """Compare with ``FILE.sha256`` where the logger wrote one."""
     sidecar = path.with_name(path.name + ".sha256")
-    if not sidecar.is_file():
+    try:
+        sidecar.lstat()
+    except OSError:
         return
-    words = sidecar.read_bytes()[:4096].decode("ascii", errors="replace").split()
+    words = (
+        read_whole(sidecar, MAX_SIDECAR, "a line with the SHA-256").decode("ascii", errors="replace").split()
+    )
     if not words or words[0].lower() != file_digest(path):
         raise DataError(
             f"{path}: its SHA-256 is not the one in {sidecar.name}",

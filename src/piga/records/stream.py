@@ -182,11 +182,17 @@ class LabelCodes:
         """Codes of an Arrow array; -1 where it is null."""
         import pyarrow as pa
 
-        encoded = column.cast(pa.string()).dictionary_encode()
-        words = [str(word) for word in encoded.dictionary.to_pylist()]
-        table = np.array([self.code(word) for word in words] + [-1], dtype=np.int32)
-        index = plain_values(encoded.indices, np.int32)
-        index[nulls_of(encoded.indices)] = len(words)
+        coded = pa.types.is_dictionary(column.type)
+        encoded = column if coded else column.cast(pa.string()).dictionary_encode()
+        indices = encoded.indices.cast(pa.int32())
+        index, empty = plain_values(indices, np.int32), nulls_of(indices)
+        index[empty] = len(encoded.dictionary)
+        table = np.full(len(encoded.dictionary) + 1, -1, dtype=np.int32)
+        used, first = np.unique(index[~empty], return_index=True)
+        used = used[np.argsort(first)]
+        words = encoded.dictionary.take(pa.array(used)).cast(pa.string()).to_pylist()
+        for place, word in zip(used, words, strict=True):
+            table[place] = -1 if word is None else self.code(word)
         return table[index]
 
     def code(self, word: str) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import codecs
 import gzip
+import os
 import re
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from typing import BinaryIO, TypeVar, cast
 import numpy as np
 
 from piga.errors import DataError
+from piga.records.limits import open_regular
 from piga.records.text_format import SNIFF_BYTES, find_encoding
 
 MAX_EXPANSION = 200
@@ -150,7 +152,7 @@ class TextSource:
 
     def _plain(self) -> Iterator[Bytes]:
         try:
-            with self.path.open("rb", buffering=0) as stream:
+            with open_regular(self.path, wanted="the data file in [data] file") as stream:
                 size = SNIFF_BYTES
                 while count := stream.readinto(block := bytearray(size)):
                     del block[count:]
@@ -165,8 +167,9 @@ class TextSource:
     def _packed(self) -> Iterator[Bytes]:
         total = 0
         try:
-            limit = self.path.stat().st_size * MAX_EXPANSION
-            with self.path.open("rb") as packed, _unpacking(_Seen(packed, self._see)) as stream:
+            packed = open_regular(self.path, wanted="the data file in [data] file")
+            limit = os.fstat(packed.fileno()).st_size * MAX_EXPANSION
+            with packed, _unpacking(_Seen(packed, self._see)) as stream:
                 while block := stream.read1(1 << 18):
                     total += len(block)
                     if total > limit:

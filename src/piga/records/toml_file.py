@@ -27,9 +27,63 @@ KINDS = {
 }
 """Top-level tables that tell one kind of file from another, and what takes that kind; the first that fits."""
 
+MOST_PARTS = 16
+"""Parts of a dotted key; the run file's have three."""
+_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_PARTS},}}")
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
 _MISSING = re.compile(r"missing required field `([^`]*)`")
 _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
+
+
+def toml_document(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file as plain values.
+
+    Raises
+    ------
+    RunFileError
+        If the file cannot be read, is no TOML (with line), or holds what no table of piga needs: keys nested deeper
+        than :data:`MOST_PARTS`, integers beyond 64 bits, control characters.
+    """
+    try:
+        text = read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RunFileError(
+            f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
+        ) from None
+    deep = _DEEP.search(text)
+    if deep is not None:
+        raise RunFileError(
+            f"{path}: line {text.count(chr(10), 0, deep.start()) + 1}: a key of more than {MOST_PARTS} parts",
+            remedy="see the documentation for the keys",
+        )
+    try:
+        raw = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RunFileError(
+            f"{path}: not valid TOML: {str(error)[:300]}", remedy="see https://toml.io for the syntax"
+        ) from None
+    _check_values(path, raw, "")
+    return raw
+
+
+def _check_values(path: Path, value: object, where: str) -> None:
+    """Refuse values that TOML allows and nothing here can use."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            _check_values(path, key, where)
+            _check_values(path, part, f"{where}.{key}" if where else key)
+    elif isinstance(value, list):
+        for part in value:
+            _check_values(path, part, where)
+    elif isinstance(value, str) and _CONTROL.search(value):
+        raise RunFileError(
+            f"{path}: [{where}]: {value[:40]!r} holds a control character",
+            remedy="use letters, digits and signs",
+        )
+    elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        raise RunFileError(f"{path}: [{where}]: an integer of more than 64 bits", remedy="correct the value")
 
 
 def read_toml(path: Path, kind: type[T]) -> T:
@@ -41,18 +95,7 @@ def read_toml(path: Path, kind: type[T]) -> T:
         If the file is missing, is no TOML (with line), has an unknown or missing key, or a value of
         the wrong type.
     """
-    try:
-        text = read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RunFileError(
-            f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
-        ) from None
-    try:
-        raw = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise RunFileError(
-            f"{path}: not valid TOML: {error}", remedy="see https://toml.io for the syntax"
-        ) from None
+    raw = toml_document(path)
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:

@@ -111,6 +111,11 @@ def _check_part(path: Path, part: zipfile.ZipInfo) -> None:
     name = part.filename
     if name.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", name) or ":" in name or "\0" in name:
         raise DataError(f"{path}: a part has the unsafe name {name[:80]!r}", remedy="do not trust the file")
+    if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise DataError(
+            f"{path}: part '{name[:80]}' is packed in a way that spreadsheet programs do not use",
+            remedy="save it again as .xlsx",
+        )
     if part.flag_bits & 1:
         raise DataError(f"{path}: the file is encrypted", remedy="save it without a password")
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga.errors import DataError
+from piga.records.limits import read_whole
 from piga.stable_platform.geodesy import (
     earth_to_geodetic,
     geodetic_to_earth,
@@ -22,6 +23,8 @@ from piga.stable_platform.scenario import MotionPlan, Oscillation, Place, Scenar
 
 Array = NDArray[np.float64]
 
+MAX_TRACK = 256 << 20
+"""Largest file of a track [bytes]: some three million rows."""
 _TRACK_COLUMNS = {
     "time": ("time_s", "t_s"),
     "latitude": ("latitude_deg", "lat_deg"),
@@ -142,9 +145,9 @@ def _track(plan: MotionPlan, scenario: Scenario) -> BaseMotion:
 
 def _read_track(path: Path) -> dict[str, Array]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if row]
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_whole(path, MAX_TRACK, "the file of the track").decode("utf-8-sig")
+        rows = [row for row in csv.reader(text.splitlines()) if row]
+    except (DataError, UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"[motion] file {path}: cannot be read ({error})", remedy="check the path") from None
     if len(rows) < 5:
         raise DataError(f"[motion] file {path}: a header and at least 4 rows are needed")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, DataError
+from piga.records.limits import open_regular
 from piga.records.spool import Arrays, arrays_like, spans, steps, trim
 from piga.records.stream import numbers_of
 from piga.stand.imperfections import Imperfections
@@ -130,6 +131,7 @@ def _batches(path: Path, wanted: list[str]) -> Iterator[Iterator[pa.RecordBatch]
     import pyarrow as pa
     from pyarrow import csv, parquet
 
+    open_regular(path).close()
     if path.suffix == ".parquet":
         with parquet.ParquetFile(path, pre_buffer=False) as source:
             _check_columns(path, wanted, source.schema_arrow)

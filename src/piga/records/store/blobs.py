@@ -10,6 +10,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from piga.errors import StoreError
+from piga.records.limits import open_regular
 from piga.records.store.documents import sha256
 from piga.records.store.tables import BLOB, CHUNK
 
@@ -28,7 +29,7 @@ def parts_of(path: Path) -> Iterator[bytes]:
         If it cannot be read.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path, error=StoreError) as stream:
             while part := stream.read(PART):
                 yield part
     except OSError as error:

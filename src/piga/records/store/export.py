@@ -19,6 +19,7 @@ from typing import Any, BinaryIO, Self
 
 from piga._version import __version__
 from piga.errors import StoreError
+from piga.records.limits import open_regular
 from piga.records.store.blobs import PART, read_blob
 from piga.records.store.chain import read_entries, read_identity, stored_sizes
 from piga.records.store.documents import RECORD, RecordDocument, decode, sha256
@@ -144,7 +145,7 @@ def _sealed_digest(stream: BinaryIO, path: Path) -> str:
 def is_export(path: Path) -> bool:
     """True for a file that begins as ZIP files do."""
     try:
-        with path.open("rb") as stream:
+        with open_regular(path, error=StoreError) as stream:
             return stream.read(4) == b"PK\x03\x04"
     except OSError:
         return False
@@ -161,7 +162,7 @@ class Export:
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
-        if not path.is_file():
+        if not path.exists():
             raise StoreError(f"{path}: no such file", remedy="check the name")
         if not is_export(path):
             raise StoreError(f"{path}: no export of records (no ZIP file)", remedy="check the name")
@@ -227,6 +228,8 @@ class Export:
                 raise self._damaged(f"member '{name[:80]}' does not belong into an export")
             limit = MAX_FILE if name.startswith("files/") else MAX_DOCUMENT
             dense = member.file_size > (1 << 20) + MAX_RATIO * member.compress_size
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise self._damaged(f"member '{name}' is packed in a way that exports do not use")
             if member.file_size > limit or member.flag_bits & 1 or (name.startswith("files/") and dense):
                 raise self._damaged(f"member '{name}' is larger than an export may hold")
             members[name] = member

@@ -1,0 +1,165 @@
+"""Whatever is named as an input: only a regular file of a size that its kind may have is read."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+import piga
+from piga.calibration.summary_json import read_summary
+from piga.compensation.triad_file import is_triad_file
+from piga.errors import PigaError
+from piga.records.certificate_file import read_certificate_file
+from piga.records.limits import open_regular, read_whole
+from piga.records.parquet_reader import read_labels
+from piga.records.run_file import read_run_file
+from piga.records.text_reader import TextStream
+from piga.records.xml_file import read_xml
+from piga.records.xml_signature import load_certificate
+from tests.cli.runner import exit_code
+from tests.records.files import lines, write_log, write_run
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "json": piga.Calibration.from_json,
+    "summary": read_summary,
+    "toml": read_run_file,
+    "certificate": read_certificate_file,
+    "xml": read_xml,
+    "pem": load_certificate,
+    "text": lambda path: list(TextStream(path, ("t",), None).chunks()),
+}
+
+
+@pytest.fixture(params=["fifo", "device", "folder"])
+def odd(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """What is no file: a pipe that nobody writes to, a device that never ends, a folder."""
+    path = tmp_path / "odd.csv"
+    if request.param == "fifo":
+        os.mkfifo(path)
+    elif request.param == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    return path
+
+
+def within(seconds: float, work: Callable[[], object]) -> Exception:
+    """The error of ``work``, which must not wait for bytes that never come."""
+    caught: list[Exception] = []
+
+    def run() -> None:
+        try:
+            work()
+        except Exception as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    assert not thread.is_alive(), "still reading"
+    assert caught, "nothing was refused"
+    return caught[0]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
+@pytest.mark.parametrize("kind", list(READERS))
+def test_what_is_no_file_is_refused_at_once(odd: Path, kind: str) -> None:
+    error = within(5.0, lambda: READERS[kind](odd))
+    assert isinstance(error, PigaError)
+    assert "is not a regular file" in str(error)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
+@pytest.mark.parametrize("ending", ["csv", "csv.gz", "parquet", "h5", "mat", "tdms", "xlsx"])
+@pytest.mark.parametrize("kind", ["fifo", "device"])
+def test_data_files(tmp_path: Path, ending: str, kind: str) -> None:
+    path = tmp_path / f"run.{ending}"
+    os.mkfifo(path) if kind == "fifo" else path.symlink_to("/dev/zero")
+    run = write_run(tmp_path, path.name)
+    error = within(5.0, lambda: piga.read_run(run))
+    assert isinstance(error, PigaError)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
+def test_a_run_file_that_is_a_pipe(odd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert not is_triad_file(odd)
+    assert exit_code("check", odd) == 2
+    assert "is not a regular file" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
+@pytest.mark.parametrize("kind", ["folder", "fifo", "device", "broken link"])
+def test_a_sidecar_that_is_no_file_is_not_ignored(tmp_path: Path, kind: str) -> None:
+    write_log(tmp_path, lines())
+    sidecar = tmp_path / "run.csv.sha256"
+    if kind == "folder":
+        sidecar.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(sidecar)
+    else:
+        sidecar.symlink_to("/dev/zero" if kind == "device" else "gone")
+    run = write_run(tmp_path)
+    error = within(5.0, lambda: piga.read_run(run))
+    assert isinstance(error, piga.DataError)
+    assert "run.csv.sha256: " in str(error)
+
+
+def test_the_limit_holds_for_a_file_that_grows(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"x" * 10)
+    assert read_whole(path, 10, "a smaller one") == b"x" * 10
+    with pytest.raises(piga.DataError, match="larger than 9 bytes"):
+        read_whole(path, 9, "a smaller one")
+    with pytest.raises(piga.DataError, match="is not a file name"):
+        read_whole(Path("a\0b"), 9, "a smaller one")
+    with pytest.raises(FileNotFoundError):
+        open_regular(tmp_path / "none")
+
+
+def label_bomb(path: Path, letters: int = 1 << 20, rows: int = 3600) -> None:
+    """One label of a megabyte for every row: kilobytes on disk, gigabytes as text."""
+    count = np.arange(rows, dtype=float)
+    labels = pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), ["a" * letters])
+    table = dict.fromkeys(("t", "n", "fx", "fy", "fz"), count) | {"seg": labels}
+    parquet.write_table(pa.table(table), path, compression="zstd", store_schema=False)
+
+
+def test_labels_that_unpack_to_gigabytes(tmp_path: Path) -> None:
+    """Refused in words, without the memory that it would take."""
+    label_bomb(tmp_path / "run.parquet")
+    assert (tmp_path / "run.parquet").stat().st_size < 1 << 17
+    run = write_run(tmp_path, "run.parquet", data='segment = "seg"')
+    pool = pa.proxy_memory_pool(pa.default_memory_pool())
+    with pytest.raises(piga.DataError, match="has 1048576 characters"):
+        piga.read_run(run)
+    usual = pa.default_memory_pool()
+    pa.set_memory_pool(pool)
+    try:
+        with pytest.raises(piga.DataError, match="has 1048576 characters"):
+            read_labels(tmp_path / "run.parquet", (), "seg")
+    finally:
+        pa.set_memory_pool(usual)
+    assert pool.max_memory() < 64 << 20  # as text it would be 3.8 GB
+
+
+def test_labels_of_parquet_in_their_order(tmp_path: Path) -> None:
+    """Names in order of appearance, through row groups, nulls and dictionaries with words that are not used."""
+    labels = ["b"] * 20 + ["a"] * 10 + ["c"] * 10
+    rows = [[float(cell) for cell in line.split(",")] for line in lines()]
+    numbers = {name: [row[i] for row in rows] for i, name in enumerate(("t", "n", "fx", "fy", "fz"))}
+    coded = pa.DictionaryArray.from_arrays(
+        [2 if w == "b" else 1 if w == "a" else 3 for w in labels], ["x", "a", "b", "c"]
+    )
+    for column in (pa.array(labels), coded):
+        parquet.write_table(pa.table(numbers | {"seg": column}), tmp_path / "run.parquet", row_group_size=15)
+        run = piga.read_run(write_run(tmp_path, "run.parquet", data='segment = "seg"'))
+        assert run.labels == ("b", "a", "c")
+        assert np.bincount(run.segment).tolist() == [20, 10, 10]
