@@ -12,6 +12,7 @@ from piga.calibration.design import Design
 from piga.calibration.request import make_request
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0, parse_unit
+from tests.calibration.independent import Bench, head
 from tests.calibration.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
 
 pytestmark = pytest.mark.only_compiled
@@ -249,6 +250,26 @@ def test_what_cannot_be_identified_is_refused_by_name(run, terms, named, remedy)
     with pytest.raises(piga.IdentifiabilityError, match=remedy) as caught:
         piga.calibrate(run, terms)
     assert all(name in caught.value.message for name in named)
+
+
+@pytest.mark.parametrize(
+    ("levels", "terms", "least"),
+    [
+        (head(3, start=0.2)[:, 0], ("scale_factor", "k0", "k2", "k3"), 4),
+        ((1.0, -0.5, -0.5), ("scale_factor", "k0", "k2", "k3"), 4),
+        ((2.0, 6.0, 2.0, 6.0), ("scale_factor", "k0", "k2"), 3),
+        ((2.0, 6.0), ("scale_factor", "k2", "k3"), 3),
+    ],
+)
+def test_too_few_levels_are_called_that(levels, terms, least) -> None:
+    """Three positions of a head, two speeds of a centrifuge: a_x does change, but not often enough."""
+    forces = np.stack([levels, np.zeros(len(levels)), np.ones(len(levels))], axis=1)
+    run = Bench(forces=forces, seconds=5.0, rate=4.0).record(1)
+    with pytest.raises(piga.IdentifiabilityError) as caught:
+        piga.calibrate(run, terms)
+    assert f"a_x takes too few values: {'k0, ' * ('k0' in terms)}scale_factor, k2" in caught.value.remedy
+    assert f"need at least {least} different ones" in caught.value.remedy
+    assert "never changes" not in caught.value.remedy
 
 
 def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:

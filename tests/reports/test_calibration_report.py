@@ -141,6 +141,22 @@ def test_report_without_residuals_still_stands():
     assert "The residuals are not part of this record" in text
 
 
+def test_a_phase_that_any_angle_would_do_for_is_not_determined():
+    """-2 +- 11 rad is no number; 0.2 +- 0.4 rad is one."""
+    for phase in ("shared", "per-segment"):
+        cal = calibration(phase=phase, with_residuals=False)
+        at = next(i for i, c in enumerate(cal.coefficients) if c.name == "phi")
+        for value, std, shown in ((-2.0, 11.0, True), (0.2, 0.4, False)):
+            row = dataclasses.replace(cal.coefficients[at], value=value, std=std)
+            loose = dataclasses.replace(
+                cal, coefficients=(*cal.coefficients[:at], row, *cal.coefficients[at + 1 :])
+            )
+            line = next(text for text in calibration_text(loose).splitlines() if text.startswith("  phi"))
+            assert ("not determined" in line) is shown
+            assert ("11" in line) is False
+            assert ("not determined" in page_html(calibration_page(loose))) is shown
+
+
 def test_phase_per_segment_stands_in_the_segment_table():
     page = calibration_page(calibration(phase="per-segment", with_residuals=False))
     table = tables(page)["segments"][0]

@@ -26,21 +26,31 @@ SCATTER = 2.0
 SHARE = 0.3
 """Weight in a null direction from which a term is named."""
 
-_REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
-    (frozenset({"scale_factor", "k0"}), "a_x never changes: add positions or levels with another a_x"),
+_LEVEL = frozenset({"scale_factor", "k0"})
+
+_PAIRS: tuple[tuple[frozenset[str], str], ...] = (
+    (_LEVEL, "a_x never changes: add positions or levels with another a_x"),
     (frozenset({"k0", "k1"}), "a_x never changes: add positions or levels with another a_x"),
+    (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
+    (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
+    (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
+)
+"""What is true of a record that cannot separate these two terms, and no others."""
+
+_REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset({"k0", "k2", "k_YY"}),
         "a one-plane tumble has a_x^2 + a_Y^2 = g^2: leave k_YY out, or add a centrifuge or vibration run",
     ),
-    (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
-    (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
-    (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
     (
         frozenset({"tan_beta"}),
         "the gimbal does not turn enough, or there is no transverse force: add revolutions",
     ),
 )
+"""What helps where these are among the terms that a record cannot separate."""
+
+_OF_A_X = ("k0", "scale_factor", "k1", "k2", "k2o", "k3")
+"""Terms that multiply a_x alone: as many different a_x are needed as there are of them."""
 
 _HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"k0", "k2", "k_YY"}), "a run on a centrifuge or a vibration table (a_x changes, a_Y does not)"),
@@ -62,10 +72,11 @@ _HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
 
 @dataclass(frozen=True)
 class Examination:
-    """Condition of the column-scaled factor, and the names of columns with their norms."""
+    """Condition of the column-scaled factor, terms of the directions without information, and all that were asked for."""
 
     condition: float
     null_terms: tuple[str, ...]
+    asked: tuple[str, ...] = ()
 
 
 def term_of(column: str) -> str:
@@ -95,17 +106,18 @@ def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
         for name, norm in zip(names, norms, strict=True)
         if norm <= 1e-14 * max(norms.max(), 1e-300)
     ]
+    asked = tuple(dict.fromkeys(map(term_of, names)))
     if zero:
-        return Examination(float("inf"), tuple(dict.fromkeys(zero)))
+        return Examination(float("inf"), tuple(dict.fromkeys(zero)), asked)
     _, singular, right = np.linalg.svd(factor / norms)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
     if singular[-1] > RANK * singular[0]:
-        return Examination(condition, ())
+        return Examination(condition, (), asked)
     weights = np.linalg.norm(right[singular <= RANK * singular[0]], axis=0)
     named = [
         term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()
     ]
-    return Examination(condition, tuple(dict.fromkeys(named)))
+    return Examination(condition, tuple(dict.fromkeys(named)), asked)
 
 
 def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
@@ -132,20 +144,34 @@ def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
         Names the terms and the test, or the run, that would separate them.
     """
     if examination.null_terms:
-        terms = {name.split("[", maxsplit=1)[0] for name in examination.null_terms}
+        terms, asked = (
+            {name.split("[", maxsplit=1)[0] for name in names}
+            for names in (examination.null_terms, examination.asked)
+        )
         listed = ", ".join(sorted(examination.null_terms))
         verb = "cannot determine" if len(examination.null_terms) == 1 else "cannot separate"
         subject = "this record" if runs == 1 else f"these {runs} runs together"
         raise IdentifiabilityError(
-            f"{subject} {verb} {listed}", remedy=_remedy(terms, runs), terms=examination.null_terms
+            f"{subject} {verb} {listed}", remedy=_remedy(terms, asked, runs), terms=examination.null_terms
         )
 
 
-def _remedy(terms: set[str], runs: int = 1) -> str:
+def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:
+    """What separates ``terms``; ``asked`` are all that are wanted of the record."""
     helping = next((text for members, text in _HELPING_RUNS if members <= terms), None)
     if runs > 1:
         return f"add {helping}" if helping else "leave one of these terms out, or add a run of another kind"
-    fitting = [text for members, text in _REMEDIES if members <= terms]
+    powers = [name for name in _OF_A_X if name in asked]
+    fitting = [text for members, text in _PAIRS if members == terms and (members != _LEVEL or len(powers) == 2)]
+    if not fitting and len(powers) > 2 and terms <= set(powers):
+        other = "" if "k0" in powers else " other than zero"
+        words = (
+            f"a_x takes too few values: {', '.join(powers)} together need at least {len(powers)} different ones{other}; "
+            "add positions or levels with another a_x, or leave terms out"
+        )
+        fitting = [words]
+        helping = "a run that has other values of a_x, on a dividing head or a centrifuge"
+    fitting += [text for members, text in _REMEDIES if members <= terms]
     if not fitting:
         fitting = ["leave one of these terms out, or record other positions, levels or temperatures"]
     return fitting[0] + (f"; or calibrate it together with {helping}" if helping else "")
@@ -176,8 +202,16 @@ def refuse_useless(
         )
         raise IdentifiabilityError(
             f"this record does not determine {', '.join(c.key for c, _ in bad)}: {listed}",
-            remedy=_remedy({c.name for c, _ in bad}),
+            remedy=_useless_remedy({c.name for c, _ in bad}, {c.name for c in coefficients}),
         )
+
+
+def _useless_remedy(terms: set[str], asked: set[str]) -> str:
+    """The remedy for terms that the record can separate, but hardly."""
+    text = _remedy(terms, asked - {"phi"})
+    return text.replace("never changes", "hardly changes").replace(
+        "too few values", "too few or too close values"
+    )
 
 
 def _full_scale(coefficient: Coefficient, largest: float, duration: float, spread: float) -> float:
@@ -222,7 +256,7 @@ def notes_in_words(
             notes.append(
                 f"{coefficient.key} is smaller than twice its standard uncertainty: the record does not need it"
             )
-    loose = [c.segment for c in coefficients if c.name == "phi" and c.segment is not None and c.std > 0.5]
+    loose = [c.segment for c in coefficients if c.segment is not None and not c.determined]
     if loose:
         notes.append(
             f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"

@@ -21,6 +21,10 @@ Count = Annotated[int, Meta(ge=0)]
 """A number of rows or findings; the limit is checked where a record is read."""
 
 
+LOOSE_PHASE = 0.5
+"""Standard uncertainty [rad] of a phase above which it is called not determined."""
+
+
 @dataclass(frozen=True)
 class Coefficient:
     """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json).
@@ -54,6 +58,11 @@ class Coefficient:
     def coverage(self) -> Coverage:
         """Coverage factor, half-width and limits for 95 %: :func:`piga.records.coverage.coverage`."""
         return coverage(self)
+
+    @property
+    def determined(self) -> bool:
+        """False for a phase whose standard uncertainty is above ``LOOSE_PHASE``: any angle would do as well."""
+        return self.name != "phi" or self.std <= LOOSE_PHASE
 
     @property
     def coverage_factor(self) -> float:

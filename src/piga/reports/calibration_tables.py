@@ -108,6 +108,9 @@ def monte_carlo_interval(coefficient: Coefficient) -> str:
 
 
 def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
+    if not coefficient.determined:
+        unit = pretty_unit(coefficient.unit)
+        return coefficient.key, Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
     value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
     scale = std / coefficient.std if coefficient.std else 1.0
     number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
@@ -209,11 +212,16 @@ def segment_table(cal: Calibration) -> Table:
         ]
         if phases:
             phase = phases.get(segment.label)
-            row.append(printed(rounded(phase.value, phase.std).concise) if phase else "–")
+            row.append(phase_shown(phase) if phase else "–")
         rows.append(tuple(row))
     if phases:
         columns.append(Column("Phase φ", "rad"))
     return Table(tuple(columns), tuple(rows), notes=notes)
+
+
+def phase_shown(phase: Coefficient) -> str:
+    """The phase of a segment with its standard uncertainty in brackets, or that it is not determined."""
+    return printed(rounded(phase.value, phase.std).concise) if phase.determined else "not determined"
 
 
 def runs_table(cal: Calibration) -> Table:

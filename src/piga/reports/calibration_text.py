@@ -47,6 +47,9 @@ def scatter_found(cal: Calibration) -> str:
 def _text_table(cal: Calibration) -> list[str]:
     lines = [("coefficient", "value", "u", "U (95 %)", "unit", "dof", "k")]
     for coefficient in cal.coefficients:
+        if not coefficient.determined:
+            lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
+            continue
         value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
         scale = std / coefficient.std if coefficient.std else 1.0
         number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)

@@ -232,6 +232,8 @@ def _monte_carlo(calibration: Calibration) -> list[str]:
 
 
 def _result_row(c: Coefficient) -> tuple[str, ...]:
+    if not c.determined:
+        return c.name, meaning(c.name), "not determined", "–", pretty_unit(c.unit), "–", "–", "–"
     half = c.expanded
     value, wide, unit = friendly(c.value, half, c.unit)
     if wide >= _COARSE:
