@@ -149,3 +149,93 @@ def _mean_product(a: Array, b: Array, h: Array, out: Array) -> None:
     """Integral of ``a b`` over each interval, both linear: ``h (2 a0 b0 + 2 a1 b1 + a0 b1 + a1 b0)/6``."""
     for i in range(h.size):
         out[i] = h[i] * (2.0 * (a[i] * b[i] + a[i + 1] * b[i + 1]) + a[i] * b[i + 1] + a[i + 1] * b[i]) / 6.0
+
+
+@kernel
+def cubic_moments(x: float) -> tuple[float, float, float, float]:
+    """``half the integral of v^k exp(i x v)`` over v in [-1, 1] for k = 0 .. 3, less a factor 1, i, 1, i.
+
+    Derivatives of ``sin x / x`` by ``-i d/dx``; series for small x, where the quotients lose digits.
+    """
+    x2 = x * x
+    if x2 < 1.0:
+        m0 = m1 = m2 = m3 = 0.0
+        term = 1.0
+        for k in range(10):
+            m0 += term / (2 * k + 1)
+            m2 += term / (2 * k + 3)
+            m1 += term * x / ((2 * k + 1) * (2 * k + 3))
+            m3 += term * x / ((2 * k + 1) * (2 * k + 5))
+            term *= -x2 / ((2 * k + 1) * (2 * k + 2))
+        return m0, m1, m2, m3
+    sine, cosine = math.sin(x), math.cos(x)
+    m0 = sine / x
+    m1 = (m0 - cosine) / x
+    m2 = m0 - 2.0 * m1 / x
+    m3 = (3.0 * m2 - cosine) / x
+    return m0, m1, m2, m3
+
+
+@kernel
+def servo_columns(psi: Array, w: Array, y: Array, z: Array, h: Array, bend: Array, out: Array) -> None:
+    """Integrals behind the terms of the servo over each interval, all inputs linear between samples.
+
+    Parameters
+    ----------
+    psi, w, y, z:
+        (n + 1,) angle of the output [rad]; ``u_x/K``, ``u_Y/K``, ``u_Z/K`` [m/s^2] at the samples.
+    h, bend:
+        (n,) intervals [s], 0 where none is formed; sag of psi against its chord [rad], to first order.
+    out:
+        (5, n), written. With ``zeta = y + i z``: integrals of ``w |zeta|^2``, of the real part and less the imaginary part
+        of ``w zeta^2 exp(-2 i psi)``, of real and imaginary part of ``w^2 zeta exp(-i psi)``.
+    """
+    for i in range(h.size):
+        if h[i] == 0.0:
+            out[:, i] = 0.0
+            continue
+        wm, wd = 0.5 * (w[i] + w[i + 1]), 0.5 * (w[i + 1] - w[i])
+        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
+        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
+        middle, half = 0.5 * (psi[i] + psi[i + 1]), 0.5 * (psi[i + 1] - psi[i])
+        square = ym * ym + zm * zm
+        even = wm * (yd * yd + zd * zd) + 2.0 * wd * (ym * yd + zm * zd)
+        out[0, i] = h[i] * (wm * square + even / 3.0)
+        # zeta^2 = (a0 + a1 v + a2 v^2) + i (b0 + b1 v + b2 v^2)
+        a0, a1, a2 = ym * ym - zm * zm, 2.0 * (ym * yd - zm * zd), yd * yd - zd * zd
+        b0, b1, b2 = 2.0 * ym * zm, 2.0 * (ym * zd + yd * zm), 2.0 * yd * zd
+        real, imaginary = _turned_integral(
+            (wm * a0, wm * a1 + wd * a0, wm * a2 + wd * a1, wd * a2),
+            (wm * b0, wm * b1 + wd * b0, wm * b2 + wd * b1, wd * b2),
+            2.0 * middle,
+            2.0 * half,
+            2.0 * bend[i],
+        )
+        out[1, i], out[2, i] = h[i] * real, -h[i] * imaginary
+        s0, s1, s2 = wm * wm, 2.0 * wm * wd, wd * wd
+        real, imaginary = _turned_integral(
+            (s0 * ym, s0 * yd + s1 * ym, s1 * yd + s2 * ym, s2 * yd),
+            (s0 * zm, s0 * zd + s1 * zm, s1 * zd + s2 * zm, s2 * zd),
+            middle,
+            half,
+            bend[i],
+        )
+        out[3, i], out[4, i] = h[i] * real, h[i] * imaginary
+
+
+@kernel
+def _turned_integral(
+    a: tuple[float, float, float, float],
+    b: tuple[float, float, float, float],
+    middle: float,
+    half: float,
+    bend: float,
+) -> tuple[float, float]:
+    """Half the integral of ``(a(v) + i b(v)) exp(-i (middle + half v + bend (1 - v^2)))`` over v in [-1, 1]."""
+    m0, m1, m2, m3 = cubic_moments(half)
+    sag = bend * (m0 - m2)
+    # moments of exp(-i half v) are m0, -i m1, m2, -i m3
+    real = a[0] * m0 + a[2] * m2 + b[1] * m1 + b[3] * m3 + b[0] * sag
+    imaginary = b[0] * m0 + b[2] * m2 - a[1] * m1 - a[3] * m3 - a[0] * sag
+    s, c = math.sin(middle), math.cos(middle)
+    return c * real + s * imaginary, c * imaginary - s * real

@@ -32,6 +32,7 @@ from piga.calibration.weighting import Whitener
 from piga.errors import PigaError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
+from piga.records.terms import SERVO_TERMS
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -139,7 +140,8 @@ def _fit(run: Run, request: Request, sample: Sample, reading: Reading) -> Trial:
     """
     turning = ["p", "q"] if "tan_beta" in request.terms else []
     turning += [f"{kind}{order}" for order in request.harmonics for kind in ("s", "c")]
-    names = [*turning, "k1", *(n for n in request.shared_terms if n not in ("scale_factor", "k1"))]
+    left_out = ("scale_factor", "k1", *SERVO_TERMS)
+    names = [*turning, "k1", *(n for n in request.shared_terms if n not in left_out)]
     rows = _whitened(run, sample, reading, names)
     free = len(turning) if request.phase != "shared" else 0
     if free:
@@ -157,7 +159,7 @@ def _fit(run: Run, request: Request, sample: Sample, reading: Reading) -> Trial:
 def _whitened(run: Run, sample: Sample, reading: Reading, names: list[str]) -> Array:
     """Columns of a reading and its observation (names + 1, n), whitened for angle noise."""
     a = (sample.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float)).T
-    turning = a[1:] - sample.base[:, 1:].T / run.scale_factor
+    turning = a - sample.base.T / run.scale_factor
     alpha = sample.phase / reading.output
     values = [term_values(name, a, sample.t, sample.warm, turning, alpha) for name in names]
     columns = sample.increments(np.stack([*values, sample.base[:, 0]]))

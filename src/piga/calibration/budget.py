@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.degrees_of_freedom import welch_satterthwaite
-from piga.calibration.design import Design
 from piga.calibration.solution import solve
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import reduce_segments
@@ -33,7 +32,7 @@ def make_budget(
     turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
 
     def estimate(run: Run) -> Array:
-        design = Design(run, fit.design.request, fit.design.scale_factor)
+        design = fit.design.of(run)
         summaries = (
             fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
         )

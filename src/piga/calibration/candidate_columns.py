@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from piga.calibration.design import Block, Design
 from piga.calibration.fit import Fit
 from piga.records.spool import extent
-from piga.records.terms import harmonic
+from piga.records.terms import SERVO_TERMS, harmonic
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def candidate_sums(
     a = np.ascontiguousarray(run.f[rows].T)
     t = run.t[rows] - design.time_reference
     warm = t if run.temperature is None else run.temperature[rows] - design.request.temperature_reference
-    turning = a[1:] if run.base_rate is None else a[1:] - run.base_rate[rows, 1:].T / design.scale_factor
+    turning = a if run.base_rate is None else a - run.base_rate[rows].T / design.scale_factor
     values = (term_values(name, a, t, warm, turning, alpha) for name in names)
     if design.point:
         return [np.add.reduceat(value, starts) for value in values]
@@ -83,7 +83,7 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
     t, warm:
         (n,) time [s] and temperature [K] from their references.
     turning:
-        (2, n) specific force along Y0 and Z0 less base rate over K [m/s^2].
+        (3, n) specific force less base rate over K [m/s^2].
     alpha:
         (n,) angle that the column turns with [rad].
     """
@@ -91,11 +91,13 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
     if order:
         return np.sin(order[1] * alpha) if order[0] == "s" else np.cos(order[1] * alpha)
     x, y, z = a
-    if name in ("p", "q"):
+    if name in ("p", "q", *SERVO_TERMS):
         sine, cosine = np.sin(alpha), np.cos(alpha)
-        return (
-            turning[0] * sine - turning[1] * cosine if name == "p" else turning[0] * cosine + turning[1] * sine
-        )
+        if name in ("p", "servo"):
+            across = turning[1] * sine - turning[2] * cosine
+            return across if name == "p" else -2.0 * turning[0] * across**2
+        along = turning[1] * cosine + turning[2] * sine
+        return along if name == "q" else -(turning[0] ** 2) * along
     if name in ("k0_t", "k0_T", "k1_T"):
         return {"k0_t": t, "k0_T": warm, "k1_T": x * warm}[name]
     factors = {

@@ -78,6 +78,9 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
             if order % 2:
                 values[at : at + 2], jacobian[at : at + 2] = -values[at : at + 2], -jacobian[at : at + 2]
             at += 2
+        for index, (name, _) in enumerate(layout.keys, start=layout.head):
+            if name == "servo_damping":
+                values[index], jacobian[index] = -values[index], -jacobian[index]
     values[layout.size :] = np.pi - np.mod(np.pi - values[layout.size :], 2.0 * np.pi)
 
 

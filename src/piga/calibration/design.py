@@ -5,7 +5,8 @@ Integrated over a sample interval the error model of ``physics.md`` is linear in
     K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
 
 The two columns of the coupling, and those of the harmonics, turn with the unknown phase: they are
-*local* to a phase group. All others are *shared*. Column order: local, shared, observation.
+*local* to a phase group. All others are *shared*. Column order: local, shared, observation. The terms of
+the servo turn too: they are columns at a known phase, or five columns that know nothing of one, behind the others.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.outliers import merge_rows
-from piga._kernels.regressors import CODES, coupling_columns, product_column
+from piga._kernels.regressors import CODES, coupling_columns, product_column, servo_columns
 from piga.calibration.phase_angle import phase_angle
 from piga.calibration.request import Request
+from piga.calibration.servo_columns import PHASELESS, ServoState, phaseless_columns
 from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
 from piga.records.spool import spans, steps, trim
+from piga.records.terms import SERVO_TERMS
 
 Array = NDArray[np.float64]
 
@@ -70,18 +73,21 @@ class Design:
     """Regressor blocks of a run for one request.
 
     ``scale_factor`` is the K used inside regressors (base rate, sag): nominal at first, then estimated.
+    ``servo`` is what the columns of the servo are combined at, a phase for each segment; without it a model with terms of
+    the servo has the columns that need no phase, in place of those of the terms.
     """
 
     run: Run
     request: Request
     scale_factor: float
+    servo: ServoState | None = None
     _cache: dict[int, Block] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         run = self.run
         self.estimates_scale_factor = "scale_factor" in self.request.terms
         self.local_names = self._local_names()
-        self.shared_names = self.request.shared_terms
+        self.shared_names = self._shared_names()
         self.names = self.local_names + self.shared_names
         self.point = run.kind == "rate"
         self._force = np.ascontiguousarray(run.f.T)
@@ -93,6 +99,28 @@ class Design:
     def _local_names(self) -> tuple[str, ...]:
         coupling = ("p", "q") if "tan_beta" in self.request.terms else ()
         return coupling + tuple(f"{kind}{order}" for order in self.request.harmonics for kind in ("s", "c"))
+
+    def _shared_names(self) -> tuple[str, ...]:
+        terms = self.request.shared_terms
+        if self.servo is not None or not self.turning_servo:
+            return terms
+        plain = tuple(name for name in terms if name not in SERVO_TERMS)
+        return plain + phaseless_columns(self.turning_servo)
+
+    @property
+    def turning_servo(self) -> tuple[str, ...]:
+        """Terms of the servo that the model holds, estimated or given."""
+        request = self.request
+        return tuple(name for name in SERVO_TERMS if name in request.terms or name in self.known_servo)
+
+    @property
+    def known_servo(self) -> dict[str, float]:
+        """K times the coefficients of the servo that are given and not estimated [SI]."""
+        return {
+            name: self.scale_factor * value
+            for name, value in self.request.known_servo
+            if name not in self.request.terms
+        }
 
     @property
     def rows(self) -> int:
@@ -108,11 +136,19 @@ class Design:
         absurd = relative > MAX_CHANGE
         if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
             return self
-        return Design(self.run, self.request, scale_factor)
+        return Design(self.run, self.request, scale_factor, self.servo)
+
+    def with_servo(self, state: ServoState | None) -> Design:
+        """The same model with the columns of the servo combined elsewhere, or not at all."""
+        return self if state == self.servo else Design(self.run, self.request, self.scale_factor, state)
+
+    def of(self, run: Run) -> Design:
+        """The same model of a record of the same segments."""
+        return Design(run, self.request, self.scale_factor, self.servo)
 
     def with_phase_of(self, other: Design) -> Design:
         """The same observations, with the phase of another reading of the output inside the regressors."""
-        result = Design(self.run, self.request, other.scale_factor)
+        result = Design(self.run, self.request, other.scale_factor, other.servo)
         result.phase_angle = other.phase_angle
         return result
 
@@ -155,6 +191,8 @@ class Design:
         inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
         self._fill_local(columns, window, force, inner_h)
         self._fill_shared(columns, window, force, inner_h)
+        if self.turning_servo:
+            self._fill_servo(columns, window, force, inner_h, segment)
         if self.run.left_out is not None:
             self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
         return index, Block(stop - h.size, stop, segment, h, columns)
@@ -190,10 +228,7 @@ class Design:
         if not self.local_names:
             return
         psi = np.ascontiguousarray(self.phase_angle[window])
-        y, z = force[1], force[2]
-        if self.run.base_rate is not None:
-            y = y - self.run.base_rate[window, 1] / self.scale_factor
-            z = z - self.run.base_rate[window, 2] / self.scale_factor
+        _, y, z = self._turning(window, force)
         bend = -self.scale_factor / 8.0 * h * np.diff(force[0])
         cosine, sine = np.empty(h.size), np.empty(h.size)
         row = 0
@@ -207,12 +242,47 @@ class Design:
             columns[row], columns[row + 1] = self._every(sine), self._every(cosine)
             row += 2
 
+    def _turning(self, window: slice | NDArray[np.int64], force: Array) -> tuple[Array, Array, Array]:
+        """``u/K``: specific force less base rate over K [m/s^2]."""
+        if self.run.base_rate is None:
+            return force[0], force[1], force[2]
+        rate = self.run.base_rate[window] / self.scale_factor
+        return force[0] - rate[:, 0], force[1] - rate[:, 1], force[2] - rate[:, 2]
+
+    def _fill_servo(
+        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, segment: int
+    ) -> None:
+        """Columns of the servo; at a state, what they add to those of the coupling, and what of them is known."""
+        psi = np.ascontiguousarray(self.phase_angle[window])
+        bend = -self.scale_factor / 8.0 * h * np.diff(force[0])
+        raw = np.empty((len(PHASELESS), h.size))
+        x, y, z = (np.ascontiguousarray(part) for part in self._turning(window, force))
+        servo_columns(psi, x, y, z, h, bend, raw)
+        held = np.stack([self._every(row) for row in raw])
+        if self.servo is None:
+            for name in phaseless_columns(self.turning_servo):
+                columns[self.names.index(name)] = held[PHASELESS.index(name)]
+            return
+        phase = self.servo.phases[segment]
+        terms = self.servo.term_rows(phase)
+        if self.servo.turning:
+            turn = self.servo.phase_row(phase) @ held
+            columns[0] -= np.sin(phase) * turn
+            columns[1] += np.cos(phase) * turn
+        for name in self.turning_servo:
+            if name in self.request.terms:
+                columns[self.names.index(name)] = terms[name] @ held
+        for name, value in self.known_servo.items():
+            columns[-1] -= value * (terms[name] @ held)
+
     def _fill_shared(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
         t = self.run.t[window] - self.time_reference
         warm = self.run.temperature
         temperature = t if warm is None else warm[window] - self.request.temperature_reference
         out = np.empty(h.size)
         for row, name in enumerate(self.shared_names, start=len(self.local_names)):
+            if name in SERVO_TERMS or name in PHASELESS:
+                continue
             code = CODES["a_x" if name in ("scale_factor", "k1") else name]
             product_column(code, t, force, temperature, h, out)
             columns[row] = self._every(out)

@@ -26,6 +26,7 @@ from piga.calibration.outliers import (
 )
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request
+from piga.calibration.servo import settled_design
 from piga.calibration.solution import Solution, solve
 from piga.calibration.weighting import reduce_segments, residual_increments, weighted_blocks, weighting_mode
 from piga.errors import CalibrationError
@@ -117,7 +118,7 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
         return fit
     plain.design.forget()
-    raw = Design(run, request, run.scale_factor)
+    raw = Design(run, request, run.scale_factor, plain.design.servo)
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw, groups))
     raw.forget()
@@ -155,6 +156,7 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
     noise = given or starting_noise(run.resolution, step)
     information = None
     for refit in range(MAX_REFITS):
+        design = settled_design(design, mode, noise, groups)
         summaries = reduce_segments(design, mode, noise)
         examination = examine(design, summaries, per_segment)
         refuse_if_confounded(examination)

@@ -224,7 +224,7 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
         return extent / largest
     if name == "k1_T":
         return 0.5 * spread
-    powers = {"k2": 1, "k2o": 1, "k3": 2}
+    powers = {"k2": 1, "k2o": 1, "k3": 2, "servo": 2, "servo_damping": 2}
     return largest ** powers.get(name, 1 if name.startswith("k_") else 0)
 
 

@@ -92,6 +92,13 @@ class Reduction:
         result.count = self.count
         return result
 
+    def mixed(self, names: tuple[str, ...], matrix: Array) -> Reduction:
+        """The summary of columns that are combinations of these: ``matrix`` (m + 1, len(names) + 1), observation last."""
+        result = Reduction.empty(names)
+        gather(result.weight, result.unit, self.unit @ matrix, self.weight)
+        result.count = self.count
+        return result
+
     @classmethod
     def of_factor(cls, names: tuple[str, ...], factor: Array, count: int) -> Reduction:
         """That of a triangular factor (m + 1, m + 1)."""

@@ -8,7 +8,7 @@ from typing import cast
 from piga.errors import ArgumentError, CalibrationError
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
-from piga.records.terms import check_terms, harmonic
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 from piga.units import to_si
 
 PUBLISHED_TERMS = (("tan_beta",), ("tan_beta", "k0", "k1", "k2"))
@@ -28,6 +28,7 @@ class Request:
     x0: tuple[float, ...] | None = None
     P0: float | None = None
     per_run: tuple[str, ...] = ()
+    known_servo: tuple[tuple[str, float], ...] = ()
 
     @property
     def harmonics(self) -> tuple[int, ...]:
@@ -103,7 +104,7 @@ def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
                 "per_run: 'scale_factor' belongs to the instrument; all other coefficients are multiples of it",
                 remedy="estimate 'k1' instead, and name that in per_run",
             )
-        if name == "tan_beta" or harmonic(name):
+        if name == "tan_beta" or harmonic(name) or name in SERVO_TERMS:
             raise ArgumentError(
                 f"per_run: '{name}' turns with the output angle and belongs to the instrument",
                 remedy="its phase is of the run as it is",
@@ -117,6 +118,7 @@ def _check_record(run: Run, request: Request) -> None:
                 f"term '{name}' needs the temperature, the record has none",
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
+    _check_servo(request)
     coupled = "tan_beta" in request.terms or bool(request.harmonics)
     turning = coupled and request.method != "revolutions"
     if request.phase == "shared" and turning and len(set(run.phase_group)) > 1:
@@ -144,4 +146,21 @@ def _check_record(run: Run, request: Request) -> None:
             f"[estimation] x0 has {len(request.x0)} values, {len(request.terms) + 1} are needed: tan_beta, phi, then "
             "k0, k1, k2",
             remedy="correct x0",
+        )
+
+
+def _check_servo(request: Request) -> None:
+    """The terms of the servo need the phase that the coupling carries, and a method that holds it."""
+    asked = [name for name in SERVO_TERMS if name in request.terms]
+    if not asked:
+        return
+    if "tan_beta" not in request.terms:
+        raise CalibrationError(
+            f"term '{asked[0]}' turns with the output angle and needs the phase that 'tan_beta' carries",
+            remedy="add 'tan_beta' to the terms",
+        )
+    if request.method in ("published", "revolutions"):
+        raise CalibrationError(
+            f"method '{request.method}' does not hold the term '{asked[0]}'",
+            remedy="use method 'information', 'rate' or 'recursive', or leave the term out",
         )

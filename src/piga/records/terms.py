@@ -67,6 +67,9 @@ MEANING = {
     "servo_damping": "float damping under the servo (a_x^2 a_t, in quadrature with tan_beta)",
 }
 
+SERVO_TERMS = ("servo", "servo_damping")
+"""Terms of the servo: they turn with the output angle, as ``tan_beta`` does, which carries their phase."""
+
 _HARMONIC = re.compile(r"^([sc])([1-9]\d?)$")
 
 
