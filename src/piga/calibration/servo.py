@@ -4,7 +4,7 @@ The terms ``servo`` and ``servo_damping`` turn with the output angle. Five colum
 them; at a phase ``phi`` they combine to one column for each term. The model is then not linear in the phase. One Gauss-Newton
 step about the phase is a change of the two columns of the coupling alone: ``p = K tan_beta cos(phi)`` and ``q = K tan_beta
 sin(phi)`` carry the phase, which does not depend on their common size, so that the observation stays as it is
-(docs/theory/calibration). At the phase that the step returns to, the linear fit is the fit of the model.
+(docs/theory/servo). At the phase that the step returns to, the linear fit is the fit of the model.
 """
 
 from __future__ import annotations
