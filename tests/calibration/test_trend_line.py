@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from piga.calibration.trend_line import fit_line, merge_groups
+from piga.calibration.trend_line import Line, lines_so_far, merge_by_day
 from piga.errors import ArgumentError
 
 NORRIS = np.array([
@@ -27,12 +27,30 @@ THERMOMETER = np.array([
 """JCGM 100, table H.6: thermometer reading and correction [degC]."""
 
 
+def fit_line(t, y, v, shared=None) -> Line:
+    """Line through values of as many days."""
+    return (
+        lines_so_far(t, y, v, np.arange(len(y)), np.zeros((0, len(y))) if shared is None else shared)
+        .take(-1)
+        .line
+    )
+
+
+def about(line, origin):
+    """Value at ``origin`` and slope, and their covariance."""
+    since = origin - line.origin
+    value, variance = line.at(origin)
+    mixed = line.slope_variance * since
+    return [value, line.slope], np.array([[variance, mixed], [mixed, line.slope_variance]])
+
+
 @pytest.mark.parametrize("stated", [1e-3, 0.8, 0.9])
 def test_certified_line_whatever_the_stated_size(stated):
     """NIST StRD Norris: certified estimates and standard deviations to 10 digits."""
-    fit = fit_line(NORRIS[:, 1], NORRIS[:, 0], np.full(36, stated**2), origin=0.0)
-    assert fit.coefficients == pytest.approx([-0.262323073774029, 1.00211681802045], rel=1e-10)
-    std = np.sqrt(np.diag(fit.covariance))
+    fit = fit_line(NORRIS[:, 1], NORRIS[:, 0], np.full(36, stated**2))
+    coefficients, covariance = about(fit, 0.0)
+    assert coefficients == pytest.approx([-0.262323073774029, 1.00211681802045], rel=1e-10)
+    std = np.sqrt(np.diag(covariance))
     assert std == pytest.approx([0.232818234301152, 0.429796848199937e-3], rel=1e-10)
     residual_std = np.sqrt(fit.scale * (stated**2 + fit.excess))
     assert residual_std == pytest.approx(0.884796396144373, rel=1e-10)
@@ -40,11 +58,12 @@ def test_certified_line_whatever_the_stated_size(stated):
 
 def test_thermometer_of_the_gum():
     """JCGM 100, H.3: line, standard uncertainties, correlation, and the correction at 30 degC."""
-    fit = fit_line(THERMOMETER[:, 0], THERMOMETER[:, 1], np.full(11, 1e-6), origin=20.0)
-    assert [round(fit.coefficients[0], 4), round(fit.coefficients[1], 5)] == [-0.1712, 0.00218]
-    std = np.sqrt(np.diag(fit.covariance))
+    fit = fit_line(THERMOMETER[:, 0], THERMOMETER[:, 1], np.full(11, 1e-6))
+    coefficients, covariance = about(fit, 20.0)
+    assert [round(coefficients[0], 4), round(coefficients[1], 5)] == [-0.1712, 0.00218]
+    std = np.sqrt(np.diag(covariance))
     assert [round(std[0], 4), round(std[1], 5)] == [0.0029, 0.00067]
-    assert fit.covariance[0, 1] / std.prod() == pytest.approx(-0.930, abs=5e-4)
+    assert covariance[0, 1] / std.prod() == pytest.approx(-0.930, abs=5e-4)
     value, variance = fit.at(30.0)
     assert (round(value, 4), round(variance**0.5, 4)) == (-0.1494, 0.0041)
 
@@ -66,15 +85,18 @@ def test_unequal_weights_at_50_digits():
     rng = np.random.default_rng(5)
     t, v = np.sort(rng.uniform(0, 9, 12)), rng.uniform(0.2, 4.0, 12) ** 2
     y = 3.0 - 0.4 * t + rng.normal(0, np.sqrt(v + 4.0))
-    fit = fit_line(t, y, v, origin=0.0)
+    fit = fit_line(t, y, v, shared=np.stack([y, v]))
     b, covariance, q = exact(t, y, v, fit.excess)
+    coefficients, stated = about(fit, 0.0)
     assert fit.excess > 0.2
     assert float(q) == pytest.approx(10.0, rel=1e-10)  # Paule and Mandel's condition
     assert fit.scale == pytest.approx(1.0, rel=1e-10)
-    assert fit.coefficients == pytest.approx([float(b[0]), float(b[1])], rel=1e-12)
-    assert fit.covariance == pytest.approx(np.array(covariance.tolist(), dtype=float), rel=1e-10)
+    assert coefficients == pytest.approx([float(b[0]), float(b[1])], rel=1e-12)
+    assert stated == pytest.approx(np.array(covariance.tolist(), dtype=float), rel=1e-10)
     assert fit.chi2 == pytest.approx(float(exact(t, y, v, 0.0)[2]), rel=1e-12)
-    assert fit.weights @ y == pytest.approx(fit.coefficients, rel=1e-12)
+    assert fit.shared[:, 0] == pytest.approx([fit.level, fit.slope], rel=1e-12)
+    by_v = exact(t, v, v, fit.excess)[0]
+    assert fit.shared_at(2.0)[1] == pytest.approx(float(by_v[0] + 2 * by_v[1]), rel=1e-12)
 
 
 def test_no_excess_when_the_stated_scatter_explains_it():
@@ -93,13 +115,13 @@ def test_units_and_shift_of_time_do_not_matter():
     v = rng.uniform(0.1, 0.4, 8)
     first = fit_line(t, y, v)
     second = fit_line(365.25 * t + 4000.0, 1e-6 * y, 1e-12 * v)
-    assert second.coefficients[1] == pytest.approx(1e-6 * first.coefficients[1] / 365.25, rel=1e-9)
-    assert second.covariance[1, 1] == pytest.approx(1e-12 * first.covariance[1, 1] / 365.25**2, rel=1e-9)
+    assert second.slope == pytest.approx(1e-6 * first.slope / 365.25, rel=1e-9)
+    assert second.slope_variance == pytest.approx(1e-12 * first.slope_variance / 365.25**2, rel=1e-9)
 
 
 def test_exact_values_are_a_line_without_excess():
     fit = fit_line(np.arange(5.0), 2.0 + 3.0 * np.arange(5.0), np.zeros(5))
-    assert fit.coefficients[1] == pytest.approx(3.0, rel=1e-12)
+    assert fit.slope == pytest.approx(3.0, rel=1e-12)
 
 
 def test_groups_are_one_way_analysis_of_variance():
@@ -107,27 +129,51 @@ def test_groups_are_one_way_analysis_of_variance():
     rng = np.random.default_rng(8)
     labels = np.repeat(np.arange(10), 5)
     values = rng.normal(0, 3.0, 10)[labels] + rng.normal(0, 2.0, 50)
-    groups = merge_groups(np.arange(50.0), values, np.full(50, 0.01), labels)
+    groups = merge_by_day(np.arange(50.0), values, np.full(50, 0.01), labels)
     table = values.reshape(10, 5)
     inside = float(np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / 40)
     assert groups.spread == pytest.approx(np.sqrt(inside), rel=1e-12)
     assert groups.within == pytest.approx(inside - 0.01, rel=1e-10)
     assert groups.means == pytest.approx(table.mean(axis=1), rel=1e-12)
     assert groups.variances == pytest.approx(np.full(10, inside / 5), rel=1e-10)
-    line = fit_line(groups.time, groups.means, groups.variances)
+    line = lines_so_far(np.arange(50.0), values, np.full(50, 0.01), labels, np.zeros((0, 50))).take(-1).line
     fit = stats.linregress(groups.time, groups.means)
-    assert np.sqrt(line.covariance[1, 1]) == pytest.approx(fit.stderr, rel=1e-10)
+    assert np.sqrt(line.slope_variance) == pytest.approx(fit.stderr, rel=1e-10)
 
 
 def test_single_values_are_groups_of_their_own():
-    groups = merge_groups(np.arange(4.0), np.arange(4.0), np.full(4, 0.5), np.arange(4))
+    groups = merge_by_day(np.arange(4.0), np.arange(4.0), np.full(4, 0.5), np.arange(4))
     assert groups.freedom == 0
-    assert np.isnan(groups.within)
+    assert groups.within == 0.0
+    assert np.isnan(groups.spread)
     assert groups.variances == pytest.approx(np.full(4, 0.5))
 
 
+def test_every_line_so_far_is_the_line_of_its_days_alone():
+    """Days with one to three records, errors that they share: each line equals that of the records up to its day."""
+    rng = np.random.default_rng(11)
+    days = np.repeat(np.arange(12), rng.integers(1, 4, 12))
+    t = days + 0.01 * np.arange(days.size)
+    y, v = rng.normal(0, 2.0, days.size), rng.uniform(0.1, 1.0, days.size)
+    shared = rng.normal(0, 1, (2, days.size))
+    model = lines_so_far(t, y, v, days, shared)
+    for last in range(3, 13):
+        used = days < last
+        alone = lines_so_far(t[used], y[used], v[used], days[used], shared[:, used]).take(-1)
+        merged = merge_by_day(t[used], y[used], v[used], days[used])
+        line = model.take(last - 3).line
+        assert model.take(last - 3).within == pytest.approx(merged.within, rel=1e-9)
+        b, covariance, q = exact(merged.time, merged.means, merged.variances, line.excess)
+        assert about(line, 0.0)[0] == pytest.approx([float(b[0]), float(b[1])], rel=1e-9)
+        assert about(line, 0.0)[1] == pytest.approx(
+            line.scale * np.array(covariance.tolist(), dtype=float), rel=1e-8
+        )
+        assert float(q) == pytest.approx(last - 2, rel=1e-8) or line.excess == 0.0
+        assert line.shared == pytest.approx(alone.line.shared, rel=1e-8, abs=1e-12)
+
+
 def test_too_few_values():
-    with pytest.raises(ArgumentError, match="needs 3 values"):
+    with pytest.raises(ArgumentError, match="needs 3 days"):
         fit_line(np.arange(2.0), np.arange(2.0), np.ones(2))
     with pytest.raises(ArgumentError, match="different times"):
         fit_line(np.zeros(4), np.arange(4.0), np.ones(4))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,23 +34,27 @@ SEEN = 0.05
 """Random walk over its standard uncertainty up to which it makes no difference to the weights."""
 
 
-def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> float:
+def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
     """Degrees of freedom of a sum of independent components (JCGM 100, eq. G.2b).
 
     Parameters
     ----------
     components:
-        Standard uncertainties of the components, in one unit.
+        (..., n) standard uncertainties of the components, in one unit.
     degrees:
-        Their degrees of freedom; ``inf`` where a component is known.
+        (..., n) their degrees of freedom; ``inf`` where a component is known.
+
+    Returns
+    -------
+    float, or array (...,) where several sums are given.
     """
     u, nu = np.abs(np.asarray(components, dtype=float)), np.asarray(degrees, dtype=float)
-    largest = float(u.max()) if u.size else 0.0
-    if largest == 0.0:
-        return math.inf
-    share = u / largest
-    known = float(np.sum(share**4 / nu))
-    return math.inf if known == 0.0 else float(np.sum(share**2) ** 2) / known
+    largest = u.max(axis=-1, initial=0.0)
+    share = (u / np.where(largest == 0.0, 1.0, largest)[..., None]) ** 2
+    known = np.sum(share**2 / nu, axis=-1)
+    certain = known == 0.0
+    result = np.where(certain, math.inf, np.sum(share, axis=-1) ** 2 / np.where(certain, 1.0, known))
+    return float(result) if result.ndim == 0 else result
 
 
 def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:

@@ -13,7 +13,7 @@ from piga.calibration.trend_line import DOUBT
 
 if TYPE_CHECKING:
     from piga.calibration.trend import CoefficientTrend
-    from piga.records.calibration import Calibration
+    from piga.records.calibration import CalibrationFigures
 
 SHORT = 0.25
 """Years of history below which a drift per year is an extrapolation worth a remark."""
@@ -57,7 +57,7 @@ def _unit(trend: CoefficientTrend) -> str:
 
 def remarks_in_words(
     trends: Sequence[CoefficientTrend],
-    calibrations: Sequence[Calibration],
+    calibrations: Sequence[CalibrationFigures],
     days: NDArray[np.int64],
     span: float,
 ) -> tuple[str, ...]:
@@ -75,7 +75,7 @@ def remarks_in_words(
             "The records were calibrated with different terms: a coefficient may have taken over what another "
             "record left to a term of its own."
         )
-    without = sum(not calibration.budget for calibration in calibrations)
+    without = sum(not calibration.has_budget for calibration in calibrations)
     if without:
         found.append(
             f"{without} of {len(calibrations)} records have no uncertainty budget: their whole uncertainty counts as "

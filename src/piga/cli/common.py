@@ -7,10 +7,10 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from piga.errors import PigaError
 
@@ -25,6 +25,18 @@ def clean(text: str) -> str:
 def print_json(document: Any) -> None:
     """Write one JSON document on stdout and nothing else."""
     sys.stdout.write(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
+    """Write ``document`` with a last entry ``name``, the list of ``items``, one by one as they come."""
+    start = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False).removesuffix("\n}")
+    sys.stdout.write(f"{start},\n {json.dumps(name)}: [")
+    between = "\n"
+    for item in items:
+        text = json.dumps(item, indent=1, allow_nan=False, ensure_ascii=False)
+        sys.stdout.write(between + "\n".join(f"  {line}" for line in text.split("\n")))
+        between = ",\n"
+    sys.stdout.write("\n ]\n}\n" if between != "\n" else "]\n}\n")
 
 
 def say(text: str) -> None:
@@ -96,11 +108,18 @@ def report_available() -> bool:
     return True
 
 
+class Advance(Protocol):
+    """Tells a progress bar how much was done since the last call, and how much there is, where that is known."""
+
+    def __call__(self, count: int, total: int | None = None, /) -> None:
+        """``count`` more are done, of ``total``."""
+
+
 @contextmanager
-def progress(title: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-    """Progress bar on stderr, shown only on a terminal and after a second; yields ``advance(n)``."""
+def progress(title: str, total: int | None = None) -> Iterator[Advance]:
+    """Progress bar on stderr, shown only on a terminal and after a second; yields ``advance(n, total)``."""
     if not sys.stderr.isatty():
-        yield lambda _count: None
+        yield lambda _count, _total=None: None
         return
     import time
 
@@ -112,8 +131,8 @@ def progress(title: str, total: int | None = None) -> Iterator[Callable[[int], N
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
     task = bar.add_task(title, total=total)
 
-    def advance(count: int) -> None:
-        bar.update(task, advance=count)
+    def advance(count: int, total: int | None = None) -> None:
+        bar.update(task, advance=count, total=total)
         if not bar.live.is_started and time.monotonic() - started > 1.0:
             bar.start()
 

@@ -15,6 +15,7 @@ from piga.cli.options import JsonOption, RunFileArgument
 from piga.cli.records_output import (
     difference_document,
     print_added,
+    print_records,
     print_verification,
     print_written,
     record_document,
@@ -22,7 +23,6 @@ from piga.cli.records_output import (
     say_difference,
     say_head,
     say_record,
-    say_records,
     say_reproduced,
     store_name,
 )
@@ -123,14 +123,7 @@ def list_records(
 ) -> None:
     """List the records."""
     with opened(store) as kept:
-        records, head = kept.records(serial), kept.head()
-    if as_json:
-        print_json(
-            {"store": store_name(store), "head": head.sha256, "records": [record_document(r) for r in records]}
-        )
-        return
-    say_records(records)
-    say_head(head.number, head.sha256)
+        print_records(kept, store, serial, as_json=as_json)
 
 
 @app.command()
@@ -214,8 +207,8 @@ def verify(
     where = str(archive) if archive is not None else store
     if where is None:
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
-    with progress("verifying"):
-        found = check(where, head or ())
+    with progress("verifying") as advance:
+        found = check(where, head or (), advance)
     print_verification(found, as_json=as_json)
     if not found.sound:
         raise typer.Exit(2)
@@ -236,8 +229,8 @@ def export(
     """
     from piga.records.store.transfer import export_records
 
-    with opened(store) as kept, progress("exporting"):
-        found = export_records(kept, out, record)
+    with opened(store) as kept, progress("exporting") as advance:
+        found = export_records(kept, out, record, advance=advance)
     print_written(out, found.records, found.head, as_json=as_json)
 
 
@@ -281,7 +274,7 @@ def reproduce(
 
     found = []
     with opened(store) as kept:
-        names = record or [entry.id for entry in kept.records()]
+        names = record or [entry.id for entry in kept.each()]
         with progress("recomputing", len(names)) as advance:
             for name in names:
                 found.append(recompute(kept, name))
@@ -310,8 +303,8 @@ def backup(
     """
     from piga.records.store.transfer import backup as copy
 
-    with opened(store) as kept, progress("copying"):
-        found = copy(kept, out)
+    with opened(store) as kept, progress("copying") as advance:
+        found = copy(kept, out, advance=advance)
     print_written(out, found.records, found.head, as_json=as_json)
 
 

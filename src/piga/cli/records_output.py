@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piga.cli.common import note, print_json, say
+from piga.cli.common import note, print_json, print_json_list, say
 
 if TYPE_CHECKING:
     from piga.evidence import Reproduced
@@ -45,14 +44,23 @@ def print_added(store: Store, record: Record, *, as_json: bool) -> None:
     say(f"head {record.head}")
 
 
-def say_records(records: Sequence[Record]) -> None:
-    """A line for each record."""
-    old = {record.document.supersedes for record in records}
-    for r in records:
+def print_records(store: Store, where: str, serial: str | None, *, as_json: bool) -> None:
+    """All records, or those of one instrument, one by one: a line or a document for each."""
+    head = store.head()
+    if as_json:
+        print_json_list(
+            {"store": store_name(where), "head": head.sha256},
+            "records",
+            (record_document(record) for record in store.each(serial)),
+        )
+        return
+    old = store.superseded(serial)
+    for r in store.each(serial):
         amended = "  superseded" if r.id in old else ""
         say(
             f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {r.document.serial}  {r.document.operator}{amended}"
         )
+    say_head(head.number, head.sha256)
 
 
 def say_record(record: Record) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ from piga.errors import PigaError
 
 if TYPE_CHECKING:
     from piga.calibration.trend import Common, HistoryEntry, Trend
+    from piga.records.calibration import CalibrationFigures
 
 MOST_RECORDS = 10_000
 
@@ -63,8 +65,7 @@ def trend(
     from piga.reports.trend import trend_document, trend_text
 
     with progress("reading"):
-        history = _history(sources or [], store, serial)
-    found = find_trend(history, common=_common(common or []))
+        found = find_trend(_history(sources or [], store, serial), common=_common(common or []))
     date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
     document = trend_document(found, at=date)
     written = [] if out is None else _written(out, document, found, date)
@@ -90,11 +91,11 @@ def _written(out: Path, document: dict[str, Any], found: Trend, date: dt.datetim
     return paths
 
 
-def _history(sources: list[Path], store: str | None, serial: str | None) -> list[HistoryEntry]:
+def _history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:
     """Records from files, or from a store."""
     if sources:
-        entries = [_entry(path) for path in _files(sources)]
-        return [entry for entry in entries if serial is None or entry[2].serial == serial]
+        entries = (_entry(path) for path in _files(sources))
+        return (entry for entry in entries if serial is None or entry[2].serial == serial)
     if store is None:
         raise PigaError("no records are named", remedy="give calibration.json files, directories, or --store")
     if serial is None:
@@ -102,12 +103,12 @@ def _history(sources: list[Path], store: str | None, serial: str | None) -> list
     return stored_history(store, serial)
 
 
-def stored_history(store: str, serial: str) -> list[HistoryEntry]:
+def stored_history(store: str, serial: str) -> Iterator[HistoryEntry]:
     """Records of an instrument in a store."""
     from piga.records.store import open_store
 
     with open_store(store) as opened:
-        return opened.history(serial)
+        yield from opened.figures(serial)
 
 
 def _files(sources: list[Path]) -> list[Path]:
@@ -122,7 +123,7 @@ def _files(sources: list[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def _entry(path: Path) -> HistoryEntry:
+def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:
     """A file as a record: its path is the id, the time is when it was evaluated."""
     from piga.records.calibration_json import read_calibration
 
@@ -134,7 +135,7 @@ def _entry(path: Path) -> HistoryEntry:
         raise PigaError(
             f"{path}: provenance.created '{created[:40]}' is no time", remedy="calibrate again"
         ) from None
-    return str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration
+    return str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration.figures()
 
 
 def _common(given: list[str]) -> Common:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from msgspec import Meta
@@ -187,6 +187,25 @@ class Provenance:
     options: dict[str, Any] = field(default_factory=dict)
 
 
+class TypeB(NamedTuple):
+    """A source of Type B: what it contributes to each coefficient, in its unit, and its degrees of freedom."""
+
+    source: str
+    degrees_of_freedom: float
+    contributions: dict[str, float]
+
+
+@dataclass(frozen=True)
+class CalibrationFigures:
+    """What a history of an instrument needs of a calibration: a small part, so that thousands fit into memory."""
+
+    serial: str
+    terms: tuple[str, ...]
+    coefficients: tuple[Coefficient, ...]
+    type_b: tuple[TypeB, ...]
+    has_budget: bool
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
@@ -233,6 +252,15 @@ class Calibration:
             if coefficient.key == key:
                 return coefficient
         raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")
+
+    def figures(self) -> CalibrationFigures:
+        """What a history of the instrument needs of it."""
+        type_b = tuple(
+            TypeB(str(row["source"]), row.get("degrees_of_freedom") or math.inf, row.get("contributions", {}))
+            for row in self.budget
+            if row.get("type") == "B"
+        )
+        return CalibrationFigures(self.serial, self.terms, self.coefficients, type_b, bool(self.budget))
 
     def for_run(self, name: str) -> Calibration:
         """The calibration as one run of a joint one sees it: common coefficients and its own, under plain names.

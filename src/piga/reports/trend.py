@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from piga._version import __version__
-from piga.calibration.trend import CoefficientTrend, Forecast, Trend
+from piga.calibration.trend import CoefficientTrend, Trend
+from piga.calibration.trend_line import Forecast
 from piga.reports.calibration_tables import meaning
 from piga.reports.numbers import fixed, friendly, pretty_unit, printed, rounded, short
 from piga.reports.page import (

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piga.calibration.control_chart import LIMIT
-from piga.calibration.trend import YEAR, CoefficientTrend, Forecast, Trend
+from piga.calibration.trend import YEAR, CoefficientTrend, Trend
+from piga.calibration.trend_line import Forecast
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.numbers import fixed, pretty_unit
 

@@ -11,6 +11,9 @@ from piga.records.store import blobs
 from piga.records.store.record import Entry, Head
 from piga.records.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
 
+ROWS = 200
+"""Entries that are fetched at once."""
+
 
 def read_identity(connection: sa.Connection) -> bytes:
     """The identity document."""
@@ -26,12 +29,13 @@ def read_head(connection: sa.Connection) -> Head:
 
 
 def read_entries(connection: sa.Connection) -> Iterator[Entry]:
-    """The chain in order, one entry at a time."""
+    """The chain in order; a few entries are in memory at a time."""
+    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number).limit(ROWS)
     number = 0
-    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number)
-    while row := connection.execute(wanted.where(ENTRY.c.number > number).limit(1)).one_or_none():
-        number, what = row.number, f"record {row.number}"
-        yield Entry(number, blobs.as_bytes(row.link, what), blobs.as_bytes(row.document, what))
+    while rows := connection.execute(wanted.where(ENTRY.c.number > number)).all():
+        for row in rows:
+            number, what = row.number, f"record {row.number}"
+            yield Entry(number, blobs.as_bytes(row.link, what), blobs.as_bytes(row.document, what))
 
 
 def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:

@@ -12,7 +12,7 @@ import json
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, Self
 from piga._version import __version__
 from piga.errors import StoreError
 from piga.records.limits import open_regular
-from piga.records.store.blobs import PART, read_blob
+from piga.records.store.blobs import PART, digest_of, read_blob
 from piga.records.store.chain import read_entries, read_identity, stored_sizes
 from piga.records.store.documents import RECORD, RecordDocument, decode, sha256
 from piga.records.store.record import Entry
@@ -57,8 +57,13 @@ of all bytes of this file before the comment.
 """
 
 
-def write_members(store: Store, path: Path, numbers: set[int] | None) -> None:
-    """Write an export: all links, and the records of the given numbers (None: all) with their files."""
+def write_members(
+    store: Store, path: Path, numbers: set[int] | None, advance: Callable[[int, int], None]
+) -> None:
+    """Write an export: all links, and the records of the given numbers (None: all) with their files.
+
+    ``advance`` is told how many files were written since its last call, and how many there are.
+    """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as target:
         sums = _Members(target)
         with store.database.reading() as connection:
@@ -76,6 +81,7 @@ def write_members(store: Store, path: Path, numbers: set[int] | None) -> None:
             for name in sorted(wanted):
                 size, packed = sizes.get(name, (0, 0))
                 sums.file(f"files/{name}", size, packed, read_blob(connection, name))
+                advance(1, len(wanted))
         manifest = {
             "schema": SCHEMA,
             "software": f"piga {__version__}",
@@ -205,13 +211,19 @@ class Export:
         """SHA-256 of every file in the export."""
         return {name.removeprefix("files/") for name in self.members if name.startswith("files/")}
 
-    def file_size(self, name: str) -> int:
-        """Size of a file [bytes]."""
-        return self._member(f"files/{name}").file_size
-
     def file(self, name: str) -> Iterator[bytes]:
         """The parts of a file; never more than its size says."""
         return self._parts(f"files/{name}")
+
+    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
+        """What is wrong with each file (name, size), None where it is what it was."""
+        for name, size in wanted:
+            try:
+                whole = digest_of(self.file(name)) == (name, size)
+            except StoreError as error:
+                yield name, error
+            else:
+                yield name, None if whole else self._damaged(f"file {name[:12]} was altered")
 
     def _check_seal(self, path: Path) -> None:
         with path.open("rb") as stream:

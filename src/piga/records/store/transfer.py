@@ -37,13 +37,20 @@ from piga.records.store.export import Export, is_export, write_members
 from piga.records.store.record import Entry
 from piga.records.store.store import Store
 from piga.records.store.tables import ENTRY
-from piga.records.store.verify import Source, StoreSource, Verification, check_chain, verify
+from piga.records.store.verify import Advance, Source, StoreSource, Verification, check_chain, silent, verify
 
 
 def export_records(
-    store: Store, target: Path, chosen: Iterable[str] | None = None, *, replace: bool = False
+    store: Store,
+    target: Path,
+    chosen: Iterable[str] | None = None,
+    *,
+    replace: bool = False,
+    advance: Advance = silent,
 ) -> Verification:
     """Write all records of a store, or the chosen ones, with all links of its chain; read back before it gets its name.
+
+    ``advance`` is told how many files were written or read back since its last call, and how many there are.
 
     Raises
     ------
@@ -52,12 +59,17 @@ def export_records(
     """
     numbers = None if chosen is None else {store.record(name).number for name in chosen}
 
+    found = Verification("")
+
     def write(part: Path) -> None:
-        write_members(store, part, numbers)
-        _refuse_unsound(verify(part), store.name)
+        nonlocal found
+        write_members(store, part, numbers, lambda count, total: advance(count, 2 * total))
+        found = verify(part, advance=lambda count, total: advance(count, 2 * total))
+        _refuse_unsound(found, store.name)
 
     write_durably(target, write, replace=replace)
-    return verify(target)
+    found.name = str(target)
+    return found
 
 
 def import_records(store: Store, path: Path, operator: str, reason: str) -> list[str]:
@@ -93,7 +105,7 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
         return added
 
 
-def backup(store: Store, target: Path, *, replace: bool = False) -> Verification:
+def backup(store: Store, target: Path, *, replace: bool = False, advance: Advance = silent) -> Verification:
     """Write a verified copy: of a SQLite store the same database, of a PostgreSQL store an export.
 
     Raises
@@ -101,20 +113,24 @@ def backup(store: Store, target: Path, *, replace: bool = False) -> Verification
     StoreError
         If the store is damaged or the copy cannot be written; nothing is left behind then.
     """
+    found = Verification("")
 
     def copy(part: Path) -> None:
+        nonlocal found
         assert store.database.path is not None  # noqa: S101 - a PostgreSQL store is exported
         with explained(str(target)):
             source = connect_sqlite(f"{store.database.path.resolve().as_uri()}?mode=ro")
             with closing(source), closing(sqlite3.connect(part)) as copied:
                 copied.execute("PRAGMA journal_mode=OFF")
                 source.backup(copied)
-        _refuse_unsound(verify(part), store.name)
+        found = verify(part, advance=advance)
+        _refuse_unsound(found, store.name)
 
     if store.database.path is None:
-        return export_records(store, target, replace=replace)
+        return export_records(store, target, replace=replace, advance=advance)
     write_durably(target, copy, replace=replace)
-    return verify(target)
+    found.name = str(target)
+    return found
 
 
 def restore(source: Path, target: str | Path) -> Verification:

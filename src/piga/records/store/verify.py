@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import sqlalchemy as sa
 
 from piga.errors import PigaError, StoreError
-from piga.records.store.blobs import digest_of, read_blob
-from piga.records.store.chain import read_entries, read_head, read_identity
+from piga.records.store.blobs import check_blobs, read_blob
+from piga.records.store.chain import ROWS, read_entries, read_head, read_identity
 from piga.records.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA, is_url, new_sqlite, open_database
 from piga.records.store.documents import (
     IDENTITY,
@@ -34,6 +34,12 @@ from piga.records.store.store import Store
 from piga.records.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
 
 MAX_PROBLEMS = 100
+Advance = Callable[[int, int], None]
+"""Is told how many files were checked since the last call, and how many there are."""
+
+
+def silent(_count: int, _total: int) -> None:
+    """Nobody watches."""
 
 
 class Source(Protocol):
@@ -48,11 +54,11 @@ class Source(Protocol):
     def file_names(self) -> set[str]:
         """SHA-256 of every file there is."""
 
-    def file_size(self, name: str) -> int:
-        """Size of a file as recorded [bytes]."""
-
     def file(self, name: str) -> Iterator[bytes]:
         """The parts of a file."""
+
+    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
+        """What is wrong with each file (name, size), None where it is what it was."""
 
 
 @dataclass
@@ -95,16 +101,16 @@ class StoreSource:
         """SHA-256 of every stored file."""
         return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
 
-    def file_size(self, name: str) -> int:
-        """Size as recorded."""
-        return int(self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).scalar_one())
-
     def file(self, name: str) -> Iterator[bytes]:
         """The parts of a stored file."""
         return read_blob(self.connection, name)
 
+    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
+        """What is wrong with each stored file."""
+        return check_blobs(self.connection, wanted)
 
-def verify(where: str | Path, heads: Iterable[str] = ()) -> Verification:
+
+def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = silent) -> Verification:
     """Check a store or an export from end to end.
 
     Parameters
@@ -113,14 +119,16 @@ def verify(where: str | Path, heads: Iterable[str] = ()) -> Verification:
         Store (file or URL) or export.
     heads:
         Heads noted earlier, on reports or elsewhere: each must be one of the chain's.
+    advance:
+        Called with the number of files that were checked since the last call, and the number of all.
     """
     found = Verification(str(where))
     try:
         if not is_url(where) and is_export(Path(where)):
             with Export(Path(where)) as export:
-                check_chain(found, export, heads)
+                check_chain(found, export, heads, advance)
         else:
-            _verify_store(found, where, heads)
+            _verify_store(found, where, heads, advance)
     except PigaError as error:
         found.problem(error.message)
     except (TypeError, ValueError, OverflowError) as error:
@@ -128,7 +136,7 @@ def verify(where: str | Path, heads: Iterable[str] = ()) -> Verification:
     return found
 
 
-def _verify_store(found: Verification, where: str | Path, heads: Iterable[str]) -> None:
+def _verify_store(found: Verification, where: str | Path, heads: Iterable[str], advance: Advance) -> None:
     with Store(open_database(where)) as store:
         found.name = store.name
         with store.database.reading() as connection:
@@ -136,11 +144,13 @@ def _verify_store(found: Verification, where: str | Path, heads: Iterable[str]) 
                 _check_sqlite(found, connection)
             else:
                 _check_postgresql(found, connection)
-            check_chain(found, StoreSource(connection), heads)
+            check_chain(found, StoreSource(connection), heads, advance)
             _check_columns(found, connection)
 
 
-def check_chain(found: Verification, source: Source, heads: Iterable[str] = ()) -> None:
+def check_chain(
+    found: Verification, source: Source, heads: Iterable[str] = (), advance: Advance = silent
+) -> None:
     """Check links, records and files of a chain; problems are added to ``found``."""
     identity = source.identity()
     store = decode(identity, Identity, IDENTITY, "identity").store
@@ -162,7 +172,7 @@ def check_chain(found: Verification, source: Source, heads: Iterable[str] = ()) 
         head, expected = sha256(entry.link), entry.number + 1
         seen[head] = entry.number
         found.records += entry.document is not None
-    _check_files(found, source, wanted)
+    _check_files(found, source, wanted, advance)
     found.head = head
     for known in heads:
         found.known[known] = seen.get(known.lower())
@@ -199,25 +209,27 @@ def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]
     return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
 
 
-def _check_files(found: Verification, source: Source, wanted: dict[str, int]) -> None:
+def _check_files(found: Verification, source: Source, wanted: dict[str, int], advance: Advance) -> None:
     there = source.file_names()
     for name in sorted(wanted.keys() - there):
         found.problem(f"file {name[:12]}: is missing")
     for name in sorted(there - wanted.keys()):
         found.problem(f"file {str(name)[:12]}: belongs to no record")
-    for name in sorted(wanted.keys() & there):
-        try:
-            if digest_of(source.file(name)) != (name, wanted[name]) or source.file_size(name) != wanted[name]:
-                found.problem(f"file {name[:12]}: was altered")
-        except StoreError as error:
+    both = sorted(wanted.keys() & there)
+    for _, error in source.check_files((name, wanted[name]) for name in both):
+        if error is not None:
             found.problem(error.message)
         found.files += 1
+        advance(1, len(both))
 
 
 def _check_columns(found: Verification, connection: sa.Connection) -> None:
     """What is kept beside the documents for look-ups must say the same, and no part may be left over."""
     last = Head(0, sha256(read_identity(connection)))
-    for row in connection.execute(sa.select(ENTRY).order_by(ENTRY.c.number)):
+    entries = connection.execute(
+        sa.select(ENTRY).order_by(ENTRY.c.number), execution_options={"yield_per": ROWS}
+    )
+    for row in entries:
         document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
         if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
             found.problem(f"record {row.number}: the table's columns do not fit the record")

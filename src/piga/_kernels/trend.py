@@ -1,0 +1,193 @@
+"""A straight line through values with an excess variance, and that line for every day of a history.
+
+Both variances solve Paule and Mandel's condition: the weighted residual sum equals its degrees of freedom. Newton's
+method is applied to the reciprocal of the sum, which is nearly linear in the variance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import kernel
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+STEPS = 100
+"""Most Newton steps; three to six are usual."""
+RESOLUTION = 1e-9
+"""Relative size of the last Newton step; the error left is of the order of its square."""
+
+
+@kernel
+def newton_step(total: float, change: float, freedom: int) -> float:
+    """Step of the variance towards ``total = freedom``; ``change`` is the derivative of ``total``, below zero."""
+    return total * (freedom - total) / (freedom * change)
+
+
+@kernel
+def inner_sum(y: Array, v: Array, first: Index, days: int, excess: float) -> tuple[float, float]:
+    """Weighted residual sum about the weighted mean of each day, and its derivative by the excess variance."""
+    total, slope = 0.0, 0.0
+    for day in range(days):
+        start, stop = first[day], first[day + 1]
+        if stop - start < 2:
+            continue
+        weight, mean = 0.0, 0.0
+        for i in range(start, stop):
+            w = 1.0 / (v[i] + excess)
+            weight += w
+            mean += w * (y[i] - y[start])
+        mean = y[start] + mean / weight
+        for i in range(start, stop):
+            w = 1.0 / (v[i] + excess)
+            part = w * (y[i] - mean) ** 2
+            total += part
+            slope -= w * part
+    return total, slope
+
+
+@kernel
+def inner_excess(y: Array, v: Array, first: Index, days: int, freedom: int, start: float) -> float:
+    """Variance inside days beyond the stated one; ``start`` is a guess."""
+    guess = max(start, 0.0)
+    for _ in range(STEPS):
+        total, slope = inner_sum(y, v, first, days, guess)
+        if slope == 0.0:
+            return 0.0
+        step = newton_step(total, slope, freedom)
+        if step < 0.0 and guess == 0.0:
+            return 0.0
+        new = max(guess + step, 0.0)
+        if abs(new - guess) <= RESOLUTION * new:
+            return new
+        guess = new
+    return guess
+
+
+@kernel
+def merge_days(
+    t: Array,
+    y: Array,
+    v: Array,
+    first: Index,
+    days: int,
+    within: float,
+    time: Array,
+    means: Array,
+    variances: Array,
+) -> None:
+    """Mean time, weighted mean and its variance of each day."""
+    for day in range(days):
+        start, stop = first[day], first[day + 1]
+        weight, mean, when = 0.0, 0.0, 0.0
+        for i in range(start, stop):
+            w = 1.0 / (v[i] + within)
+            weight += w
+            mean += w * (y[i] - y[start])
+            when += t[i] - t[start]
+        time[day] = t[start] + when / (stop - start)
+        means[day] = y[start] + mean / weight
+        variances[day] = 1.0 / weight
+
+
+@kernel
+def line_through(t: Array, y: Array, v: Array, n: int, excess: float, out: Array) -> tuple[float, float]:
+    """Weighted line through the first ``n`` values; returns the residual sum and its derivative by the excess.
+
+    ``out`` (5,) takes mean time, mean value, slope, sum of the weights, and their second moment about the mean time.
+    """
+    weight, when, mean = 0.0, 0.0, 0.0
+    for i in range(n):
+        w = 1.0 / (v[i] + excess)
+        weight += w
+        when += w * (t[i] - t[0])
+        mean += w * (y[i] - y[0])
+    when, mean = t[0] + when / weight, y[0] + mean / weight
+    moment, product = 0.0, 0.0
+    for i in range(n):
+        lever = (t[i] - when) / (v[i] + excess)
+        moment += lever * (t[i] - when)
+        product += lever * (y[i] - mean)
+    slope = product / moment
+    total, change = 0.0, 0.0
+    for i in range(n):
+        w = 1.0 / (v[i] + excess)
+        part = w * (y[i] - mean - slope * (t[i] - when)) ** 2
+        total += part
+        change -= w * part
+    out[0], out[1], out[2], out[3], out[4] = when, mean, slope, weight, moment
+    return total, change
+
+
+@kernel
+def line_excess(t: Array, y: Array, v: Array, n: int, start: float, out: Array) -> float:
+    """Variance about the line beyond the stated one; ``out`` as in :func:`line_through`."""
+    guess = max(start, 0.0)
+    for _ in range(STEPS):
+        total, change = line_through(t, y, v, n, guess, out)
+        if change == 0.0:
+            return 0.0
+        step = newton_step(total, change, n - 2)
+        if step < 0.0 and guess == 0.0:
+            return 0.0
+        new = max(guess + step, 0.0)
+        if abs(new - guess) <= RESOLUTION * new:
+            return new
+        guess = new
+    return guess
+
+
+@kernel
+def days_so_far(
+    t: Array, y: Array, v: Array, first: Index, shared: Array, least: int, figures: Array, known: Array
+) -> None:
+    """The line through the days before each day from ``least`` on, and through all of them.
+
+    Parameters
+    ----------
+    t, y, v:
+        (n,) times, values and own variances, day by day.
+    first:
+        (days + 1,) where each day begins, and the end.
+    shared:
+        (sources, n) errors that records share.
+    least:
+        Days that a line needs.
+    figures:
+        (days + 1 - least, 11) out: variance inside days, the five of :func:`line_through`, excess, residual sum with
+        the stated variances and with the excess, mean and median variance of a day. Row ``d - least`` is for the
+        first ``d`` days.
+    known:
+        (days + 1 - least, 2, sources) out: mean and slope of the shared errors.
+    """
+    days = first.size - 1
+    time, means, variances = np.empty(days), np.empty(days), np.empty(days)
+    merged, line = np.empty(days), np.empty(5)
+    within, excess = 0.0, 0.0
+    for count in range(least, days + 1):
+        freedom = first[count] - count
+        if freedom > 0:
+            within = inner_excess(y, v, first, count, freedom, within)
+        merge_days(t, y, v, first, count, within, time, means, variances)
+        row = figures[count - least]
+        row[7] = line_through(time, means, variances, count, 0.0, line)[0]
+        excess = line_excess(time, means, variances, count, excess, line)
+        row[8] = line_through(time, means, variances, count, excess, line)[0]
+        row[0], row[1:6], row[6] = within, line, excess
+        row[9], row[10] = variances[:count].mean(), np.median(variances[:count])
+        for source in range(shared.shape[0]):
+            for day in range(count):
+                weight, total = 0.0, 0.0
+                for i in range(first[day], first[day + 1]):
+                    w = 1.0 / (v[i] + within)
+                    weight += w
+                    total += w * shared[source, i]
+                merged[day] = total / weight
+            level, slope = 0.0, 0.0
+            for day in range(count):
+                w = merged[day] / (variances[day] + excess)
+                level += w
+                slope += w * (time[day] - line[0])
+            known[count - least, 0, source], known[count - least, 1, source] = level / line[3], slope / line[4]
