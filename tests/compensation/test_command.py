@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+from importlib import import_module
 
 import numpy as np
 import pyarrow as pa
@@ -30,6 +31,7 @@ output = {{ column = "psi", kind = "{kind}" {unit} }}
 reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
 {segment}
 """
+KERNEL = import_module("piga.compensation.compensate")
 CAL = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3}
 
 
@@ -59,10 +61,20 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 
 
 def small_chunks(monkeypatch, rows: int) -> None:
-    """Readers give so many rows at a time; sets of three are solved in as many."""
+    """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
     monkeypatch.setattr("piga.compensation.set_files.READINGS", 3 * rows)
-    monkeypatch.setattr("piga.records.stream.SMALL_ROWS", rows)
-    monkeypatch.setattr("piga.records.stream.SMALL_PIECE", 100 * rows)
+    monkeypatch.setattr("piga.compensation.set_files.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.records.spool.BLOCK", rows)
+    monkeypatch.setattr("piga.records.stream.CHUNK_ROWS", rows)
+    monkeypatch.setattr("piga.records.text_source.PIECE_BYTES", 100 * rows)
+
+
+def to_file(path, calibration, out, **options):
+    """Read and compensate a run into Parquet: the summary, and the findings by kind."""
+    record = piga.read_run(path, held=file_to_file.HELD_ROWS)
+    summary = file_to_file.compensate_to_file(record, calibration, out, "parquet", **options)
+    return summary, file_to_file.found_while_reading(record)
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
@@ -98,7 +110,8 @@ def test_command_writes_columns_and_units(tmp_path, monkeypatch, capsys, kind):
 @pytest.mark.parametrize("streamed", [False, True])
 def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed):
     run, fine, coarse = write(tmp_path, rows=501), tmp_path / "fine.parquet", tmp_path / "coarse.parquet"
-    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0 if streamed else 1 << 30)
+    if streamed:
+        small_chunks(monkeypatch, 70)
     words = (run, "--calibration", tmp_path / "run.json", "--out")
     assert command(monkeypatch, capsys, *words, fine)[0] == 0
     assert command(monkeypatch, capsys, *words, coarse, "--rate", "10 Hz")[0] == 0
@@ -111,11 +124,10 @@ def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed
 
 def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monkeypatch, capsys):
     run, out = write(tmp_path, rows=1000), tmp_path / "out.parquet"
-    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
     small_chunks(monkeypatch, 100)
     words = (run, "--calibration", tmp_path / "run.json", "--out", out)
     out.write_bytes(b"older")
-    step, calls = file_to_file.run_kernel, []
+    step, calls = KERNEL.run_kernel, []
 
     def stop_at_the_fifth(*inputs):
         calls.append(1)
@@ -123,11 +135,11 @@ def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monke
             raise KeyboardInterrupt
         step(*inputs)
 
-    monkeypatch.setattr(file_to_file, "run_kernel", stop_at_the_fifth)
+    monkeypatch.setattr(KERNEL, "run_kernel", stop_at_the_fifth)
     assert command(monkeypatch, capsys, *words)[0] != 0
     assert out.read_bytes() == b"older"
     assert not list(tmp_path.glob(".out*"))
-    monkeypatch.setattr(file_to_file, "run_kernel", step)
+    monkeypatch.setattr(KERNEL, "run_kernel", step)
     assert command(monkeypatch, capsys, *words)[0] == 0
     assert pa.parquet.read_table(out).num_rows == 1000
 
@@ -155,7 +167,7 @@ def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts, 
     small_chunks(monkeypatch, chunk)
     path = write(tmp_path, name, rows=1500, counts=counts)
     cal = calibration_of(CAL, {"phi": 1e-4}, serial="A", angle_rms=1e-6)
-    summary = file_to_file.compensate_file(path, cal, tmp_path / "o.parquet", "parquet")
+    summary, _ = to_file(path, cal, tmp_path / "o.parquet")
     whole = piga.compensate(piga.read_run(path), cal)
     table = pa.parquet.read_table(tmp_path / "o.parquet")
     assert summary.rows == whole.size

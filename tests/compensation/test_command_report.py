@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import piga
-from piga.cli import compensate as command_module
 from piga.compensation import FLAGS, Compensated
 from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
@@ -48,7 +47,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     if streamed:
-        monkeypatch.setattr(command_module, "STREAM_ROWS", 0)
+        monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
         small_chunks(monkeypatch, 211)
     code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
@@ -60,7 +59,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     assert {name: marks.count for name, marks in outline.marks.items() if marks.count} == summary["flags"]
     assert [path.name for path in facts.files] == ["run.toml", "run.parquet", "run.json"]
     assert (whole is None) == streamed
-    assert ("was streamed" in html) == streamed
+    assert ("is shown for records of at most 262 144 rows" in html) == streamed
     assert "SHA-256" in html
     assert "no_increment" in html
     assert "as recorded" in html
@@ -69,7 +68,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
-    monkeypatch.setattr(command_module, "STREAM_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
     small_chunks(monkeypatch, 211)
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz")
     whole, streamed = watched[0][0], watched[1][0]
@@ -156,7 +155,7 @@ def test_memory_is_bounded_and_extremes_are_kept():
     [("--report", ()), ("--out", ()), ("--out", ("--resume",))],
 )
 def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option, more):
-    monkeypatch.setattr(command_module, "STREAM_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
     run, bad = write(tmp_path), tmp_path / "none" / ("page.html" if option == "--report" else "x.parquet")
     code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *more, option, bad)
     assert code == 2

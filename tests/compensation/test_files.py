@@ -15,12 +15,12 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import file_to_file, parts, set_files
+from piga.compensation import parts, set_files
 from piga.compensation.rate_angle import RateAngle, integrated_rate
 from piga.compensation.resample import Resampler
 from piga.compensation.triad_file import orthogonal_triad
 
-from .test_command import CAL, command, small_chunks, write
+from .test_command import CAL, KERNEL, command, small_chunks, write
 from .twin_data import calibration_of
 
 
@@ -29,7 +29,6 @@ def streamed(monkeypatch):
     """Chunks of 100 rows, parts of 300, whatever the size of the file."""
     small_chunks(monkeypatch, 100)
     monkeypatch.setattr(parts, "PART_ROWS", 300)
-    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
 
 
 @pytest.mark.parametrize("options", [(), ("--rate", "40 Hz")])
@@ -38,7 +37,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys, 
     run = write(tmp_path, rows=1050)
     words = (run, "--calibration", tmp_path / "run.json", *options, "--out")
     assert command(monkeypatch, capsys, *words, tmp_path / "whole.parquet")[0] == 0
-    step, calls = file_to_file.run_kernel, []
+    step, calls = KERNEL.run_kernel, []
 
     def stop_at(*inputs):
         calls.append(1)
@@ -46,7 +45,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys, 
             raise KeyboardInterrupt
         step(*inputs)
 
-    monkeypatch.setattr(file_to_file, "run_kernel", stop_at)
+    monkeypatch.setattr(KERNEL, "run_kernel", stop_at)
     assert command(monkeypatch, capsys, *words, tmp_path / "o.parquet", "--resume")[0] != 0
     assert not (tmp_path / "o.parquet").exists()
     calls.clear()
@@ -75,9 +74,9 @@ def test_parts_of_another_calibration_are_refused(tmp_path, monkeypatch, capsys,
 def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
     run = write(tmp_path, rows=200_000)
     script = (
-        "import sys\nfrom piga.compensation import parts\nimport piga.cli.compensate as c\n"
-        "from piga.cli.main import main\nfrom piga.records import stream\n"
-        "parts.PART_ROWS = 20_000\nc.STREAM_ROWS = 0\nstream.SMALL_ROWS = 5000\n"
+        "import sys\nfrom piga.compensation import parts\n"
+        "from piga.cli.main import main\nfrom piga.records import spool\n"
+        "parts.PART_ROWS = 20_000\nspool.BLOCK = 5000\n"
         f"sys.argv = ['piga', 'compensate', {str(run)!r}, '--calibration', {str(tmp_path / 'run.json')!r}, '--out',"
         " *sys.argv[1:]]\nmain()\n"
     )
@@ -97,7 +96,6 @@ def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kind):
-    small_chunks(monkeypatch, 70)
     runs = []
     for i, name in enumerate("xyz"):
         path = write(
@@ -110,8 +108,9 @@ def test_set_of_files_in_chunks_is_the_set_read_whole(tmp_path, monkeypatch, kin
             pa.parquet.write_table(table.set_column(1, "psi", pa.array(rate)), tmp_path / f"{name}.parquet")
         runs.append(path)
     mounted = orthogonal_triad([calibration_of(CAL, {"phi": 1e-4}, serial="A") for _ in runs])
-    for name, large in (("whole", 1 << 30), ("parts", 0)):
-        set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet", large=large)
+    for name in ("whole", "parts"):
+        set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
+        small_chunks(monkeypatch, 70)
     whole, pieces = (pa.parquet.read_table(tmp_path / name) for name in ("whole", "parts"))
     assert pieces.num_rows == 400
     for name in whole.column_names:
@@ -124,7 +123,9 @@ def test_set_whose_times_differ_is_refused_by_name(tmp_path):
     late = table["t"].to_numpy() + np.where(np.arange(200) > 150, 1e-4, 0.0)
     pa.parquet.write_table(table.set_column(0, "t", pa.array(late)), tmp_path / "z.parquet")
     mounted = orthogonal_triad([calibration_of(CAL, serial="A") for _ in runs])
-    with pytest.raises(piga.DataError, match=r"z\.toml: at t = 1\.51"):
+    with pytest.raises(
+        piga.DataError, match=r"z\.toml: row 152, t = 1\.51\d* s: the times are not those of .*x\.toml"
+    ):
         set_files.compensate_set_files(runs, mounted, tmp_path / "o.parquet", "parquet")
 
 

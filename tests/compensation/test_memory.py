@@ -85,6 +85,7 @@ def memory(run: Path, *more: str) -> int:
         words += ["--calibration", str(run.parent / "cal.json")]
     done = subprocess.run([sys.executable, "-c", WORK, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    print(run.name, more[:1], int(done.stdout.split()[-1]))  # noqa: T201
     return int(done.stdout.split()[-1])
 
 

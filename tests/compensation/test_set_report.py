@@ -134,7 +134,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     for streamed in (False, True):
         if streamed:
             small_chunks(monkeypatch, 70)
-            monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
+            monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
         code, text, said = command(monkeypatch, capsys, *words)
         assert code == 0, said
         assert json.loads(text)["rows"] == 400

@@ -14,13 +14,11 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import file_to_file, set_files
-from piga.compensation.large_file import LargeFile
-from piga.compensation.phase import identify_phase, identify_phase_of_file
+from piga.compensation import set_files
+from piga.compensation.file_to_file import FileSummary
 from piga.compensation.triad_file import orthogonal_triad
-from piga.records.run_file import read_run_file
 
-from .test_command import CAL, command, small_chunks
+from .test_command import CAL, small_chunks, to_file
 from .twin_data import calibration_of
 
 ROWS, STEP = 600, 0.01
@@ -90,20 +88,15 @@ def calibration() -> piga.Calibration:
     return calibration_of({**CAL, "m_Y": 1e-3}, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6)
 
 
-def same(path: Path, folder: Path) -> file_to_file.FileSummary:
-    """Compare both ways, the reader's chunks as they are set: what is read, and what comes of it."""
+def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> FileSummary:
+    """Read and compensated whole in memory, and on disk in pieces: the same to the bit."""
     record = piga.read_run(path)
     whole = piga.compensate(record, calibration())
-    chunks = [piece.chunk for piece in LargeFile(path, read_run_file(path)).pieces()]
-    read = {
-        "output": record.output,
-        "a_Y": record.f[:, 1],
-        "a_Z": record.f[:, 2],
-        "base_rate": record.base_rate,
-    }
-    for name, values in read.items():
-        assert np.concatenate([getattr(chunk, name) for chunk in chunks]).tobytes() == values.tobytes(), name
-    summary = file_to_file.compensate_file(path, calibration(), folder / "o.parquet", "parquet")
+    small_chunks(monkeypatch, chunk)
+    again = piga.read_run(path, held=0)
+    for name in ("t", "output", "f", "base_rate", "segment", "begins"):
+        assert getattr(again, name).tobytes() == getattr(record, name).tobytes(), name
+    summary, _ = to_file(path, calibration(), folder / "o.parquet")
     table = pa.parquet.read_table(folder / "o.parquet")
     for column in ("t", "ax", "dv", "u_ax", "flags"):
         assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes(), column
@@ -113,12 +106,11 @@ def same(path: Path, folder: Path) -> file_to_file.FileSummary:
 @pytest.mark.compiled
 @pytest.mark.parametrize("stand", STANDS)
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
-@pytest.mark.parametrize("chunk", [1, 37, 1000])
+@pytest.mark.parametrize("chunk", [7, 37])
 def test_every_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand: str, kind: str, chunk: int
 ) -> None:
-    small_chunks(monkeypatch, chunk)
-    assert same(written(tmp_path, STANDS[stand], kind=kind), tmp_path).rows == ROWS
+    assert same(written(tmp_path, STANDS[stand], kind=kind), tmp_path, monkeypatch, chunk).rows == ROWS
 
 
 VARIANTS = {
@@ -144,45 +136,20 @@ VARIANTS = {
 def test_every_kind_of_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, chunk: int
 ) -> None:
-    small_chunks(monkeypatch, chunk)
     stand = STANDS["centrifuge"]
     if variant == "one segment":
         stand = stand.replace('"1 g", "2 g", "3 g", "1 g"', '"2 g"').replace("0.9 s", "2 s")
-    same(written(tmp_path, stand, **VARIANTS[variant]), tmp_path)  # type: ignore[arg-type]
-
-
-def test_the_command_does_not_read_a_longer_record_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = written(tmp_path, STANDS["centrifuge"])
-    calibration().to_json(tmp_path / "cal.json")
-    words = (run, "--calibration", tmp_path / "cal.json", "--out")
-    code, _, text = command(monkeypatch, capsys, *words, tmp_path / "whole.parquet")
-    assert code == 0, text
-
-    def refuse(*_words: object) -> None:
-        raise AssertionError("read whole")
-
-    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", ROWS - 1)
-    monkeypatch.setattr("piga.stand.read_run", refuse)
-    assert command(monkeypatch, capsys, *words, tmp_path / "parts.parquet")[0] == 0
-    assert (tmp_path / "parts.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
-
-
-def test_the_phase_at_rest(tmp_path: Path) -> None:
-    path = written(tmp_path, STANDS["composite"], psi=4.0 * STEP * np.arange(ROWS), more="")
-    found = identify_phase_of_file(path, calibration(), 5.0)
-    assert found == identify_phase(piga.read_run(path), calibration(), 5.0)
+    same(written(tmp_path, stand, **VARIANTS[variant]), tmp_path, monkeypatch, chunk)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("chunk", [37, 1000])
 def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
     """Without a logged base rate that of the stand holds, however long the files are."""
-    small_chunks(monkeypatch, chunk)
     runs = [written(tmp_path, STANDS["rate table"], name=name) for name in "xyz"]
     mounted = orthogonal_triad([calibration()] * 3)
-    for name, large in (("whole", 1 << 30), ("parts", 0)):
-        set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet", large=large)
+    for name in ("whole", "parts"):
+        set_files.compensate_set_files(runs, mounted, tmp_path / name, "parquet")
+        small_chunks(monkeypatch, chunk)
     assert (tmp_path / "parts").read_bytes() == (tmp_path / "whole").read_bytes()
 
 
@@ -198,7 +165,7 @@ def test_a_stand_that_does_not_fit_is_refused_alike(tmp_path: Path, stand: str, 
     path = written(tmp_path, stand)
     for read in (
         lambda: piga.read_run(path),
-        lambda: file_to_file.compensate_file(path, calibration(), tmp_path / "o.parquet", "parquet"),
+        lambda: to_file(path, calibration(), tmp_path / "o.parquet"),
     ):
         with pytest.raises(piga.RunFileError, match=rf"run\.toml: .*{message}"):
             read()

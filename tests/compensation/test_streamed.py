@@ -1,4 +1,4 @@
-"""Large files as they are streamed: what the run file says of ranges and sequence numbers holds there, too; TDMS."""
+"""Records on disk: what the run file says of ranges and sequence numbers holds there, too; TDMS."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import file_to_file
 
-from .test_command import small_chunks
+from .test_command import small_chunks, to_file
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 RUN = """
@@ -57,14 +56,14 @@ def write(folder, name: str, more: str):
 @pytest.mark.parametrize("name", ["run.parquet", "run.tdms"])
 @pytest.mark.parametrize("chunk", [37, 1 << 16])
 def test_ranges_and_sequence_numbers_hold_in_a_streamed_file(tmp_path, monkeypatch, name, chunk):
-    small_chunks(monkeypatch, chunk)
     more = 'sequence = { column = "n", wraps_at = 256 }\n[data.range]\npsi = [-1e6, 1e6]\nfy = [-100.0, 100.0]'
     path = write(tmp_path, name, more)
-    summary = file_to_file.compensate_file(path, CAL, tmp_path / "o.parquet", "parquet")
     whole = piga.compensate(piga.read_run(path), CAL)
+    small_chunks(monkeypatch, chunk)
+    summary, found = to_file(path, CAL, tmp_path / "o.parquet")
     table = pa.parquet.read_table(tmp_path / "o.parquet")
     assert summary.rows == whole.size == ROWS - 4
     for column in ("t", "ax", "dv", "u_ax", "flags"):
         assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes()
-    assert summary.repairs["missing-value"] == 4
+    assert found == {"saturated": 4, "gap": 4, "sequence-gap": 5}
     assert np.count_nonzero(whole.flagged("no_increment")) > 1

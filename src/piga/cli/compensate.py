@@ -14,13 +14,8 @@ from piga.cli.common import note, print_json, progress, report_available, say, w
 from piga.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from piga.cli.compensate_report import Report
     from piga.compensation import Phase
-    from piga.compensation.file_to_file import FileSummary
-    from piga.records import Calibration, Run
-
-STREAM_ROWS = 1 << 18
-"""Data files of more rows are streamed; shorter ones are read whole, with all repairs of ``piga check``."""
+    from piga.records import Calibration
 
 
 def compensate(
@@ -206,101 +201,53 @@ def _single(
     resume: bool,
     page: Path | None,
 ) -> dict[str, Any]:
-    """One recorded run; a large one in chunks."""
-    from piga.compensation import identify_phase
-    from piga.compensation.file_length import holds_more
-    from piga.compensation.phase import identify_phase_of_file
+    """One recorded run, of any length."""
+    from piga.compensation import Resampler, identify_phase
+    from piga.compensation.compensate import compensate
+    from piga.compensation.file_to_file import HELD_ROWS, FileSummary, compensate_to_file, found_while_reading
+    from piga.compensation.parts import Parts, key_of
     from piga.compensation.warm_up import compile_apart
+    from piga.compensation.writers import format_of
     from piga.records import read_run_file
+    from piga.records.spool import give_back
     from piga.stand import read_run
 
     _spare_memory()
-    run_file = read_run_file(run)
-    wanted = run_file.data
-    data, kind = run.parent / wanted.file, "rate" if wanted.output.kind == "rate" else "angle"
-    report = None
+    kind, data = format_of(out), read_run_file(run).data
+    compile_apart("rate" if data.output.kind == "rate" else "angle")
+    with progress("reading"):
+        record = read_run(run, held=HELD_ROWS)
+    give_back()
+    options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
+    resampler = None if options.period is None else Resampler(options.period)
+    report, watch = None, None
     if page is not None:
         from piga.cli.compensate_report import Report
 
-        report = Report(page, kind, calibration, (run, data, source))
-    known = wanted.reference is not None or run_file.stand is not None
-    if known and holds_more(run.parent, wanted, STREAM_ROWS):
-        options = _with_phase(options, None if rest is None else identify_phase_of_file(run, calibration, rest))
-        found, repairs = _in_chunks(run, data, calibration, source, out, options, resume, report)
-    else:
-        compile_apart(kind)
-        record = read_run(run)
-        options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
-        found, repairs = _from_record(record, calibration, out, options, report)
-    if report is not None:
-        report.write(options.in_words(calibration), repairs)
-    return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
-
-
-def _in_chunks(
-    run: Path,
-    data: Path,
-    calibration: Calibration,
-    source: Path,
-    out: Path,
-    options: _Options,
-    resume: bool,
-    report: Report | None,
-) -> tuple[FileSummary, dict[str, int]]:
-    from piga._version import __version__
-    from piga.compensation import Resampler
-    from piga.compensation.file_to_file import FileSummary, compensate_file
-    from piga.compensation.parts import Parts, key_of
-    from piga.compensation.writers import format_of
-
-    kind, found, parts = format_of(out), FileSummary(), None
+        report = Report(page, record.kind, calibration, (run, run.parent / data.file, source))
+        watch = report.found.piece
+        if record.size <= HELD_ROWS:
+            report.take(record, compensate(record, calibration, **options.arguments()))
+            watch = None
+    found, parts = FileSummary(), None
     if resume:
-        parts = Parts(out, key_of((*astuple(options), kind, __version__), [run, data, source]))
-    resampler = None if options.period is None else Resampler(options.period)
+        parts = Parts(out, key_of((*astuple(options), kind), calibration, record))
 
     def write(path: Path) -> None:
         nonlocal found
-        with progress("compensating") as advance:
-            found = compensate_file(
-                run,
-                calibration,
-                path,
-                kind,
-                resampler=resampler,
-                advance=advance,
-                parts=parts,
-                watch=None if report is None else report.found.piece,
+        with progress("compensating", record.size) as advance:
+            found = compensate_to_file(
+                record, calibration, path, kind, resampler=resampler, advance=advance, parts=parts, watch=watch,
                 **options.arguments(),
-            )
+            )  # fmt: skip
 
     write_by_rename(out, write)
     if parts is not None:
         parts.remove()
-    return found, found.repairs
-
-
-def _from_record(
-    record: Run, calibration: Calibration, out: Path, options: _Options, report: Report | None
-) -> tuple[FileSummary, dict[str, int]]:
-    from piga.compensation import Resampler, compensate
-    from piga.compensation.compensate import compensate_in_pieces
-    from piga.compensation.file_to_file import FileSummary
-    from piga.compensation.writers import TableWriter, format_of
-
-    kind, found = format_of(out), FileSummary()
-    resampler = None if options.period is None else Resampler(options.period)
+    repairs = found_while_reading(record)
     if report is not None:
-        report.take(record, compensate(record, calibration, **options.arguments()))
-
-    def write(path: Path) -> None:
-        with TableWriter(path, kind) as writer:
-            for _, _, part in compensate_in_pieces(record, calibration, **options.arguments()):
-                rows = part if resampler is None else resampler.push_rows(part)
-                found.add(rows)
-                writer.write(rows.columns())
-
-    write_by_rename(out, write)
-    return found, {event.kind: event.count for event in record.quality.events}
+        report.write(options.in_words(calibration), repairs)
+    return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
 
 
 def _with_phase(options: _Options, phase: Phase | None) -> _Options:
@@ -351,8 +298,8 @@ def _together(
             found.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
-                    force=options.force, period=options.period, method=options.method or "exact", large=STREAM_ROWS,
-                    advance=advance, watch=None if report is None else report.found.piece,
+                    force=options.force, period=options.period, method=options.method or "exact", advance=advance,
+                    watch=None if report is None else report.found.piece,
                 )
             )  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,13 +80,20 @@ def compensate_in_pieces(
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
+    state: Array | None = None,
+    done: int = 0,
 ) -> Iterator[tuple[str, Chunk, Compensated]]:
     """The same piece by piece, for records whose result is not held: label of the segment, samples, rows.
 
-    Arguments and errors are those of :func:`compensate`; all rows together are what it gives, to the bit.
+    Arguments and errors are those of :func:`compensate`; all rows together are what it gives, to the bit. ``state``
+    (:func:`init_state`) is moved on with every piece; to go on behind ``done`` pieces, give it as it was there.
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
-    for rows, chunk, found in plan.run(lambda _, count: empty_step(count, uncertainty, flags=True)):
+
+    def room(_rows: slice, count: int) -> Step:
+        return empty_step(count, uncertainty, flags=True)
+
+    for rows, chunk, found in plan.run(room, state, done):
         part = Compensated(
             chunk.t, found.ax, found.dv, found.u_ax, found.flags, record.serial, plan.method
         )  # fmt: skip
@@ -101,27 +108,24 @@ def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
     CalibrationError
         Unless ``force``.
     """
-    check_serial_names(record.serial, calibration.serial, force)
-
-
-def check_serial_names(record: str, calibration: str, force: bool) -> None:
-    """The same for the names alone."""
-    if not force and record and calibration and record != calibration:
+    if not force and record.serial and calibration.serial and record.serial != calibration.serial:
         raise CalibrationError(
-            f"the record is of instrument '{record}', the calibration of '{calibration}'",
+            f"the record is of instrument '{record.serial}', the calibration of '{calibration.serial}'",
             remedy="take the calibration of this instrument, or use --force (force=True) if they are the same",
         )
 
 
-def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None) -> None:
+def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None, *, alone: bool = True) -> None:
     """Refuse a shared phase for a record that lost the zero of its output angle on the way.
+
+    One that is not ``alone`` but belongs to a set has one phase in any case.
 
     Raises
     ------
     CalibrationError
         Naming the segment from which on the phase does not hold.
     """
-    shared = phase is not None or None in phases(calibration)
+    shared = not alone or phase is not None or None in phases(calibration)
     if not shared or not needs_phase(calibration) or len(set(record.phase_group)) < 2:
         return
     at = next(i for i, group in enumerate(record.phase_group) if group != record.phase_group[0])
@@ -155,17 +159,20 @@ class _Plan:
     limits: Limits | None
     flag: int
 
-    def run(self, room: Callable[[slice, int], Step]) -> Iterator[tuple[slice, Chunk, Step]]:
+    def run(
+        self, room: Callable[[slice, int], Step], state: Array | None = None, done: int = 0
+    ) -> Iterator[tuple[slice, Chunk, Step]]:
         """Compensate piece by piece into what ``room`` gives for the rows, and how many they are."""
-        state, work = init_state(), work_array()
+        state, work = init_state() if state is None else state, work_array()
         typical = self.record.median_step if self.record.kind == "rate" else 0.0
-        for rows, model, chunk in self._pieces():
+        for rows, model in islice(self._pieces(), done, None):
+            chunk = _chunk(self.record, rows)
             found = room(rows, chunk.t.size)
             run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, found)
             yield rows, chunk, found
 
-    def _pieces(self) -> Iterator[tuple[slice, Model, Chunk]]:
-        """Row ranges with one phase, their model and samples."""
+    def _pieces(self) -> Iterator[tuple[slice, Model]]:
+        """Row ranges with one phase, and their model."""
         edges = self.record.segment_edges()
         models: dict[int, Model] = {}
         for start, stop in pairwise(edges.tolist()):
@@ -173,8 +180,7 @@ class _Plan:
             if index not in models:
                 models[index] = self._model(self.record.labels[index])
             for part in spans(stop - start):
-                rows = slice(start + part.start, start + part.stop)
-                yield rows, models[index], _chunk(self.record, rows)
+                yield slice(start + part.start, start + part.stop), models[index]
 
     def _model(self, label: str) -> Model:
         model = make_model(

@@ -19,25 +19,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piga._version import __version__
 from piga.compensation.writers import TableWriter
 from piga.errors import ArgumentError
+from piga.records.calibration import Calibration
+from piga.records.calibration_json import calibration_to_bytes
+from piga.records.run import Run
+from piga.records.spool import spans
 
 PART_ROWS = 1 << 22
 """Rows of a part: at most so many are worked off again after a stop."""
 
 
-def key_of(options: Any, files: list[Path]) -> str:
-    """What a result depends on: options, content of small files; size, time and both ends of large ones."""
-    digest = hashlib.sha256(repr(options).encode())
-    for path in files:
-        found = path.stat()
-        digest.update(f"{path.name} {found.st_size}".encode())
-        with path.open("rb") as stream:
-            digest.update(stream.read(1 << 20))
-            if found.st_size > 1 << 20:
-                digest.update(str(found.st_mtime_ns).encode())
-                stream.seek(-(1 << 20), os.SEEK_END)
-                digest.update(stream.read())
+def key_of(options: Any, calibration: Calibration, record: Run) -> str:
+    """What a result depends on, as SHA-256: options, version, calibration, and every sample that was read.
+
+    The samples hold all inputs as they were parsed: data, run file, stand and the profile that it follows.
+    """
+    digest = hashlib.sha256(repr((__version__, options, record.serial, record.kind, record.labels)).encode())
+    digest.update(repr((record.scale_factor, record.phase_group, record.resolution)).encode())
+    digest.update(calibration_to_bytes(calibration))
+    columns = (record.t, record.output, *record.f.T, record.segment, record.begins)
+    columns += () if record.base_rate is None else tuple(record.base_rate.T)
+    columns += () if record.temperature is None else (record.temperature,)
+    for values in columns:
+        for part in spans(values.size):
+            digest.update(np.ascontiguousarray(values[part]).data)
     return digest.hexdigest()
 
 
@@ -91,12 +98,13 @@ class Parts:
         """Writer of the next part."""
         return TableWriter(self.folder / "part.new", "parquet")
 
-    def keep(self, carried: Mapping[str, Any]) -> None:
-        """The next part is complete: bring it to the disk, then what it carries on."""
-        path = self.folder / "part.new"
-        with path.open("rb") as stream:
-            os.fsync(stream.fileno())
-        path.replace(self.folder / f"{self.count}.parquet")
+    def keep(self, carried: Mapping[str, Any], rows: int) -> None:
+        """The next part, of so many rows, is complete: bring it to the disk, then what it carries on."""
+        if rows:  # at a slower rate there may be none
+            path = self.folder / "part.new"
+            with path.open("rb") as stream:
+                os.fsync(stream.fileno())
+            path.replace(self.folder / f"{self.count}.parquet")
         _place(self.folder / f"{self.count}.json", json.dumps(dict(carried)).encode())
         self.count += 1
 
@@ -104,8 +112,10 @@ class Parts:
         """All rows, in the pieces in which they were written."""
         from pyarrow import parquet
 
-        for index in range(self.count):
-            with parquet.ParquetFile(self.folder / f"{index}.parquet", pre_buffer=False) as source:
+        for path in (self.folder / f"{index}.parquet" for index in range(self.count)):
+            if not path.exists():
+                continue
+            with parquet.ParquetFile(path, pre_buffer=False) as source:
                 for group in range(source.num_row_groups):
                     table = source.read_row_group(group, use_threads=False).combine_chunks()
                     yield {name: _numbers(table.column(name).chunk(0)) for name in table.column_names}

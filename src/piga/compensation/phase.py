@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,14 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels import compensate_layout as at
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
-from piga.compensation.large_file import LargeFile
 from piga.compensation.model import Model, Phase, make_model
 from piga.compensation.rate_angle import integrated_rate
-from piga.compensation.step import Chunk
-from piga.errors import CalibrationError, DataError
+from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
-from piga.records.run_file import read_run_file
 from piga.records.spool import spans
 
 Array = NDArray[np.float64]
@@ -121,27 +117,6 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
     rows = slice(0, end + 1 if end else record.size)
     chunk = (record.t[rows], record.output[rows], record.f[rows, 1], record.f[rows, 2], record.begins[rows])
     return _phase_at_rest(*chunk, record.kind, calibration, duration, record.source)
-
-
-def identify_phase_of_file(run: Path, calibration: Calibration, duration: float) -> Phase:
-    """The same for a run file whose data need not fit into memory: no more than the time at rest is read.
-
-    Raises
-    ------
-    DataError, CalibrationError
-        As :func:`piga.read_run` and :func:`identify_phase`.
-    """
-    source = LargeFile(run, read_run_file(run))
-    held: list[Chunk] = []
-    for piece in source.pieces():
-        held.append(piece.chunk)
-        if piece.chunk.t[-1] > held[0].t[0] + duration:
-            break
-    if not held:
-        raise DataError(f"{run}: no usable row", remedy="check the columns in [data]")
-    columns = zip(*((c.t, c.output, c.a_Y, c.a_Z, c.begins) for c in held), strict=True)
-    t, psi, y, z, begins = (np.concatenate(column) for column in columns)
-    return _phase_at_rest(t, psi, y, z, begins, source.kind, calibration, duration, str(run))
 
 
 def _phase_at_rest(

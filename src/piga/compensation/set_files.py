@@ -10,31 +10,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.compensate import check_serial_names
-from piga.compensation.file_length import holds_more
-from piga.compensation.file_to_file import GIVEN_BACK_AFTER, GIVEN_BACK_SOONER, HELD_BYTES
+from piga.compensation.file_to_file import (
+    GIVEN_BACK_AFTER,
+    GIVEN_BACK_SOONER,
+    HELD_BYTES,
+    HELD_ROWS,
+    found_while_reading,
+)
 from piga.compensation.flags import FLAGS
-from piga.compensation.large_file import LargeFile
 from piga.compensation.mounting import Mounted
 from piga.compensation.published_set import PublishedSet
 from piga.compensation.rate_angle import RateAngle
 from piga.compensation.resample import Resampler
 from piga.compensation.result import CompensatedSet
 from piga.compensation.set_compensator import SetCompensator
-from piga.compensation.triad import compensate_triad, set_stream
+from piga.compensation.triad import check_member, check_together, mounted_on, set_stream
 from piga.compensation.writers import TableWriter
-from piga.errors import DataError
-from piga.records.run_file import read_run_file
-from piga.records.spool import Arrays, give_back, trim
+from piga.records.run import Run
+from piga.records.spool import give_back, trim
+from piga.stand.run_reference import read_run
 
 Array = NDArray[np.float64]
 
-APART = 1e-6
-"""Part of the interval by which times of one row may differ between the files."""
 READINGS = 1 << 15
 """Rows worked on at a time, times the instruments."""
-ROW = ("t", "output", "begins", "base_rate", "temperature")
-"""What is kept of a file."""
 
 
 @dataclass(frozen=True)
@@ -63,15 +62,14 @@ def compensate_set_files(
     force: bool = False,
     period: float | None = None,
     method: str = "exact",
-    large: int = 0,
     advance: Callable[[int], None] = lambda _rows: None,
     watch: Watch | None = None,
 ) -> dict[str, Any]:
     """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
 
-    When the data files together have no more than ``large`` rows they are read whole, with all repairs; longer ones
-    are brought to disk beside ``out``, one after another, and solved chunk by chunk. With a ``period`` [s] the
-    increments are brought to that interval. ``watch`` is shown every piece before that.
+    The files are read one after another, with the checks of :func:`piga.read_run`; the columns of long ones lie on disk.
+    They are solved piece by piece. With a ``period`` [s] the increments are brought to that interval. ``watch`` is shown
+    every piece before that.
 
     Raises
     ------
@@ -81,14 +79,12 @@ def compensate_set_files(
         As :func:`piga.compensation.compensate_triad`.
     """
     resampler = None if period is None else Resampler(period)
-    if any(holds_more(run.parent, read_run_file(run).data, large // len(runs)) for run in runs):
-        details = watch is not None
-        parts = _streamed(
-            runs, instruments, uncertainty, max_age_days, force, method, details, out.parent, advance
-        )
-    else:
-        parts = _whole(runs, instruments, uncertainty, max_age_days, force, method, watch is not None)
+    held = HELD_ROWS // len(runs)
+    records = [_read(run, item, force, held) for run, item in zip(runs, instruments, strict=True)]
+    give_back()
+    check_together(records)
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
+    parts = _solved(records, instruments, uncertainty, max_age_days, method, watch is not None)
     with TableWriter(out, kind) as writer:
         for number, (label, read, part) in enumerate(parts, 1):
             advance(part.size)
@@ -102,77 +98,43 @@ def compensate_set_files(
             columns = part.columns() if resampler is None else resampler.push_set(part)
             rows += columns["t"].size
             writer.write(columns)
-    if rows == 0:
-        raise DataError(f"{runs[0]}: no usable row", remedy="check the columns in [data]")
-    return {"rows": rows, "velocity_m_s": velocity.tolist(), "flags": {k: v for k, v in counts.items() if v}}
+    return {
+        "rows": rows,
+        "velocity_m_s": velocity.tolist(),
+        "flags": {k: v for k, v in counts.items() if v},
+        "repairs": found_while_reading(*records),
+    }
 
 
-def _whole(
-    runs: Sequence[Path],
+def _solved(
+    records: Sequence[Run],
     instruments: Sequence[Mounted],
     uncertainty: bool,
     max_age: float | None,
-    force: bool,
     method: str,
     details: bool,
 ) -> Iterator[tuple[str, Rows, CompensatedSet]]:
-    from piga.stand import read_run
-
-    records = [read_run(run, need_reference=False) for run in runs]
-    found = compensate_triad(
-        records, instruments, uncertainty=uncertainty, max_age_days=max_age, force=force, method=method,
+    """Pieces of the records, and what becomes of them."""
+    sampled, label = records[0].kind == "rate", records[0].labels[0]
+    stream = set_stream(
+        mounted_on(records, instruments), method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age,
         details=details,
     )  # fmt: skip
-    first, outputs = records[0], np.array([record.output for record in records])
-    base = [np.zeros((first.size, 3)) if r.base_rate is None else r.base_rate for r in records]
-    begins = np.logical_or.reduce([record.begins for record in records])
-    yield first.labels[0], Rows(first.t, outputs, begins, base, None), found
-
-
-def _streamed(
-    runs: Sequence[Path],
-    instruments: Sequence[Mounted],
-    uncertainty: bool,
-    max_age: float | None,
-    force: bool,
-    method: str,
-    details: bool,
-    folder: Path,
-    advance: Callable[[int], None],
-) -> Iterator[tuple[str, Rows, CompensatedSet]]:
-    files = [LargeFile(run, read_run_file(run)) for run in runs]
-    for file, item in zip(files, instruments, strict=True):
-        check_serial_names(file.run_file.instrument.serial, item.calibration.serial, force)
-        if file.kind != files[0].kind:
-            raise DataError(
-                f"{file.path}: holds {file.kind}, {files[0].path}: {files[0].kind}", remedy="log one kind"
-            )
-    sampled = files[0].kind == "rate"
-    followers = [RateAngle() for _ in files]
-    stream: SetCompensator | PublishedSet | None = None
+    followers = [RateAngle() for _ in records]
     waiting: Rows | None = None
-    labels: list[str] = []
-    for labels, rows in _aligned(files, folder, advance):
-        if stream is None:
-            mounted = [
-                replace(item, segment=item.segment or label)
-                for item, label in zip(instruments, labels, strict=True)
-            ]
-            stream = set_stream(
-                mounted, method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age, details=details
-            )  # fmt: skip
+    for rows in _together(records):
         if not sampled:
             part = stream.push(
                 rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
             )
-            yield labels[0], rows, part
+            yield label, rows, part
             continue
         psi = [f.push(rows.t, rate, rows.begins) for f, rate in zip(followers, rows.output, strict=True)]
         known = rows if waiting is None else _joined(waiting, rows)
         ready, waiting = _split(known, known.t.size - 1)
-        yield labels[0], ready, _push_sampled(stream, ready, psi)
-    if stream is not None and waiting is not None:
-        yield labels[0], waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
+        yield label, ready, _push_sampled(stream, ready, psi)
+    if waiting is not None:
+        yield label, waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
 
 
 def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[Array]) -> CompensatedSet:
@@ -182,77 +144,32 @@ def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[A
     )  # fmt: skip
 
 
-def _aligned(
-    files: Sequence[LargeFile], folder: Path, advance: Callable[[int], None]
-) -> Iterator[tuple[list[str], Rows]]:
-    """Rows of all files together, and the labels of their first segments; the shorter, the more files there are."""
-    labels, columns = zip(*(_read(file, folder, advance) for file in files), strict=True)
-    give_back()
-    sizes = [some.size for some in columns]
-    count, step, tolerance = min(sizes), max(READINGS // len(files), 1), 0.0
-    for start in range(0, count, step):
-        parts = [_rows(some[start : min(start + step, count)]) for some in columns]
-        tolerance = tolerance or APART * _interval(parts[0].t)
-        yield list(labels), _together(files, parts, tolerance)
-    if max(sizes) > count:
-        raise DataError(
-            f"{files[sizes.index(count)].path}: ends before the other files",
-            remedy="sample all instruments together",
-        )
+def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
+    """The record of an instrument without what a set does not need."""
+    record = read_run(path, need_reference=False, held=held)
+    check_member(record, item, force)
+    nothing = np.zeros((0, 3))
+    return replace(record, f=nothing, segment=record.segment[:0])
 
 
-def _read(file: LargeFile, folder: Path, advance: Callable[[int], None]) -> tuple[str, NDArray[Any]]:
-    """Label of the first segment and all rows of a file, on disk: every open file would hold a part in memory."""
-    label, found = "", Arrays(folder).growing()
-    for piece in file.pieces():
-        columns = {name: getattr(piece.chunk, name) for name in ROW if getattr(piece.chunk, name).shape[0]}
-        rows = np.empty(
-            piece.chunk.t.size, [(name, values.dtype, values.shape[1:]) for name, values in columns.items()]
-        )
-        for name, values in columns.items():
-            rows[name] = values
-        if not label:
-            label, found = piece.label, Arrays(folder).growing(rows.dtype)
-        found.append(rows)
-        advance(0)
-    return label, found.finish()
-
-
-def _rows(some: NDArray[Any]) -> Rows:
-    """Rows of one file in memory."""
-    held = {name: np.ascontiguousarray(some[name]) for name in some.dtype.names or ()}
-    trim()
-    base, warm = held.get("base_rate"), held.get("temperature")
-    return Rows(
-        held["t"], held["output"][None, :], held["begins"], None if base is None else [base],
-        None if warm is None else [warm],
-    )  # fmt: skip
-
-
-def _interval(t: Array) -> float:
-    return float(t[1] - t[0]) if t.size > 1 else 1.0
-
-
-def _together(files: Sequence[LargeFile], parts: list[Rows], tolerance: float) -> Rows:
-    first = parts[0]
-    for file, part in zip(files, parts, strict=True):
-        apart = np.abs(part.t - first.t) > tolerance
-        if apart.any():
-            time = part.t[int(np.argmax(apart))]
-            raise DataError(
-                f"{file.path}: at t = {time:.9g} s: the times are not those of {files[0].path}",
-                remedy="sample all instruments together, or bring them to common times first",
-            )
-    size = first.t.size
-    base = [part.base_rate[0] if part.base_rate else np.zeros((size, 3)) for part in parts]
-    warm = [part.temperature[0] for part in parts if part.temperature]
-    return Rows(
-        first.t,
-        np.concatenate([part.output for part in parts]),
-        np.logical_or.reduce([part.begins for part in parts]),
-        base if any(part.base_rate for part in parts) else None,
-        warm if len(warm) == len(parts) else None,
-    )
+def _together(records: Sequence[Run]) -> Iterator[Rows]:
+    """Rows of all records together; the fewer at a time, the more records there are."""
+    first, step = records[0], max(READINGS // len(records), 1)
+    base = any(record.base_rate is not None for record in records)
+    warm = all(record.temperature is not None for record in records)
+    for start in range(0, first.size, step):
+        part = slice(start, min(start + step, first.size))
+        trim()
+        still = np.zeros((part.stop - part.start, 3))
+        yield Rows(
+            np.ascontiguousarray(first.t[part]),
+            np.array([record.output[part] for record in records]),
+            np.logical_or.reduce([record.begins[part] for record in records]),
+            [still if r.base_rate is None else np.ascontiguousarray(r.base_rate[part]) for r in records]
+            if base else None,
+            [np.ascontiguousarray(r.temperature[part]) for r in records if r.temperature is not None]
+            if warm else None,
+        )  # fmt: skip
 
 
 def _split(rows: Rows, count: int) -> tuple[Rows, Rows | None]:

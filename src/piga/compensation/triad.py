@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.compensate import check_serial
+from piga.compensation.compensate import check_phase_kept, check_serial
 from piga.compensation.model import METHODS
 from piga.compensation.mounting import Mounted
 from piga.compensation.published_set import PublishedSet
@@ -18,8 +18,12 @@ from piga.compensation.set_compensator import SetCompensator
 from piga.compensation.validity import Limits
 from piga.errors import ArgumentError, DataError
 from piga.records.run import Run
+from piga.records.spool import spans
 
 Array = NDArray[np.float64]
+
+APART = 1e-6
+"""Part of the first interval by which the times of one row may differ between the records of a set."""
 
 
 def compensate_triad(
@@ -45,15 +49,12 @@ def compensate_triad(
     CalibrationError, ArgumentError
         As :class:`SetCompensator`, and for calibrations of other instruments unless ``force``.
     """
-    _check_records(records)
+    check_together(records)
     for record, item in zip(records, instruments, strict=True):
-        check_serial(record, item.calibration, force)
+        check_member(record, item, force)
     first = records[0]
     begins = np.logical_or.reduce([record.begins for record in records])
-    mounted = [
-        replace(item, segment=item.segment or record.labels[0])
-        for record, item in zip(records, instruments, strict=True)
-    ]
+    mounted = mounted_on(records, instruments)
     sampled = first.kind == "rate"
     stream = set_stream(
         mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
@@ -96,21 +97,51 @@ def set_stream(
     )  # fmt: skip
 
 
-def _check_records(records: Sequence[Run]) -> None:
+def mounted_on(records: Sequence[Run], instruments: Sequence[Mounted]) -> list[Mounted]:
+    """The instruments, each with the segment whose phase holds for its record: the first, unless one is named."""
+    return [
+        replace(item, segment=item.segment or record.labels[0])
+        for record, item in zip(records, instruments, strict=True)
+    ]
+
+
+def check_member(record: Run, item: Mounted, force: bool) -> None:
+    """Refuse a record that the calibration of its instrument does not hold for.
+
+    Raises
+    ------
+    CalibrationError
+        If it is of another instrument (unless ``force``), or lost the zero of its angle on the way: one phase holds for
+        all of a record in a set.
+    """
+    check_serial(record, item.calibration, force)
+    check_phase_kept(record, item.calibration, item.phase, alone=False)
+
+
+def check_together(records: Sequence[Run]) -> None:
+    """Refuse records that were not sampled together.
+
+    Raises
+    ------
+    DataError
+        If they have not the same times, or hold different kinds of output.
+    """
     first = records[0]
+    apart = APART * (first.t[1] - first.t[0])
     for index, record in enumerate(records[1:], start=1):
+        name, other = record.source or f"record {index}", first.source or "record 0"
         if record.kind != first.kind:
+            raise DataError(f"{name}: holds {record.kind}, {other}: {first.kind}", remedy="log one kind")
+        for part in spans(min(record.size, first.size)):
+            differs = np.abs(record.t[part] - first.t[part]) > apart
+            if differs.any():
+                at = part.start + int(np.argmax(differs))
+                raise DataError(
+                    f"{name}: row {record.row[at]}, t = {record.t[at]:.9g} s: the times are not those of {other}",
+                    remedy="sample all instruments together, or bring them to common times first",
+                )
+        if record.size != first.size:
             raise DataError(
-                f"{record.source or index}: holds {record.kind}, {first.source or 0}: {first.kind}",
-                remedy="log one kind",
-            )
-        same = record.size == first.size
-        apart = (
-            np.abs(record.t - first.t) > 1e-6 * (first.t[1] - first.t[0]) if same else np.ones(1, dtype=bool)
-        )
-        if apart.any():
-            row = record.row[int(np.argmax(apart))] if same else record.row[-1]
-            raise DataError(
-                f"{record.source or index}: row {row}: the times are not those of {first.source or 'record 0'}",
-                remedy="sample all instruments together, or bring them to common times first",
+                f"{name}: has {record.size} rows that can be used, {other} has {first.size}",
+                remedy="sample all instruments together, and cut the records to the time they share",
             )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WHOLE = 1 << 21
-"""Up to this many numbers are sorted at once."""
+"""Up to this many different numbers are kept."""
 _BITS = (21, 21, 22)
 
 
@@ -20,23 +20,36 @@ def exact_median(parts: Callable[[], Iterable[Array]]) -> float:
     Parameters
     ----------
     parts:
-        Gives the numbers, in parts; called again for every pass. Long ones are found digit by digit: the bits of a
+        Gives the numbers, in parts. Of a long record that is sampled regularly only the few different numbers are kept,
+        and how often each was met. Where most differ the parts are asked for again, once for each digit: the bits of a
         float that is not negative are in the order of its value.
     """
-    held: list[Array] = []
-    count = 0
+    held: list[tuple[Array, NDArray[np.int64]]] = []
+    count = different = 0
     for part in parts():
         count += part.size
-        if count <= WHOLE:
-            held.append(part)
+        if different <= WHOLE:
+            held.append(np.unique(part, return_counts=True))
+            different += held[-1][0].size
+            if different > WHOLE and len(held) > 1:
+                held = [_merged(held)]
+                different = held[0][0].size if 2 * held[0][0].size < WHOLE else WHOLE + 1
     if count == 0:
         return 0.0
-    if count <= WHOLE:
-        return float(np.median(np.concatenate(held)))
-    del held
-    low = _selected(parts, (count - 1) // 2)
-    high = low if count % 2 else _selected(parts, count // 2)
-    return float(np.mean([low, high]))
+    ranks = ((count - 1) // 2, count // 2)
+    if different > WHOLE:
+        del held
+        return float(np.mean([_selected(parts, rank) for rank in ranks[: 1 + (count % 2 == 0)]]))
+    values, counts = _merged(held)
+    return float(np.mean(values[np.searchsorted(np.cumsum(counts), ranks, side="right")]))
+
+
+def _merged(held: list[tuple[Array, NDArray[np.int64]]]) -> tuple[Array, NDArray[np.int64]]:
+    """Different numbers, rising, and how often each was met in all."""
+    values, where = np.unique(np.concatenate([some for some, _ in held]), return_inverse=True)
+    counts = np.zeros(values.size, dtype=np.int64)
+    np.add.at(counts, where, np.concatenate([times for _, times in held]))
+    return values, counts
 
 
 def _selected(parts: Callable[[], Iterable[Array]], rank: int) -> float:
@@ -49,7 +62,8 @@ def _selected(parts: Callable[[], Iterable[Array]], rank: int) -> float:
             keys = part.view(np.int64) if part.flags.c_contiguous else np.ascontiguousarray(part).view(np.int64)
             if above + bits < 64:
                 keys = keys[keys >> (above + bits) == prefix]
-            counts += np.bincount((keys >> above) & ((1 << bits) - 1), minlength=1 << bits)
+            digits, times = np.unique((keys >> above) & ((1 << bits) - 1), return_counts=True)
+            counts[digits] += times
         below = np.cumsum(counts)
         digit = int(np.searchsorted(below, rank, side="right"))
         rank -= int(below[digit - 1]) if digit else 0

@@ -47,8 +47,10 @@ class RawColumns:
         return int(self.rows.size)
 
 
-def read_columns(folder: Path, data: DataTable) -> RawColumns:
-    """Read the data file of a run file whole; a long one into columns on disk beside it.
+def read_columns(folder: Path, data: DataTable, held: int | None = None) -> RawColumns:
+    """Read the data file of a run file whole; one of more than ``held`` rows into columns on disk beside it.
+
+    ``held`` is :data:`LARGE_ROWS` unless given.
 
     Raises
     ------
@@ -63,35 +65,17 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
     with ThreadPoolExecutor(1) as pool:
         digest = None if text else pool.submit(file_digest, path)
         stream = open_stream(folder, data, seen.update)
-        raw = _collect(path, data, stream)
+        raw = _collect(path, data, stream, LARGE_ROWS if held is None else held)
     raw.digest = digest.result() if digest else seen.hexdigest()
     if _state(path) != before:
         raise DataError(f"{path}: the file changed while it was read", remedy="stop the logger, then try again")
     return raw
 
 
-def read_labels(folder: Path, data: DataTable) -> tuple[str, ...]:
-    """The ``labels`` that :func:`read_columns` gives, no row held.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read as the run file says.
-    """
-    if data.segment is None:
-        return ("all",)
-    stream = open_stream(folder, data, small=True, numbers=False)
-    visits = Visits(stream.label_names)
-    for chunk in stream.chunks():
-        if chunk.codes is not None:
-            visits.segment(chunk.codes, chunk.rows)
-    return tuple(visits.names)
-
-
-def _collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
+def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> RawColumns:
     names, arrays = data.number_columns(), Arrays(path.parent)
-    numbers = {name: arrays.growing(most=LARGE_ROWS) for name in names}
-    segment, rows = arrays.growing(np.int32, LARGE_ROWS), arrays.growing(np.int64, LARGE_ROWS)
+    numbers = {name: arrays.growing(most=held) for name in names}
+    segment, rows = arrays.growing(np.int32, held), arrays.growing(np.int64, held)
     visits = Visits(stream.label_names)
     for chunk in stream.chunks():
         room = stream.expected_rows

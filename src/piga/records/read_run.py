@@ -13,7 +13,9 @@ from piga.records.run import Run
 from piga.records.run_file import read_run_file
 
 
-def read_record(path: str | Path, stand_reference: StandReference, *, need_reference: bool = True) -> Run:
+def read_record(
+    path: str | Path, stand_reference: StandReference, *, need_reference: bool = True, held: int | None = None
+) -> Run:
     """Read a recorded test; :func:`piga.read_run` is this with the stands of piga.
 
     Parameters
@@ -24,6 +26,8 @@ def read_record(path: str | Path, stand_reference: StandReference, *, need_refer
         Gives the reference when ``[data]`` has none and a ``[stand]`` table describes it.
     need_reference:
         False: a record without any reference is read too (its ``f`` is nan); a set of instruments needs none.
+    held:
+        Most rows whose arrays lie in memory; None: 4 194 304. Nothing that is read or refused depends on it.
 
     Raises
     ------
@@ -34,7 +38,7 @@ def read_record(path: str | Path, stand_reference: StandReference, *, need_refer
 
     Notes
     -----
-    The arrays of a record of more than 4 194 304 rows lie in files without a name beside it, mapped into memory: what
+    The arrays of a record of more than ``held`` rows lie in files without a name beside it, mapped into memory: what
     stays resident is bounded, whatever the length of the record.
     """
     path = Path(path)
@@ -44,7 +48,7 @@ def read_record(path: str | Path, stand_reference: StandReference, *, need_refer
             f"{path}: [data] reference is missing: the specific force that the instrument felt",
             remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
         )
-    raw = read_columns(path.parent, run_file.data)
+    raw = read_columns(path.parent, run_file.data, held)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         run = Assembly(run_file, raw, stand_reference).run(path)
     run.input_sha256.update({path.name: file_digest(path), raw.path.name: raw.digest})

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
 CHUNK_ROWS = 1 << 16
 """Rows of a chunk of Parquet or a container."""
-SMALL_ROWS = 1 << 15
-"""Rows of a chunk of Parquet where memory is short."""
-SMALL_PIECE = 1 << 20
-"""Bytes of a text file read at a time there."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +74,6 @@ def open_stream(
     folder: Path,
     data: DataTable,
     see: Callable[[bytes | bytearray], object] | None = None,
-    *,
-    small: bool = False,
-    numbers: bool = True,
 ) -> RecordStream:
     """Open the data file of a run file.
 
@@ -92,10 +85,6 @@ def open_stream(
         The run file's ``[data]`` table: ``read_run_file(path).data``.
     see:
         Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
-    small:
-        Smaller chunks, for work that holds several at a time.
-    numbers:
-        False: the segment column alone, of the same rows.
 
     Raises
     ------
@@ -103,8 +92,7 @@ def open_stream(
         If the file cannot be read as asked; here, or while its chunks are taken. Names file, row and column.
     """
     path = folder / data.file
-    masked = data.damaged_rows == "mask"  # a damaged number takes its row out
-    numeric = tuple(data.number_columns()) if numbers or masked else ()
+    numeric = tuple(data.number_columns())
     kind = file_kind(path)
     if data.sheet is not None and kind != ".xlsx":
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
@@ -113,18 +101,16 @@ def open_stream(
 
         return TextStream(
             path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
-            missing=data.missing, mask_damaged=masked, see=see or len,
-            piece=SMALL_PIECE if small else None,
+            missing=data.missing, mask_damaged=data.damaged_rows == "mask", see=see or len,
         )  # fmt: skip
-    chunk_rows = SMALL_ROWS if small else CHUNK_ROWS
     if kind in (".parquet", ".pq"):
         from piga.records.parquet_reader import ParquetStream
 
-        return ParquetStream(path, numeric, data.segment, chunk_rows)
+        return ParquetStream(path, numeric, data.segment, CHUNK_ROWS)
     from piga.records.container import SUFFIXES, ContainerStream
 
     if kind in SUFFIXES:
-        return ContainerStream(path, kind, numeric, data.segment, data.sheet, chunk_rows)
+        return ContainerStream(path, kind, numeric, data.segment, data.sheet, CHUNK_ROWS)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: files of kind '{kind}' are not read",

@@ -137,7 +137,9 @@ def _reference(
 ) -> Section:
     title, anchor = "Against the reference", "reference"
     if whole is None:
-        text = "The file was streamed: its reference along the input axis is not read, and no error is shown."
+        text = (
+            "The error against the reference along the input axis is shown for records of at most 262 144 rows."
+        )
         return Section(title, anchor, (Notice("info", text),))
     noise = (calibration.angle_rms, calibration.angle_random_walk)
     lead = Text(

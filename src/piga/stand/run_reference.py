@@ -77,7 +77,7 @@ class StandChange:
     degrees_of_freedom: float = math.inf
 
 
-def read_run(path: str | Path, *, need_reference: bool = True) -> Run:
+def read_run(path: str | Path, *, need_reference: bool = True, held: int | None = None) -> Run:
     """Read a recorded test.
 
     Parameters
@@ -87,6 +87,8 @@ def read_run(path: str | Path, *, need_reference: bool = True) -> Run:
         computed from its ``[stand]`` table.
     need_reference:
         False: a record with neither is read too, with ``f`` nan; instruments compensated together need none.
+    held:
+        Most rows whose arrays lie in memory, longer ones on disk; None: 4 194 304. Nothing else depends on it.
 
     Raises
     ------
@@ -96,7 +98,7 @@ def read_run(path: str | Path, *, need_reference: bool = True) -> Run:
         If the data file does not hold what the run file says; with file, row, column and remedy.
     """
     try:
-        return read_record(path, stand_reference, need_reference=need_reference)
+        return read_record(path, stand_reference, need_reference=need_reference, held=held)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
 
@@ -116,22 +118,6 @@ def stand_reference(
     for part in spans(t.size):
         force[part], rate[part] = followed.motion(t[part], segment[part])
     return force, rate
-
-
-def follow_stand(path: Path, table: dict[str, Any], labels: Callable[[], tuple[str, ...]]) -> FollowedStand:
-    """The stand of the run file ``path``, to be asked along its record.
-
-    ``labels`` gives those of all segments of the record; it is called only when they decide where the samples lie.
-
-    Raises
-    ------
-    RunFileError
-        If the table is not valid or does not fit the record; names the key.
-    """
-    try:
-        return _known(table, path.parent, labels)
-    except (ArgumentError, UnitError) as error:
-        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
 
 
 def _known(table: dict[str, Any], folder: Path, labels: Callable[[], tuple[str, ...]]) -> FollowedStand:

@@ -1,8 +1,6 @@
-"""Rows decide whether a file is streamed: counted or known before it is read, packed as it may be."""
+"""A record in pieces, and files of it: what comes out does not depend on the pieces."""
 
 from __future__ import annotations
-
-import gzip
 
 import numpy as np
 import pyarrow as pa
@@ -12,100 +10,31 @@ import pytest
 import piga
 from piga.compensation import identify_phase
 from piga.compensation.compensate import compensate_in_pieces
-from piga.compensation.file_length import holds_more
-from piga.compensation.phase import identify_phase_of_file
 from piga.compensation.writers import TableWriter
-from piga.records.run_file import read_run_file
 from piga.records.stream import nulls_of, numbers_of
 
 from .test_command import CAL, command, small_chunks, write
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 
-def data_of(folder, name: str):
-    run = write(folder, rows=10)
-    run.write_text(run.read_text().replace("run.parquet", name))
-    return read_run_file(run).data
-
-
-def columns(rows: int) -> dict[str, np.ndarray]:
-    return {name: np.arange(float(rows)) for name in ("t", "psi", "fx", "fy", "fz", "part")}
-
-
-@pytest.mark.parametrize("packing", ["none", "zstd"])
-def test_parquet_knows_its_rows_however_packed(tmp_path, packing):
-    data = data_of(tmp_path, "p.parquet")
-    pa.parquet.write_table(pa.table(columns(5000)), tmp_path / "p.parquet", compression=packing)
-    assert holds_more(tmp_path, data, 4999)
-    assert not holds_more(tmp_path, data, 5000)
-
-
-@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
-def test_lines_of_text_are_counted(tmp_path, end, name):
-    data = data_of(tmp_path, name)
-    text = b"t,psi,fx,fy,fz" + end + (b"0,0,0,0,0" + end) * 5000
-    (tmp_path / name).write_bytes(gzip.compress(text) if name.endswith("gz") else text)
-    assert holds_more(tmp_path, data, 5000)
-    assert not holds_more(tmp_path, data, 5001)
-
-
-def test_a_packed_container_is_asked(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    data = data_of(tmp_path, "a.h5")
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name in columns(1):
-            file.create_dataset(name, data=np.zeros(100_000), compression="gzip")
-    assert (tmp_path / "a.h5").stat().st_size < 100_000
-    assert holds_more(tmp_path, data, 20_000)
-    assert not holds_more(tmp_path, data, 200_000)
-
-
-def test_what_cannot_be_read_is_left_to_the_reader(tmp_path):
-    data = data_of(tmp_path, "a.csv.gz")
-    assert not holds_more(tmp_path, data, 0)
-    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"t\n" * 100)[:20])
-    assert not holds_more(tmp_path, data, 1000)
-
-
-@pytest.mark.parametrize("kind", ["angle", "rate"])
-def test_phase_of_a_file_is_that_of_the_record(tmp_path, monkeypatch, capsys, kind):
-    """The first 20 s of 30, in chunks of 100 rows: no row behind them is read."""
+def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
+    """The first 20 s of 30, the record on disk."""
     t = np.arange(0.0, 30.0, 0.02)
     f = constant_force(t, 0.7, 0.7, 0.1)
-    record = run_of(t, f, phi=0.8, kind=kind)
     path = write(tmp_path, rows=10)
-    output = record.output + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    output = run_of(t, f, phi=0.8).output + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
     table = {"t": t, "psi": output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]}
     pa.parquet.write_table(pa.table(table), tmp_path / "run.parquet")
-    text = path.read_text()
-    path.write_text(
-        text if kind == "angle" else text.replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"')
-    )
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.0}, serial="A", angle_rms=1e-5)
-    small_chunks(monkeypatch, 100)
-    whole, streamed = (
-        identify_phase(piga.read_run(path), cal, 20.0),
-        identify_phase_of_file(path, cal, 20.0),
-    )
-    assert abs(whole.value - 0.8) < 2e-3
-    assert abs(streamed.value - whole.value) < 1e-9
-    assert abs(streamed.std / whole.std - 1.0) < 1e-6
     cal.to_json(tmp_path / "run.json")
-    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
-    words = (
-        path,
-        "--calibration",
-        tmp_path / "run.json",
-        "--identify-phase",
-        "20 s",
-        "--out",
-        tmp_path / "o.parquet",
-    )
-    code, _, said = command(monkeypatch, capsys, *words)
+    phase = identify_phase(piga.read_run(path), cal, 20.0)
+    assert abs(phase.value - 0.8) < 2e-3
+    expected = piga.compensate(piga.read_run(path), cal, phase=phase)
+    small_chunks(monkeypatch, 100)
+    words = (path, "--calibration", tmp_path / "run.json", "--identify-phase", "20 s", "--out")
+    code, _, said = command(monkeypatch, capsys, *words, tmp_path / "o.parquet")
     assert code == 0, said
-    assert f"phase {streamed.value:.6g} rad" in said
-    expected = piga.compensate(piga.read_run(path), cal, phase=streamed)
+    assert f"phase {phase.value:.6g} rad" in said
     assert pa.parquet.read_table(tmp_path / "o.parquet")["ax"].to_numpy().tobytes() == expected.ax.tobytes()
 
 
@@ -141,8 +70,7 @@ def test_a_long_record_with_a_stand_is_written_in_pieces(tmp_path, monkeypatch, 
     run.write_text("\n".join([*lines, *stand, 'positions = ["0 deg", "30 deg"]']))
     words = (run, "--calibration", tmp_path / "run.json", "--report", tmp_path / "r.html", "--out")
     assert command(monkeypatch, capsys, *words, tmp_path / "a.parquet")[0] == 0
-    monkeypatch.setattr("piga.cli.compensate.STREAM_ROWS", 0)
-    monkeypatch.setattr("piga.records.spool.BLOCK", 64)
+    small_chunks(monkeypatch, 64)
     code, _, said = command(monkeypatch, capsys, *words, tmp_path / "b.parquet")
     assert code == 0, said
     a, b = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")

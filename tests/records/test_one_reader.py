@@ -1,0 +1,177 @@
+"""One way to read a record: damaged files end alike in every command, at every length, with the same counts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pytest
+from builders.build_damaged_files import HEADER, RUN, Case, cases, rows, text
+
+from piga.cli.main import main
+from piga.records import raw_columns
+from tests.compensation.twin_data import K_G, calibration_of
+
+Capture = pytest.CaptureFixture[str]
+CASES = {case.name: case for case in cases()}
+CASES["wrong-sidecar"] = Case("wrong-sidecar", text(rows()), "error", "SHA-256", sidecar="0" * 64)
+LENGTHS = {
+    "in memory": (1 << 40, 1 << 40, 1 << 16),
+    "above the commands' limit": (1 << 40, 0, 16),
+    "on disk": (0, 0, 7),
+}
+"""Rows that may lie in memory when read, and when compensated; rows of a block."""
+CHOSEN = ("roll-over-undeclared", "reset-at-gap", "wrong-sidecar")
+
+
+def as_long(monkeypatch: pytest.MonkeyPatch, length: str) -> None:
+    """Limits as they are for a record of this length."""
+    read, compensated, block = LENGTHS[length]
+    monkeypatch.setattr(raw_columns, "LARGE_ROWS", read)
+    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", compensated)
+    monkeypatch.setattr("piga.records.spool.BLOCK", block)
+
+
+def command(monkeypatch: pytest.MonkeyPatch, capsys: Capture, *words: object) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["piga", *map(str, words)])
+    code = 0
+    try:
+        main()
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    done = capsys.readouterr()
+    return code, done.out, done.err
+
+
+def ends(monkeypatch: pytest.MonkeyPatch, capsys: Capture, run: Path) -> dict[str, object]:
+    """How each command ends: the message of its refusal, or how often it met what."""
+    out = run.parent / "results"
+    out.mkdir(exist_ok=True)
+    for stale in out.iterdir():
+        stale.unlink()
+    calibration_of({"scale_factor": K_G}, serial="D-1").to_json(run.parent / "cal.json")
+    words: dict[str, tuple[object, ...]] = {
+        "check": (run, "--json"),
+        "calibrate": (run, "--terms", "scale_factor", "--json", "--no-report", "--out", out),
+        "compensate": (run, "--calibration", run.parent / "cal.json", "--out", out / "c.parquet", "--json"),
+        "convert": (run, "--out", out / "clean.parquet"),
+    }
+    ended: dict[str, object] = {}
+    for name, more in words.items():
+        code, said, complaint = command(monkeypatch, capsys, name, *more)
+        if code:
+            ended[name] = complaint.removeprefix("piga: ")
+        elif name == "compensate":
+            ended[name] = json.loads(said)["repairs"]
+        elif name == "convert":
+            metadata = pa.parquet.read_schema(out / "clean.parquet").metadata
+            ended[name] = counted(json.loads(metadata[b"quality"])["events"])
+        else:
+            ended[name] = counted(json.loads(said)["quality"]["events"])
+    return ended
+
+
+def counted(events: list[dict]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for event in events:
+        counts[event["kind"]] = counts.get(event["kind"], 0) + event["count"]
+    return counts
+
+
+def check_alike(case: Case, found: dict[str, object]) -> None:
+    if case.outcome == "error":
+        assert set(found.values()) == {found["check"]}, found
+        assert isinstance(found["check"], str)
+        assert "remedy" in found["check"]
+        return
+    assert isinstance(found["check"], dict), found
+    assert {kind: found["check"].get(kind, 0) for kind in case.events} == case.events
+    assert all(end == found["check"] for end in found.values()), found
+
+
+@pytest.mark.parametrize("name", CHOSEN)
+def test_every_command_ends_alike_at_every_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, name: str
+) -> None:
+    run, ended = CASES[name].write(tmp_path), []
+    for length in LENGTHS:
+        as_long(monkeypatch, length)
+        ended.append(ends(monkeypatch, capsys, run))
+        check_alike(CASES[name], ended[-1])
+    assert ended[0] == ended[1] == ended[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in CASES if name not in CHOSEN])
+def test_the_corpus_ends_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, name: str
+) -> None:
+    test_every_command_ends_alike_at_every_length(tmp_path, monkeypatch, capsys, name)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_a_growing_file_is_refused_at_every_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, length: str
+) -> None:
+    run, collect = Case("grows", text(rows()), "error").write(tmp_path), raw_columns._collect
+    as_long(monkeypatch, length)
+
+    def grow(path: Path, *more: object) -> raw_columns.RawColumns:
+        found = collect(path, *more)  # type: ignore[arg-type]
+        with path.open("ab") as log:
+            log.write(b"2.0,20358,1.0,0.1,0.0\n")
+        return found
+
+    monkeypatch.setattr(raw_columns, "_collect", grow)
+    found = ends(monkeypatch, capsys, run)
+    assert all("changed while it was read" in str(end) for end in found.values()), found
+
+
+def stuck(counts: np.ndarray) -> None:
+    counts[3000:6000] = counts[3000]
+
+
+def zeroed(counts: np.ndarray) -> None:
+    counts[5000:] -= counts[5000]
+
+
+def jumped(counts: np.ndarray) -> None:
+    counts[5000:] += 1 << 20
+
+
+def wrapped(counts: np.ndarray) -> None:
+    counts %= 1 << 16
+
+
+FAULTS: dict[str, tuple[Callable[[np.ndarray], None], tuple[str, ...]]] = {
+    "counter resets": (zeroed, ("the counter goes to 0",)),
+    "counter jumps": (jumped, ("the output jumps by",)),
+    "counter wraps unseen": (wrapped, ("the output jumps by", "it was reset")),
+    "counter sticks": (stuck, ("stopped-output",)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("count", [20_000, 400_000, 5_000_000])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_of_a_counter_at_true_lengths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, fault: str, count: int
+) -> None:
+    change, says = FAULTS[fault]
+    t = np.arange(count) / 200.0
+    counts = np.rint(10179.0 * t).astype(np.int64)
+    change(counts)
+    columns = {"t": t, "n": counts, "fx": np.full(count, 1.0), "fy": np.full(count, 0.1), "fz": np.zeros(count)}
+    assert ",".join(columns) == HEADER
+    pa.csv.write_csv(pa.table(columns), tmp_path / "run.csv")
+    run = tmp_path / "run.toml"
+    run.write_text(RUN.format(file="run.csv", instrument="", data="", t="t", n="n"))
+    found = ends(monkeypatch, capsys, run)
+    assert set(map(str, found.values())) == {str(found["check"])}
+    assert any(part in str(found["check"]) for part in says)
