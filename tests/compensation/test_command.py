@@ -204,7 +204,7 @@ def test_lines_and_batches_through_a_pipe_are_the_record():
     cal = calibration_of({**CAL}, {"phi": 1e-4})
     whole = piga.compensate(run, cal)
     text = io.StringIO(
-        "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, r.values())) for r in table.to_pylist())
+        "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, r.values())) for r in table.to_pylist()) + "\n"
     )
     answer = io.StringIO()
     assert compensate_lines(text, answer, piga.Compensator(cal)) == 50

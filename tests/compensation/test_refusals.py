@@ -296,7 +296,7 @@ def test_base_rate_and_temperature_through_a_pipe() -> None:
     cal = calibration_of({**CAL, "k0_T": 1e-4})
     names = "t, output, fx, fy, fz, wx, wy, wz, temperature"
     rows = np.column_stack((run.t, run.output, F, rate, warm)).tolist()
-    text = "\n\n".join([names, *(",".join(map(repr, row)) for row in rows)])
+    text = "\n\n".join([names, *(",".join(map(repr, row)) for row in rows), ""])
     answer = io.StringIO()
     assert compensate_lines(io.StringIO(text), answer, piga.Compensator(cal)) == T.size
     ax = np.array([line.split(",")[1] for line in answer.getvalue().splitlines()[1:]], dtype=float)
@@ -318,6 +318,125 @@ def test_columns_of_a_pipe(header: str, message: str) -> None:
     sent.seek(0)
     with pytest.raises(piga.DataError, match=f"standard input: {message}"):
         compensate_arrow(sent, io.BytesIO(), stream)
+
+
+def test_names_of_a_pipe_stand_once_and_base_rates_together() -> None:
+    stream = piga.Compensator(calibration_of(CAL))
+    for header, message in (
+        ("t,output,fx,fy,fz,fx", "the column 'fx' is there twice"),
+        ("t,output,fx,fy,fz,wx,wz", "no column 'wy' beside the other base rates"),
+        ("", "no column 't'"),
+    ):
+        with pytest.raises(piga.DataError, match=f"standard input: {message}"):
+            compensate_lines(io.StringIO(header + "\n"), io.StringIO(), stream)
+
+
+NO_NUMBERS = [
+    "nan",
+    "inf",
+    "-Infinity",
+    "0_14",
+    "\uff11\uff12",
+    "1e999",
+    "0x10",
+    "",
+    "1 2",
+    "\u0661",
+    "1e",
+    "--1",
+    "\0",
+]
+"""What Python's float() takes for a number, or a logger writes in place of one."""
+
+
+@pytest.mark.parametrize("cell", NO_NUMBERS)
+@pytest.mark.parametrize("row", [0, 2, 4], ids=["first row", "after a row", "after a gap"])
+def test_cells_of_a_pipe_that_are_no_numbers(cell: str, row: int) -> None:
+    """Refused with their line wherever they stand; the rows before are answered."""
+    table = [[0.01 * i + (5.0 if i >= 4 else 0.0), 0.1 * i, 9.8, 1.0, 0.0] for i in range(6)]
+    texts = [",".join(map(repr, values)) for values in table]
+    for column in range(5):
+        cells = texts[row].split(",")
+        cells[column] = cell
+        sent = "\n".join(["t,output,fx,fy,fz", *texts[:row], ",".join(cells), *texts[row + 1 :], ""])
+        answer = io.StringIO()
+        with pytest.raises(piga.DataError, match=f"standard input: line {row + 2}: .* is no row of 5 numbers"):
+            compensate_lines(io.StringIO(sent), answer, piga.Compensator(calibration_of(CAL)))
+        assert answer.getvalue().count("\n") == (row + 1 if row else 0)
+
+
+def test_a_line_without_end() -> None:
+    """Memory does not grow with it; and a last line that is cut is not taken for a shorter number."""
+
+    class Endless(io.TextIOBase):
+        asked = 0
+
+        def readline(self, size: int = -1) -> str:  # type: ignore[override]
+            assert 0 < size <= 1 << 20
+            self.asked += size
+            return "1" * size if self.asked > size else "t,output,fx,fy,fz\n"
+
+    stream = piga.Compensator(calibration_of(CAL))
+    with pytest.raises(piga.DataError, match=r"line 2 is longer than 65536 characters"):
+        compensate_lines(Endless(), io.StringIO(), stream)
+    answer = io.StringIO()
+    with pytest.raises(piga.DataError, match=r"line 3 has no end: the stream was cut off"):
+        compensate_lines(io.StringIO("t,output,fx,fy,fz\n0,0,9.8,1,0\n0.01,0.1,9.8,1,0.12"), answer, stream)
+    assert answer.getvalue().count("\n") == 2
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
+def test_samples_that_begin_a_stretch_are_checked_too(kind: str, bad: float) -> None:
+    """The first one and one behind a gap have no increment that would show it; the state stays as it was."""
+    stream = piga.Compensator(calibration_of(CAL), kind=kind)
+    good = {"t": T[:3], "output": np.zeros(3), "f": F[:3]}
+    for first in (True, False):
+        time = 0.0 if first else 100.0
+        for name in ("output", "f", "t"):
+            values = {"t": np.array([time, time + 0.01]), "output": np.zeros(2), "f": F[:2].copy()}
+            values[name][0] = bad
+            before = stream.state
+            with pytest.raises(piga.ArgumentError, match=r"not finite|too large"):
+                stream.push(values)
+            assert stream.state.tobytes() == before.tobytes()
+        stream.push(good)
+
+
+@pytest.mark.parametrize("compression", [None, "lz4"])
+def test_cut_and_damaged_arrow_streams(compression: str | None) -> None:
+    """Every length of a stream, and many a changed byte: answered, or refused in words."""
+    table = pa.table({name: np.arange(4.0) for name in ("t", "output", "fx", "fy", "fz")})
+    sent = io.BytesIO()
+    with pa.ipc.new_stream(
+        sent, table.schema, options=pa.ipc.IpcWriteOptions(compression=compression)
+    ) as writer:
+        writer.write_table(table, 2)
+    whole = sent.getvalue()
+    draw = np.random.default_rng(3)
+    cases = [whole[:length] for length in range(0, len(whole), 7)]
+    for _ in range(150):
+        changed = bytearray(whole)
+        changed[draw.integers(len(whole))] = draw.integers(256)
+        cases.append(bytes(changed))
+    cal = calibration_of(CAL)
+    for case in cases:
+        try:
+            with np.errstate(all="ignore"):  # compiled kernels do not warn
+                compensate_arrow(io.BytesIO(case), io.BytesIO(), piga.Compensator(cal))
+        except piga.DataError as error:
+            assert str(error).startswith("standard input: ")  # noqa: PT017 - either outcome is right
+
+
+def test_arrow_columns_that_hold_no_numbers() -> None:
+    columns = {name: pa.array([1.0]) for name in ("t", "output", "fx", "fy")}
+    for column in (pa.array(["0_14"]), pa.array([[1.0]]), pa.array([True])):
+        table, sent = pa.table(columns | {"fz": column}), io.BytesIO()
+        with pa.ipc.new_stream(sent, table.schema) as writer:
+            writer.write_table(table)
+        sent.seek(0)
+        with pytest.raises(piga.DataError, match=r"column 'fz' holds .*, not numbers"):
+            compensate_arrow(sent, io.BytesIO(), piga.Compensator(calibration_of(CAL)))
 
 
 def test_no_arrow_stream_and_an_empty_one() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from dataclasses import astuple, dataclass, replace
@@ -327,4 +328,6 @@ def _live(
     if arrow:
         compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
     else:
+        if isinstance(sys.stdin, io.TextIOWrapper):
+            sys.stdin.reconfigure(encoding="utf-8-sig", errors="replace")
         compensate_lines(sys.stdin, sys.stdout, stream)

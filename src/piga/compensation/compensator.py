@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 GAP = 1.5
 """An interval longer than this many nominal ones is a gap: no increment is formed across it."""
 KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
+LARGEST = 1e30
+"""Largest size of a sample in SI: anything beyond is damage, and squares of it stay finite."""
 
 
 class Compensator:
@@ -119,15 +121,18 @@ class Compensator:
         ArgumentError
             If a column is missing, has another length, or holds a number that is not finite.
         """
+        before = self._state.copy()
         samples = chunk if isinstance(chunk, Chunk) else self._samples(_columns(chunk))
         n = samples.t.size
         result = empty_step(n, self._uncertainty, self._flags)
         if n:
-            before = self._state.copy()
             run_kernel(self._model, self._state, samples, self._kind, self._typical, self._work, result)
             if not math.isfinite(result.dv.sum()):
                 self._state = before
                 _check_finite(samples)
+                raise ArgumentError(
+                    "chunk: its numbers are too large to compute with", remedy="check the units"
+                )
         return Compensated(samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method)
 
     def _samples(self, columns: Mapping[str, Any]) -> Chunk:
@@ -148,8 +153,9 @@ class Compensator:
         base_rate = _rows(columns, "base_rate", n) if columns.get("base_rate") is not None else NO_RATES
         angle = _column(columns, "angle", n) if columns.get("angle") is not None else NONE
         given = columns.get("begins")
-        begins = self._find_begins(t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
+        _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle))
+        begins = self._find_begins(t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
         return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
 
     def _find_begins(self, t: Array) -> NDArray[np.bool_]:
@@ -193,10 +199,16 @@ def _rows(columns: Mapping[str, Any], name: str, n: int) -> Array:
 
 
 def _check_finite(samples: Chunk) -> None:
-    """Name the sample that made a result which is no number."""
-    named = {"t": samples.t, "output": samples.output, "f": samples.a_Y + samples.a_Z}
+    """Name the sample that is no number, or so large that a result would be none."""
+    named = {
+        "t": samples.t,
+        "output": samples.output,
+        "f": np.maximum(np.abs(samples.a_Y), np.abs(samples.a_Z)),
+    }
     named |= {"base_rate": samples.base_rate, "temperature": samples.temperature, "angle": samples.angle}
     for name, values in named.items():
-        if not np.isfinite(values).all():
-            index = int(np.argwhere(~np.isfinite(values))[0][0])
-            raise ArgumentError(f"chunk['{name}'][{index}] is not finite", remedy="leave such samples out")
+        fits = np.abs(values) <= LARGEST
+        if not fits.all():
+            index = int(np.argwhere(~fits)[0][0])
+            what = "too large" if np.isfinite(values[index]).all() else "not finite"
+            raise ArgumentError(f"chunk['{name}'][{index}] is {what}", remedy="leave such samples out")

@@ -6,21 +6,28 @@ Columns are in SI and named ``t, output, fx, fy, fz`` and, if there are, ``wx, w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.compensator import Compensator
+from piga.compensation.result import Compensated
 from piga.compensation.writers import schema_of
-from piga.errors import DataError
+from piga.errors import ArgumentError, DataError
 from piga.records.arrow_columns import number_column
+from piga.records.limits import first_line
 from piga.records.stream import numbers_of
 
 FORCE = ("fx", "fy", "fz")
 RATE = ("wx", "wy", "wz")
 NEEDED = ("t", "output", *FORCE)
+MAX_LINE = 1 << 16
+"""Longest line [characters]; a row of eleven numbers has some 250."""
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 KNOWN = (*NEEDED, *RATE, "temperature", "angle")
 
 
@@ -36,6 +43,8 @@ def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
 def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int:
     """Compensate comma-separated lines, each answered at once; the first line names the columns.
 
+    Numbers are written with the digits 0 to 9, a point and an exponent; nothing else is taken for a number.
+
     Returns
     -------
     rows:
@@ -44,23 +53,15 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     Raises
     ------
     DataError
-        With the number of the line that is wrong.
+        With the number of the line that is wrong, too long, or cut off.
     """
-    header = [name.strip() for name in source.readline().split(",")]
+    header = [name.strip() for name in _line(source, 1).split(",")]
     _check_names(header)
-    rows = 0
-    for number, line in enumerate(source, start=2):
+    rows, number = 0, 1
+    while line := _line(source, number := number + 1):
         if not line.strip():
             continue
-        cells = line.split(",")
-        try:
-            values = dict(zip(header, map(float, cells), strict=True))
-        except ValueError:
-            raise DataError(
-                f"standard input: line {number}: '{line.strip()[:60]}' is no row of {len(header)} numbers",
-                remedy="send numbers separated by commas",
-            ) from None
-        found = stream.push(chunk_of(values)).columns()
+        found = _pushed(stream, _row(line, header, number), f"line {number}").columns()
         if rows == 0:
             sink.write(",".join(found) + "\n")
         sink.write(",".join(repr(column[0].item()) for column in found.values()) + "\n")
@@ -69,34 +70,92 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     return rows
 
 
+def _line(source: IO[str], number: int) -> str:
+    """The next line; empty at the end."""
+    line = source.readline(MAX_LINE)
+    if line and not line.endswith("\n"):
+        long = len(line) >= MAX_LINE
+        what = f"is longer than {MAX_LINE} characters" if long else "has no end: the stream was cut off there"
+        raise DataError(f"standard input: line {number} {what}", remedy="end every line with a line feed")
+    return line
+
+
+def _row(line: str, header: list[str], number: int) -> dict[str, float]:
+    cells = [cell.strip() for cell in line.split(",")]
+    values = [float(cell) if _NUMBER.fullmatch(cell) else math.nan for cell in cells]
+    if len(cells) != len(header) or not all(map(math.isfinite, values)):
+        raise DataError(
+            f"standard input: line {number}: '{line.strip()[:60]}' is no row of {len(header)} numbers",
+            remedy="send finite numbers separated by commas",
+        )
+    return dict(zip(header, values, strict=True))
+
+
+def _pushed(stream: Compensator, columns: Mapping[str, Any], where: str) -> Compensated:
+    try:
+        return stream.push(chunk_of(columns))
+    except ArgumentError as error:
+        raise DataError(f"standard input: {where}: {error.message}", remedy=error.remedy) from None
+
+
 def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) -> int:
     """Compensate an Arrow IPC stream, batch by batch.
+
+    Returns
+    -------
+    rows:
+        Rows compensated.
 
     Raises
     ------
     DataError
-        If the stream is none, or lacks a column.
+        If the stream is none, is cut off or damaged, lacks a column, or one holds no numbers.
     """
     import pyarrow as pa
 
     rows, writer = 0, None
-    try:
-        with pa.ipc.open_stream(source) as reader:
-            _check_names(reader.schema.names)
-            for batch in reader:
-                columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
-                found = stream.push(chunk_of(columns)).columns()
-                writer = writer or pa.ipc.new_stream(sink, schema_of(found))
-                writer.write_batch(_batch(found))
-                sink.flush()
-                rows += batch.num_rows
-    except pa.ArrowInvalid as error:
-        raise DataError(
-            f"standard input: no Arrow stream ({error})", remedy="send an Arrow IPC stream"
-        ) from None
+    for number, batch in enumerate(_batches(source), start=1):
+        columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
+        found = _pushed(stream, columns, f"batch {number}").columns()
+        writer = writer or pa.ipc.new_stream(sink, schema_of(found))
+        writer.write_batch(_batch(found))
+        sink.flush()
+        rows += batch.num_rows
     if writer is not None:
         writer.close()
     return rows
+
+
+def _batches(source: IO[bytes]) -> Iterator[Any]:
+    """The batches of a stream, each checked; whatever the library says of a damaged one becomes one message."""
+    import pyarrow as pa
+
+    try:
+        with pa.ipc.open_stream(source) as reader:
+            _check_names(reader.schema.names)
+            for field in reader.schema:
+                if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+                    raise DataError(
+                        f"standard input: column '{field.name}' holds {str(field.type)[:60]}, not numbers",
+                        remedy="send doubles or integers",
+                    )
+            while (batch := _next(reader)) is not None:
+                yield batch
+    except (pa.ArrowException, OSError, EOFError, ValueError, MemoryError) as error:
+        raise DataError(
+            f"standard input: no Arrow stream, or one that is cut off or damaged ({first_line(error)[:200]})",
+            remedy="send an Arrow IPC stream",
+        ) from None
+
+
+def _next(reader: Any) -> Any:
+    """The next batch, its buffers checked against its lengths; None at the end of the stream."""
+    try:
+        batch = reader.read_next_batch()
+    except StopIteration:
+        return None
+    batch.validate(full=True)
+    return batch
 
 
 def _batch(columns: Mapping[str, NDArray]) -> Any:
@@ -110,6 +169,16 @@ def _batch(columns: Mapping[str, NDArray]) -> Any:
 def _check_names(names: list[str]) -> None:
     missing = [name for name in NEEDED if name not in names]
     unknown = [name for name in names if name not in KNOWN]
-    if missing or unknown:
-        what = f"no column '{missing[0]}'" if missing else f"the unknown column '{unknown[0]}'"
+    twice = [name for name in names if names.count(name) > 1]
+    rates = [name for name in RATE if name not in names]
+    what = ""
+    if missing:
+        what = f"no column '{missing[0]}'"
+    elif unknown:
+        what = f"the unknown column '{unknown[0][:60]}'"
+    elif twice:
+        what = f"the column '{twice[0]}' is there twice"
+    elif 0 < len(rates) < len(RATE):
+        what = f"no column '{rates[0]}' beside the other base rates"
+    if what:
         raise DataError(f"standard input: {what}", remedy=f"columns in SI: {', '.join(KNOWN)}")
