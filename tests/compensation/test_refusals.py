@@ -414,8 +414,8 @@ def test_cut_and_damaged_arrow_streams(compression: str | None) -> None:
         writer.write_table(table, 2)
     whole = sent.getvalue()
     draw = np.random.default_rng(3)
-    cases = [whole[:length] for length in range(0, len(whole), 7)]
-    for _ in range(150):
+    cases = [whole[:length] for length in range(0, len(whole), 23)]
+    for _ in range(80):
         changed = bytearray(whole)
         changed[draw.integers(len(whole))] = draw.integers(256)
         cases.append(bytes(changed))

@@ -133,8 +133,8 @@ def plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
 
     Its own ``to_numpy`` and ``fill_null`` would load pandas where there is one, and 40 MB with it.
     """
-    values = np.frombuffer(column.buffers()[1] or b"", dtype=kind)
-    return np.array(values[column.offset : column.offset + len(column)])
+    values = np.frombuffer(column.buffers()[1] or b"", dtype=kind, count=column.offset + len(column))
+    return np.array(values[column.offset :])
 
 
 def numbers_of(column: Any) -> NDArray[np.float64]:
