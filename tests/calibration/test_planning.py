@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,9 @@ from piga.calibration.mounting import plan_mounting
 from piga.calibration.plan_export import plan_document, scenario_text
 from piga.calibration.plan_file import read_plan
 from piga.calibration.planning import plan_test
-from piga.calibration.prediction import Visit, predict
+from piga.calibration.prediction import Visit, noiseless_run, predict
 from piga.cli.main import app
-from piga.errors import CalibrationError, IdentifiabilityError, RunFileError
+from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError
 from piga.reports.page import page_html
 from piga.reports.planning import plan_page, plan_text
 from piga.stand import read_scenario, run_scenario
@@ -370,3 +371,55 @@ def test_shipped_example_beats_the_24_positions_by_a_quarter():
     ratios = {name: plan.best.std(name) / usual.std(name) for name in plan.names}
     assert max(ratios.values()) < 0.85
     assert np.exp(np.mean(np.log(list(ratios.values())))) < 0.75
+
+
+SERVO = {
+    "terms": '"scale_factor", "tan_beta", "k0", "servo", "servo_damping"',
+    "positions": "5:365:60 deg",
+}
+
+
+def with_servo(folder, **changes):
+    """A plan for an instrument whose servo is soft."""
+    path = request(folder, **(SERVO | changes)).path
+    own = 'k0 = "3e-4 g"\nservo = "13 ug/g^3"\nservo_damping = "20 ug/g^3"'
+    path.write_text(path.read_text(encoding="utf-8").replace('k0 = "3e-4 g"', own), encoding="utf-8")
+    return read_plan(path)
+
+
+def test_tables_with_the_servo_agree_with_the_estimator(tmp_path):
+    wish = with_servo(tmp_path, plan='longest_dwell = "30 s"')
+    places = find_candidates(wish)
+    tables = information_tables(wish, places)
+    found = predict(wish, "x", tuple(Visit(c, 30.0) for c in places), type_b=False)
+    std = np.sqrt(np.diag(np.linalg.inv(tables[:, -1].sum(axis=0))))
+    for name, value in zip(coefficient_names(wish), std, strict=True):
+        assert found.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
+
+
+@pytest.mark.only_compiled
+def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
+    """Spread of the estimates over records of the planned test with new noise, and no bias."""
+    wish = with_servo(tmp_path, rate=4, positions="5:365:30 deg")
+    visits = tuple(Visit(c, 60.0) for c in find_candidates(wish))
+    predicted, run = predict(wish, "x", visits, type_b=False), noiseless_run(wish, visits)
+    names, errors = ("scale_factor", "servo", "servo_damping"), []
+    for seed in range(REPEATS):
+        walk = 1e-5 * 0.5 * np.random.default_rng(seed).standard_normal(run.size)
+        found = piga.calibrate(replace(run, output=run.output + np.cumsum(walk)), wish.model.terms)
+        errors.append([found[name].value for name in names])
+    scores = (np.array(errors) - [0.8884, 13e-6, 20e-6]) / [predicted.std(name) for name in names]
+    assert np.abs(scores.mean(axis=0)).max() < 4.0 / math.sqrt(REPEATS)
+    assert np.mean(scores**2, axis=0) == pytest.approx(np.ones(3), abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"terms": '"scale_factor", "tan_beta", "k0", "k3", "servo"'}, "this plan cannot separate .*k3.*servo"),
+        ({"terms": '"scale_factor", "k0", "servo"'}, "'servo' turns with the output angle"),
+    ],
+)
+def test_a_plan_refuses_what_the_calibration_refuses(tmp_path, changes, words):
+    with pytest.raises(PigaError, match=words):
+        plan_test(with_servo(tmp_path, **changes))

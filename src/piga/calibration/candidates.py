@@ -18,11 +18,12 @@ from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.plan_file import PlanRequest
 from piga.calibration.request import Request
+from piga.calibration.servo_columns import ServoState
 from piga.calibration.weighting import weighted_blocks, weighting_mode
 from piga.errors import CalibrationError
 from piga.instrument import Instrument, propagate
 from piga.records.run import Run
-from piga.records.terms import harmonic, si_factor
+from piga.records.terms import SERVO_TERMS, harmonic, si_factor
 from piga.stand.imperfections import NONE
 from piga.stand.profile import Stand
 from piga.stand.scenario_tables import (
@@ -197,7 +198,19 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
     segment = np.repeat(np.arange(STARTS, dtype=np.int32), t.size)
     many = (STARTS, 1)
     run = run_of(request, times, np.concatenate(outputs), np.tile(force, many), np.tile(rate, many), segment)
-    return Design(run, model_request(request), run.scale_factor)
+    design = Design(run, model_request(request), run.scale_factor)
+    return design.with_servo(_servo_state(request, design)) if design.turning_servo else design
+
+
+def _servo_state(request: PlanRequest, design: Design) -> ServoState:
+    """Where the columns of the servo are combined: phase zero, the expected coefficients."""
+    truth, K = _truth(request), design.run.scale_factor
+    return ServoState(
+        (0.0,) * STARTS,
+        K * truth.get("servo", 0.0),
+        K * truth.get("servo_damping", 0.0),
+        1.0 / (K * truth["tan_beta"]),
+    )
 
 
 def _jacobian(request: PlanRequest, design: Design) -> Array:
@@ -236,6 +249,7 @@ def _truth(request: PlanRequest) -> dict[str, float]:
     values |= {
         name: getattr(specimen.error_model, name, 0.0) for name in request.model.terms if name not in values
     }
+    values |= {name: getattr(specimen, name) for name in SERVO_TERMS if name in request.model.terms}
     for order, (sine, cosine) in specimen.harmonics.items():
         values |= {f"s{order}": sine, f"c{order}": cosine}
     return values

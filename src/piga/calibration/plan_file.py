@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
+from piga.calibration.request import Request, check_servo
 from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, Table, UncertaintyTable
 from piga.records.terms import check_terms, si_factor, unit_of
@@ -144,6 +145,7 @@ def _check(table: PlanTable, model: ModelTable) -> None:
             "[truth] lacks beta: the uncertainty of its phase depends on the size of tan_beta",
             remedy='add the expected size, e.g. beta = "20 arcsec"',
         )
+    check_servo(Request(tuple(model.terms), model.phase, model.phase_source, "information", None, None, 293.15))
     if table.electronics.bias_random_walk != 0.0:
         raise RunFileError(
             "[electronics] bias_random_walk is not part of the noise model of the estimator",

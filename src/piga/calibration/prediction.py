@@ -14,6 +14,7 @@ from piga.calibration.coefficients import name_coefficients
 from piga.calibration.design import Design
 from piga.calibration.identifiability import examine, refuse_if_confounded
 from piga.calibration.plan_file import PlanRequest
+from piga.calibration.servo import settled_design
 from piga.calibration.solution import solve
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import reduce_segments, weighting_mode
@@ -91,8 +92,9 @@ def predict(
     coupled = "tan_beta" in wish.terms or bool(wish.harmonics)
     per_segment = wish.phase == "per-segment" and coupled
     groups = tuple(range(len(run.labels))) if per_segment else (0,) * len(run.labels)
-    summaries = reduce_segments(design, mode, noise)
     try:
+        design = settled_design(design, mode, noise, groups)
+        summaries = reduce_segments(design, mode, noise)
         refuse_if_confounded(examine(design, summaries, per_segment))
     except IdentifiabilityError as error:
         if refuse:
@@ -109,7 +111,7 @@ def predict(
     base = np.array([c.value for c in coefficients])
 
     def estimate(moved: Run) -> Array:
-        again = Design(moved, wish, run.scale_factor)
+        again = settled_design(Design(moved, wish, run.scale_factor), mode, noise, groups)
         found = solve(again, reduce_segments(again, mode, noise), groups)
         named, _ = name_coefficients(again, found, found.covariance, per_segment)
         values = np.array([c.value for c in named])

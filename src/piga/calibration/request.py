@@ -118,7 +118,7 @@ def _check_record(run: Run, request: Request) -> None:
                 f"term '{name}' needs the temperature, the record has none",
                 remedy="add [data] temperature = { column = '...', unit = 'degC' }, or leave the term out",
             )
-    _check_servo(request)
+    check_servo(request)
     coupled = "tan_beta" in request.terms or bool(request.harmonics)
     turning = coupled and request.method != "revolutions"
     if request.phase == "shared" and turning and len(set(run.phase_group)) > 1:
@@ -149,8 +149,14 @@ def _check_record(run: Run, request: Request) -> None:
         )
 
 
-def _check_servo(request: Request) -> None:
-    """The terms of the servo need the phase that the coupling carries, and a method that holds it."""
+def check_servo(request: Request) -> None:
+    """The terms of the servo need the phase that the coupling carries, and a method that holds it.
+
+    Raises
+    ------
+    CalibrationError
+        If one is asked for without tan_beta, or of another method.
+    """
     asked = [name for name in SERVO_TERMS if name in request.terms]
     if not asked:
         return
