@@ -19,9 +19,8 @@ def test_same_truth_with_larger_uncertainty() -> None:
         turns, whole = piga.calibrate(run, TERMS, "revolutions"), piga.calibrate(run, TERMS)
         z = errors(turns)
         assert all(abs(value) < 4.5 for value in z.values()), z
-        assert {c.degrees_of_freedom for c in turns.coefficients} == {
-            turns.diagnostics["turns"] - len(turns.segments)
-        }
+        most = turns.diagnostics["turns"] - len(turns.segments)
+        assert all(3.0 < c.degrees_of_freedom <= most for c in turns.coefficients)
         squares += [value**2 for value in z.values()]
         for name in ("scale_factor", "k0", "k2", "m_Y"):
             assert 1.2 * whole[name].std < turns[name].std < 30.0 * whole[name].std
@@ -66,6 +65,93 @@ def test_pulling_gives_tan_beta_without_its_phase() -> None:
     assert [c.name for c in calibration.coefficients] == ["scale_factor", "tan_beta", "k0"]
     blind = piga.calibrate(run, ["scale_factor", "k0"], "revolutions")
     assert abs(blind["scale_factor"].value - 0.8884) > 10.0 * blind["scale_factor"].std
+
+
+NEAR = (-2.5, -1.8, -1.4, -1.15, 1.15, 1.4, 1.8, 2.5)
+"""Ratios a/b of positions near lock."""
+
+
+def near_lock(rng: np.random.Generator, records: int, walk: float, white: float) -> list[piga.Run]:
+    """Records of eight positions near lock under 5 g across and six of a head, by Heun's method in NumPy.
+
+    tan_beta 0.02, k0 1e-3 g; a random walk [rad/sqrt(s)] moves the gimbal, white noise [rad] is read.
+    """
+    ratio, turned = np.array(NEAR), 0.13 + 2.0 * np.pi * np.arange(6) / 6
+    near = np.stack([0.1 * ratio, 5.0 * np.cos(np.arange(8.0)), 5.0 * np.sin(np.arange(8.0))], axis=1)
+    forces = np.vstack([near, np.stack([np.cos(turned), -np.sin(turned), 0.02 + 0.0 * turned], axis=1)])
+    a, y, z = forces.T
+    h, inner, samples = 0.02, 12, 1250
+
+    def rate(alpha: np.ndarray) -> np.ndarray:
+        return 0.8884 * (a + 1e-3 + 0.02 * (y * np.sin(alpha) - z * np.cos(alpha)))
+
+    alpha = rng.uniform(-np.pi, np.pi, (records, a.size))
+    read = [alpha]
+    for _ in range(samples):
+        for _ in range(inner):
+            pushed = walk * np.sqrt(h) * rng.standard_normal(alpha.shape)
+            first = rate(alpha)
+            alpha = alpha + 0.5 * h * (first + rate(alpha + h * first + pushed)) + pushed
+        read.append(alpha)
+    output = np.moveaxis(np.array(read), 0, 2)
+    output = output + white * rng.standard_normal(output.shape)
+    t = np.add.outer(310.0 * np.arange(a.size), inner * h * np.arange(samples + 1))
+    segment = np.repeat(np.arange(a.size, dtype=np.int32), samples + 1)
+    force = np.repeat(forces * G0, samples + 1, axis=0)
+    return [
+        piga.Run.from_arrays(t.ravel(), one.ravel(), force, scale_factor=SCALE, segment=segment)
+        for one in output
+    ]
+
+
+def missed(found: piga.Calibration) -> dict[str, tuple[float, bool]]:
+    """Error over standard uncertainty, and whether the 95 % interval holds the truth."""
+    truth = {"scale_factor": 0.8884, "tan_beta": 0.02, "k0": 1e-3}
+    return {
+        c.name: ((c.value - truth[c.name]) / c.std, c.limits[0] <= truth[c.name] <= c.limits[1])
+        for c in found.coefficients
+    }
+
+
+@pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4), (0.0, 1e-4)])
+def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
+    run = near_lock(np.random.default_rng([3, 61]), 1, walk, white)[0]
+    found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phase="per-segment")
+    assert all(abs(z) < 4.0 for z, _ in missed(found).values()), missed(found)
+    assert len(found.segments) == 14
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4)])
+def test_intervals_near_lock_hold(walk: float, white: float) -> None:
+    """300 records: 95 % intervals hold in 92 % at least, and a walk alone is not overstated by more than a quarter."""
+    held: dict[str, list[tuple[float, bool]]] = {}
+    for run in near_lock(np.random.default_rng([3, 62]), 300, walk, white):
+        found = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phase="per-segment")
+        for name, result in missed(found).items():
+            held.setdefault(name, []).append(result)
+    for name, results in held.items():
+        assert np.mean([inside for _, inside in results]) > 0.92, name
+        assert np.std([z for z, _ in results]) < 1.1, name
+        assert walk < 1e-4 or np.std([z for z, _ in results]) > 0.8, name
+
+
+def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
+    """a/b = 1.03: one turn in ten minutes, nearly all of it at one angle."""
+    t = np.tile(np.arange(0.0, 900.0, 0.25), 4)
+    n = t.size // 4
+    f = np.repeat(
+        np.array([[0.103, 5.0, 0.0], [1.0, 0.0, 0.1], [-1.0, 0.1, 0.0], [0.5, 0.5, 0.1]]) * G0, n, axis=0
+    )
+    segment = np.repeat(np.arange(4, dtype=np.int32), n)
+    start = piga.Instrument(scale_factor=SCALE, beta=float(np.arctan(0.02)))
+    parts = [piga.propagate(start, t[:n], f[segment == k]) for k in range(4)]
+    output = np.concatenate(parts) + 1e-5 * np.random.default_rng(5).standard_normal(t.size)
+    run = piga.Run.from_arrays(t + 1000.0 * segment, output, f, scale_factor=SCALE, segment=segment)
+    found = piga.calibrate(run, ("scale_factor", "k0"), "revolutions")
+    event = next(e for e in found.quality.events if e.kind == "near-lock")
+    assert event.count == 1
+    assert len(found.segments) == 3
 
 
 def test_pulling_that_does_not_show_is_said() -> None:

@@ -34,6 +34,7 @@ from piga.calibration.revolutions import (
     estimate_again,
     fit_revolutions,
     name_revolutions,
+    revolutions_degrees,
     revolutions_result,
 )
 from piga.calibration.slow_noise import include_slow_noise
@@ -245,8 +246,7 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
         budget.append(
             budget_row(source.name, "B", shape, source.value, source.unit, coefficients, change, known)
         )
-    freedom = np.full(base.size, float(fit.positions.freedom))
-    coefficients = combined(coefficients, covariance, tuple(budget), freedom)
+    coefficients = combined(coefficients, covariance, tuple(budget), revolutions_degrees(fit, request))
     notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
     notes = (*notes, note) if note else notes
     return revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)

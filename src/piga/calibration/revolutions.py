@@ -1,8 +1,10 @@
 """Whole-revolution averaging: the mean rate of each position over whole turns, corrected for pulling.
 
 What laboratories do: averaged over whole turns the cross-coupling's ripple is gone, but its pulling is not,
-the mean rate is ``sign(u) sqrt(u^2 - tan(beta)^2 u_t^2)`` (physics.md). Uncertainty comes from the
-scatter of single turns. For comparison: the angle inside the turns is not used, so it is less certain.
+the mean rate is ``sign(u) sqrt(u^2 - tan(beta)^2 u_t^2)`` (docs/theory/locking). Uncertainty comes from the
+scatter of single turns. Near lock the output lingers at one angle, and small disturbances there change the time of a
+turn much: the scatter is weighted by that amplification, which the output itself shows.
+For comparison: the angle inside the turns is not used, so it is less certain.
 """
 
 from __future__ import annotations
@@ -30,80 +32,124 @@ Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 STEADY = 2e-3
 """Change of the specific force in a position, relative to its size, that whole-turn averaging allows."""
-STEPS = 8
-"""Gauss-Newton steps; the pulling is a small correction."""
+STEPS, SETTLED = 50, 1e-12
+"""Gauss-Newton steps at most, and the relative step that ends them."""
+PHASES = 32
+"""Parts of a turn whose times give the amplification."""
+LOCKING = 10.0
+"""Amplification of the variance of a turn by pulling beyond which a position is left out: a/b below 1.08."""
 CLEAR = 4.0
 """Standard uncertainties that the pulling must stand out by to give tan_beta."""
 LEAST_FREEDOM = 3
+RATIOS = 41
+"""Shares of the random walk in the scatter of turns that are tried."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter of single turns: the variance of a turn is ``shape @ levels`` [rad^2], cautious in its mean.
+
+    ``shape`` (positions, 2): a random walk adds up over a turn, amplified by pulling; reading noise enters at both ends,
+    amplified by how slowly the output passes there. ``levels`` are the variances of walk [rad^2/s] and reading [rad^2],
+    ``covariance`` (2, 2) that of the levels; ``pooled`` [rad] is the root mean square of all turns.
+    """
+
+    shape: Array
+    levels: Array
+    covariance: Array
+    pooled: float
+
+    @property
+    def variance(self) -> Array:
+        """Variance of a turn in every position [rad^2]."""
+        variance: Array = self.shape @ self.levels
+        return variance
 
 
 @dataclass(frozen=True)
 class Positions:
-    """Mean rates over whole turns: one point per position, with its turns and the angle scatter of a turn [rad].
+    """Mean rates over whole turns: one point per position, with its turns and their scatter.
 
-    ``run`` is the record of these means, as a log of rates; ``left_out`` the labels of positions that do
-    not turn once, or whose force is not constant; ``freedom`` the degrees of freedom of the scatter.
+    ``run`` is the record of these means, as a log of rates; ``short``, ``unsteady`` and ``locking`` are the labels of
+    positions that do not turn once, whose force is not constant, and that are too near to lock.
     """
 
     run: Run
     turns: Array
     rows: NDArray[np.int64]
     duration: Array
-    scatter: float
+    scatter: Scatter
     freedom: int
     short: tuple[str, ...]
     unsteady: tuple[str, ...]
+    locking: tuple[str, ...]
 
     @property
     def std(self) -> Array:
         """Standard deviation of each mean rate [rad/s]: that of a turn, over the root of their number."""
-        return self.scatter * np.sqrt(self.turns) / self.duration
+        return np.sqrt(self.scatter.variance * self.turns) / self.duration
 
 
 @dataclass(frozen=True)
 class RevolutionFit:
-    """Estimate over positions: linear parameters, ``tan(beta)^2`` (None when not fitted), their covariance."""
+    """Estimate over positions: linear parameters, ``tan(beta)^2`` (None when not fitted), their covariance.
+
+    ``gain`` is their derivative by the mean rates, ``rate`` what is left of those [rad/s].
+    """
 
     positions: Positions
     design: Design
     linear: Array
     square: float | None
     covariance: Array
+    gain: Array
     rate: Array
     examination: Examination
+
+    @property
+    def shows_pulling(self) -> bool:
+        """True when ``tan(beta)^2`` stands out by ``CLEAR`` standard uncertainties."""
+        return self.square is not None and self.square > CLEAR * float(np.sqrt(self.covariance[-1, -1])) > 0.0
 
 
 def find_positions(run: Run) -> Positions:
     """Mean rate, force and base rate over whole turns of every position."""
-    points, durations, turns, rows, short, unsteady = [], [], [], [], [], []
-    squares, freedom = 0.0, 0
+    points, durations, turns, rows = [], [], [], []
+    short, unsteady, locking = [], [], []
+    squares, shapes = [], []
     used = []
     for index, label in enumerate(run.labels):
         part = _longest_stretch(run, index)
-        x = np.abs(run.output[part] - run.output[part][0])
-        count = int(np.maximum.accumulate(x)[-1] / TURN) if x.size else 0
+        x = np.maximum.accumulate(np.abs(run.output[part] - run.output[part][0]))
+        count = int(x[-1] / TURN) if x.size else 0
         if count < 1:
             short.append(label)
             continue
-        at = np.interp(TURN * np.arange(count + 1), np.maximum.accumulate(x), run.t[part])
+        at = np.interp(TURN * np.arange(count + 1), x, run.t[part])
         inside = slice(part.start, part.start + int(np.searchsorted(run.t[part], at[-1])) + 1)
         force = run.f[inside]
         if np.ptp(force, axis=0).max() > STEADY * np.linalg.norm(force, axis=1).max():
             unsteady.append(label)
             continue
         span = at[-1] - at[0]
-        squares += float(np.sum((np.diff(at) * (TURN * count / span) - TURN) ** 2))
-        freedom += count - 1
+        pulled, slow = _amplification(x, run.t[part], count)
+        if pulled > LOCKING:
+            locking.append(label)
+            continue
+        squares.append(float(np.sum((np.diff(at) * (TURN * count / span) - TURN) ** 2)))
+        shapes.append((span / count * pulled, 2.0 * slow))
         sign = np.sign(run.output[part][-1] - run.output[part][0])
         points.append((0.5 * (at[0] + at[-1]), sign * TURN * count / span, *force.mean(axis=0), part.start))
         durations.append(span)
         turns.append(float(count))
         rows.append(part.stop - part.start)
         used.append((index, inside))
+    freedom = int(sum(turns)) - len(turns)
     if freedom < LEAST_FREEDOM:
         raise CalibrationError(
             f"method 'revolutions' finds {freedom + len(points)} whole turns of the output in {len(points)} positions"
-            + (f"; not one in {', '.join(short[:6])}" if short else ""),
+            + (f"; not one in {', '.join(short[:6])}" if short else "")
+            + (f"; too near to lock in {', '.join(locking[:6])}" if locking else ""),
             remedy="record longer, name the positions in [data] segment, or use method 'information'",
         )
     table = np.array(points)
@@ -112,11 +158,50 @@ def find_positions(run: Run) -> Positions:
         np.array(turns),
         np.array(rows, dtype=np.int64),
         np.array(durations),
-        float(np.sqrt(squares / freedom)),
+        _scatter_levels(np.array(squares), np.array(turns) - 1.0, np.array(shapes)),
         freedom,
         tuple(short),
         tuple(unsteady),
+        tuple(locking),
     )
+
+
+def _amplification(x: Array, t: Array, count: int) -> tuple[float, float]:
+    """How much pulling amplifies the variance of a turn: that of a random walk, and that of reading noise at its ends.
+
+    A disturbance of the angle where the output turns at the rate r shifts the time by its inverse; as an angle at the mean rate
+    w that is ``w/r`` times as much. A walk collects ``(w/r)^2`` over the time of a turn,
+    ``w^3/(2 pi) integral d(angle)/r^3``, ``(1 + r0^2/2)/(1 - r0^2)`` for ``r0 = b/a``;
+    reading noise has the rate where turns begin and end.
+    """
+    inner = np.interp(TURN / PHASES * np.arange(PHASES * count + 1), x, t)
+    times = np.diff(inner).reshape(count, PHASES).mean(axis=0)
+    slowness = times / times.mean()
+    return float(np.mean(slowness**3)), float(0.5 * (slowness[0] + slowness[-1])) ** 2
+
+
+def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> Scatter:
+    """Levels of walk and reading noise from the sums of squares of the turns of each position.
+
+    Each sum over its variance is chi-square with ``freedom``: maximum likelihood with no level below zero, on a grid
+    of their ratio. The covariance of the levels is the inverse of Fisher's information.
+    """
+    usable = freedom > 0.0
+    own, sums, degrees = shape[usable], squares[usable], freedom[usable]
+    scale = shape.mean(axis=0)
+    best, levels = np.inf, np.zeros(2)
+    for share in np.linspace(0.0, 1.0, RATIOS):
+        mixed = own @ (np.array([share, 1.0 - share]) / scale)
+        level = float(np.sum(sums / mixed) / degrees.sum())
+        cost = float(np.sum(degrees * np.log(mixed))) + degrees.sum() * np.log(max(level, 1e-300))
+        if cost < best:
+            best, levels = cost, level * np.array([share, 1.0 - share]) / scale
+    variance = np.maximum(own @ levels, 1e-300)
+    relative = own * scale / variance[:, None]
+    information = (relative * (0.5 * degrees)[:, None]).T @ relative
+    covariance = np.linalg.pinv(information, rcond=1e-9) * np.outer(scale, scale)
+    pooled = float(np.sqrt(squares.sum() / degrees.sum()))
+    return Scatter(shape, levels, covariance, pooled)
 
 
 def _longest_stretch(run: Run, segment: int) -> slice:
@@ -203,11 +288,11 @@ def _gauss_newton(
     positions: Positions, design: Design, columns: Array, linear: Array, pulled: bool, examination: Examination
 ) -> RevolutionFit:
     run = positions.run
-    x, y = columns[:-1].T, columns[-1]
+    x = columns[:-1].T
     omega = np.zeros((run.size, 3)) if run.base_rate is None else run.base_rate
     known = np.zeros(run.size) if design.estimates_scale_factor else run.scale_factor * run.f[:, 0]
-    square, sign = 0.0, np.sign(run.output)
-    weight = 1.0 / positions.std
+    square, size = 0.0, np.abs(run.output)
+    weight, sign = 1.0 / positions.std, np.sign(run.output)
     for _ in range(STEPS):
         K = (
             float(linear[design.names.index("scale_factor")])
@@ -216,47 +301,70 @@ def _gauss_newton(
         )
         transverse = np.sum((K * run.f[:, 1:] - omega[:, 1:]) ** 2, axis=1)
         u = x @ linear + known - omega[:, 0]
-        mean = np.sqrt(np.maximum(u**2 - square * transverse, 0.25 * u**2))
-        model = sign * mean + omega[:, 0] - known
-        jacobian = x * (np.abs(u) / mean)[:, None]
+        # the squares are compared: nothing has to be kept from the dead zone on the way
+        miss = (size**2 - u**2 + square * transverse) / (2.0 * size)
+        jacobian = x * (u / size)[:, None]
         if pulled:
-            jacobian = np.column_stack([jacobian, -sign * transverse / (2.0 * mean)])
+            jacobian = np.column_stack([jacobian, -transverse / (2.0 * size)])
         scaled = jacobian * weight[:, None]
         norm = np.linalg.norm(scaled, axis=0)
         norm[norm == 0.0] = 1.0
-        step = np.linalg.lstsq(scaled / norm, (y - model) * weight, rcond=1e-12)[0] / norm
-        linear = linear + step[: linear.size]
-        square += float(step[-1]) if pulled else 0.0
+        change = np.linalg.lstsq(scaled / norm, miss * weight, rcond=1e-12)[0] / norm
+        linear = linear + change[: linear.size]
+        square += float(change[-1]) if pulled else 0.0
+        if np.abs(change * norm).max() <= SETTLED * np.linalg.norm(size * weight):
+            break
     covariance = np.linalg.pinv((scaled / norm).T @ (scaled / norm), rcond=1e-14) / np.outer(norm, norm)
-    return RevolutionFit(
-        positions, design, linear, square if pulled else None, covariance, y - model, examination
-    )
+    found = square if pulled else None
+    gain = covariance @ (jacobian * weight[:, None] ** 2).T
+    return RevolutionFit(positions, design, linear, found, covariance, gain, sign * miss, examination)
 
 
 def name_revolutions(fit: RevolutionFit, request: Request) -> tuple[tuple[Coefficient, ...], Array, str]:
     """Coefficients with covariance (Type A), and a note where the pulling does not show."""
-    names = fit.design.names
-    keys: list[tuple[str, str | None]] = [(name, None) for name in names]
-    amplitudes, covariance, note = fit.linear, fit.covariance, ""
-    if fit.square is not None:
+    note = ""
+    if fit.square is not None and not fit.shows_pulling:
         std = float(np.sqrt(fit.covariance[-1, -1]))
-        if fit.square > CLEAR * std > 0.0:
-            amplitudes, covariance = _with_tangent(fit, keys)
-        else:
-            covariance = fit.covariance[:-1, :-1]
-            note = (
-                f"the pulling of the mean rate does not show tan_beta (tan_beta^2 = {fit.square:.2g}, standard "
-                f"uncertainty {std:.2g}): it is not in the result; use method 'information'"
-            )
+        note = (
+            f"the pulling of the mean rate does not show tan_beta (tan_beta^2 = {fit.square:.2g}, standard "
+            f"uncertainty {std:.2g}): it is not in the result; use method 'information'"
+        )
+    return (*_named(fit, request, fit.covariance), note)
+
+
+def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
+    """Degrees of freedom of the Type A uncertainty of each coefficient: how well the levels of the scatter are known.
+
+    The variance of a coefficient is linear in the levels; ``2 v^2 / var(v)`` to first order (JCGM 100, G.4).
+    """
+    scatter, positions = fit.positions.scatter, fit.positions
+    parts = []
+    for column in scatter.shape.T:
+        variance = column * positions.turns / positions.duration**2
+        parts.append(np.diag(_named(fit, request, (fit.gain * variance) @ fit.gain.T)[1]))
+    share = np.array(parts)
+    doubt = np.einsum("ik,ij,jk->k", share, scatter.covariance, share)
+    degrees: Array = 2.0 * (scatter.levels @ share) ** 2 / np.maximum(doubt, 1e-300)
+    return np.clip(degrees, 1.0, positions.freedom)
+
+
+def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
+    """Coefficients with what their covariance is when that of the parameters is ``covariance``."""
+    keys: list[tuple[str, str | None]] = [(name, None) for name in fit.design.names]
+    amplitudes = fit.linear
+    if fit.shows_pulling:
+        amplitudes, covariance = _with_tangent(fit, keys, covariance)
+    elif fit.square is not None:
+        covariance = covariance[:-1, :-1]
     tail = np.arange(len(keys))
     layout = Layout(False, (), tuple(keys), (tail,))
     estimate = Estimate(amplitudes, np.zeros(0), covariance, 0.0, (np.eye(tail.size),))
-    terms = request.terms
-    named, result = name_parameters(layout, estimate, covariance, fit.design.run.scale_factor, terms, [])
-    return named, result, note
+    return name_parameters(layout, estimate, covariance, fit.design.run.scale_factor, request.terms, [])
 
 
-def _with_tangent(fit: RevolutionFit, keys: list[tuple[str, str | None]]) -> tuple[Array, Array]:
+def _with_tangent(
+    fit: RevolutionFit, keys: list[tuple[str, str | None]], covariance: Array
+) -> tuple[Array, Array]:
     """Parameters with ``K tan_beta`` for ``tan_beta^2``."""
     tangent = float(np.sqrt(fit.square or 0.0))
     names = fit.design.names
@@ -267,7 +375,7 @@ def _with_tangent(fit: RevolutionFit, keys: list[tuple[str, str | None]]) -> tup
     if at is not None:
         jacobian[-1, at] = tangent
     keys.append(("tan_beta", None))
-    return np.append(fit.linear, K * tangent), jacobian @ fit.covariance @ jacobian.T
+    return np.append(fit.linear, K * tangent), jacobian @ covariance @ jacobian.T
 
 
 def estimate_again(run: Run, request: Request, keys: list[str]) -> Array:
@@ -308,8 +416,8 @@ def revolutions_result(
         coefficients=coefficients,
         covariance=covariance,
         surplus_observations=float(means.size - len(coefficients)),
-        angle_rms=positions.scatter / float(np.sqrt(2.0)),
-        angle_random_walk=0.0,
+        angle_rms=float(np.sqrt(positions.scatter.levels[1])),
+        angle_random_walk=float(np.sqrt(positions.scatter.levels[0])),
         residual_rms=figures["residual_rms"],
         residual_rms_before=figures["residual_rms_before"],
         residual_max_before=figures["residual_max_before"],
@@ -322,7 +430,7 @@ def revolutions_result(
             "residual_kind": "rate",
             "range": validity_ranges(run),
             "turns": int(positions.turns.sum()),
-            "scatter_of_a_turn": positions.scatter,
+            "scatter_of_a_turn": positions.scatter.pooled,
         },
         segments=tuple(
             SegmentSummary(label, int(n), float(d), float(a), float(c), abs(float(r)), abs(float(b)), abs(float(r)))
@@ -344,6 +452,11 @@ def _events(positions: Positions) -> list[Event]:
     for kind, labels, words in (
         ("no-whole-revolution", positions.short, "the output does not turn once"),
         ("force-not-constant", positions.unsteady, "the specific force changes while the output turns"),
+        (
+            "near-lock",
+            positions.locking,
+            f"pulling amplifies the scatter of a turn more than {LOCKING:g} times",
+        ),
     ):
         if labels:
             listed = ", ".join(labels[:8]) + (" ..." if len(labels) > 8 else "")
