@@ -96,7 +96,8 @@ def test_an_amendment_is_a_new_record(tmp_path: Path) -> None:
             (first, "superseded already, by"),
             (other, "is of instrument 'T-2'"),
             ("00000-00000", "no record"),
-            ("1", "is a number"),
+            ("1", "superseded already, by"),
+            ("7", "no record"),
         ):
             with pytest.raises(PigaError, match=message):
                 add(store, "d", supersedes=wrong)

@@ -33,7 +33,9 @@ _ADVISORY_LOCK = 0x7069676172656300
 _MAGIC = b"SQLite format 3\x00"
 _DAMAGED = "run piga records verify, then restore a backup"
 _WORDS = (
-    ("full", "no space is left", "free some space"),
+    ("disk is full", "no space is left", "free some space"),
+    ("no space left", "no space is left", "free some space"),
+    ("index row size", "a serial is too long for PostgreSQL", "restore into a SQLite file"),
     ("readonly", "it cannot be written to", "check the rights of the file and its folder"),
     ("locked", "another program holds it", "try again when that has ended"),
     ("append-only", "records are append-only", "amend a record by a new one that supersedes it"),

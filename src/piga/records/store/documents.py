@@ -17,10 +17,14 @@ from typing import Any, TypeVar
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
+from piga.records.limits import check_label
+from piga.records.store.file_names import safe_name
 
 IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
 MAX_TEXT = 2000
 """Letters that operator and reason may have."""
+MAX_FILES = 1000
+"""Files of a record."""
 _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 _ID = re.compile(rf"[{_ALPHABET}]{{5}}-[{_ALPHABET}]{{5}}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -178,12 +182,66 @@ def checked_moment(name: str, text: str) -> str:
     Raises
     ------
     ArgumentError
-        Naming the argument.
+        Naming the argument, for text that is not a date, or not one of the years 1900 to 2199.
     """
     try:
-        moment(text)
-    except ValueError:
+        year = moment(text).year
+    except (ValueError, OverflowError):
         raise ArgumentError(
-            f"{name}: '{text}' is no date", remedy="write 2026-11-20 or 2026-11-20T09:30:00+01:00"
+            f"{name}: '{text[:40]}' is not a date", remedy="write 2026-11-20 or 2026-11-20T09:30:00+01:00"
         ) from None
+    if not 1900 <= year < 2200:
+        raise ArgumentError(
+            f"{name}: '{text[:40]}' is not of the years 1900 to 2199", remedy="correct the year"
+        )
     return text
+
+
+def check_record(document: RecordDocument) -> None:
+    """Refuse a record that some command could not show: the one check for what is added and what is imported.
+
+    Raises
+    ------
+    ArgumentError, DataError, StoreError
+        Naming the part: name, serial, times, operator, reason, a text with a control character, a file's name, role
+        or digest, two files of one name, too many files.
+    """
+    if not is_id(document.id):
+        raise ArgumentError(f"id: '{document.id[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
+    if document.supersedes is not None and not is_id(document.supersedes):
+        raise ArgumentError(f"supersedes: '{document.supersedes[:40]}' is not the name of a record")
+    check_label(document.serial, "the serial")
+    checked_moment("created", document.created)
+    if document.measured is not None:
+        checked_moment("measured", document.measured)
+    for name in ("operator", "reason"):
+        if checked_text(name, getattr(document, name)) != getattr(document, name):
+            raise ArgumentError(f"{name}: begins or ends with a space", remedy="leave it out")
+    for name, value in (("request", document.request), ("software", document.software)):
+        _check_plain(name, value)
+    if len(document.files) > MAX_FILES:
+        raise ArgumentError(f"files: {len(document.files)}, more than {MAX_FILES}", remedy="pack them")
+    for file in document.files:
+        safe_name(file.name)
+        check_label(file.role, "the role of a file")
+        if not is_digest(file.sha256) or file.size < 0:
+            raise ArgumentError(f"file '{file.name}': its SHA-256 or size is not valid")
+    if len({file.name for file in document.files}) != len(document.files):
+        raise ArgumentError("files: two have the same name", remedy="give each its name")
+
+
+def _check_plain(name: str, value: Any, depth: int = 8) -> None:
+    """Texts of a nested value must fit into a line of a list."""
+    parts = (
+        (*value.keys(), *value.values())
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, list)
+        else ()
+    )
+    if isinstance(value, str) and (len(value) > MAX_TEXT or _CONTROL.search(value)):
+        raise ArgumentError(f"{name}: a text is longer than {MAX_TEXT} letters or holds a control character")
+    if parts and not depth:
+        raise ArgumentError(f"{name}: nested more than eight deep")
+    for part in parts:
+        _check_plain(name, part, depth - 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -32,11 +33,15 @@ class Position:
 
 @dataclass(frozen=True)
 class DraftFile:
-    """A file to store: its role (run, data, calibration, report, ...), name, and where its bytes are."""
+    """A file to store: its role (run, data, calibration, report, ...), name, and where its bytes are.
+
+    ``sha256`` is what it must be, where that is known: a file that changed since it was read is refused.
+    """
 
     role: str
     name: str
     source: Path | bytes
+    sha256: str | None = None
 
     def parts(self) -> Iterator[bytes]:
         """The bytes in parts."""
@@ -82,8 +87,15 @@ class Record:
 
     @property
     def measured(self) -> datetime:
-        """When the test was made; when that was not said, when the record was made."""
-        return moment(self.document.measured or self.document.created)
+        """When the test was made; when that was not said or is not a date, when the record was made or added.
+
+        Piga 0.1 let an import bring in times that are not dates.
+        """
+        for text in (self.document.measured, self.document.created):
+            with suppress(ValueError, OverflowError):
+                if text is not None:
+                    return moment(text)
+        return moment(self.link.added)
 
     def file(self, role: str) -> StoredFile | None:
         """The first file of a role."""

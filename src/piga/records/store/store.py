@@ -24,8 +24,7 @@ from piga.records.store.documents import (
     Link,
     RecordDocument,
     StoredFile,
-    checked_moment,
-    checked_text,
+    check_record,
     decode,
     encode,
     is_id,
@@ -37,7 +36,6 @@ from piga.records.store.file_names import safe_name, write_new
 from piga.records.store.record import Draft, Entry, Head, Position, Record
 from piga.records.store.tables import ENTRY, HEAD
 
-MAX_FILES = 1000
 ROWS = 500
 """Records that are fetched at once."""
 T = TypeVar("T")
@@ -246,50 +244,92 @@ class Store:
         for file in draft.files:
             safe_name(file.name)
             digest, size = blobs.digest_of(file.parts())
+            if file.sha256 not in (None, digest):
+                raise StoreError(
+                    f"{file.name}: changed after it was read (its SHA-256 differs)",
+                    remedy="calibrate again, with the files as they are now",
+                )
             blobs.insert_blob(connection, digest, size, file.parts(), self.compress_above)
             files.append(StoredFile(file.role, file.name, digest, size))
-        if len({file.name for file in files}) != len(files) or len(files) > MAX_FILES:
-            raise ArgumentError(
-                "files: two have the same name, or there are too many", remedy="give each its name"
-            )
-        if draft.supersedes is not None:
-            self._check_superseded(connection, draft)
-        return RecordDocument(
+        document = RecordDocument(
             schema=RECORD,
             id=place.id,
             store=place.store,
             number=place.number,
             after=place.after,
             created=now(),
-            operator=checked_text("operator", draft.operator),
-            reason=checked_text("reason", draft.reason),
+            operator=draft.operator.strip(),
+            reason=draft.reason.strip(),
             serial=draft.serial,
             files=tuple(files),
             request=draft.request,
             software=draft.software,
-            measured=None if draft.measured is None else checked_moment("measured", draft.measured),
-            supersedes=draft.supersedes,
+            measured=draft.measured,
+            supersedes=None if draft.supersedes is None else self._find(connection, draft.supersedes).id,
         )
+        self.check(connection, document)
+        return document
 
-    def _check_superseded(self, connection: sa.Connection, draft: Draft) -> None:
-        old = self._find(connection, str(draft.supersedes))
-        if old.id != draft.supersedes:
-            raise ArgumentError(
-                f"supersedes: '{draft.supersedes}' is a number", remedy=f"name the record: {old.id}"
-            )
-        if old.document.serial != draft.serial:
-            raise ArgumentError(
-                f"supersedes: record {old.id} is of instrument '{old.document.serial}', not '{draft.serial}'",
-                remedy="name a record of the same instrument",
-            )
-        same = connection.execute(sa.select(ENTRY).where(ENTRY.c.serial == draft.serial))
-        for row in same:
-            other = self._record(row)
-            if other.document.supersedes == old.id:
+    def check(self, connection: sa.Connection, document: RecordDocument) -> None:
+        """Refuse a record that must not enter, be it added or imported; its files are stored already.
+
+        Raises
+        ------
+        PigaError
+            If a command could not show the record, its calibration cannot be read or is of another instrument, or
+            it supersedes a record of another instrument, of another laboratory, or one that is superseded already.
+        """
+        check_record(document)
+        self._check_calibration(connection, document)
+        if document.supersedes is not None:
+            self._check_superseded(connection, document, document.supersedes)
+
+    def _check_calibration(self, connection: sa.Connection, document: RecordDocument) -> None:
+        from piga.records.calibration_json import MAX_BYTES, calibration_from_bytes
+
+        for file in document.files:
+            if file.role != "calibration":
+                continue
+            if file.size > MAX_BYTES:
+                raise StoreError(
+                    f"{file.name}: larger than {MAX_BYTES} bytes", remedy="it is not a calibration"
+                )
+            raw = b"".join(blobs.read_blob(connection, file.sha256))
+            serial = calibration_from_bytes(raw, Path(file.name)).serial
+            if serial != document.serial:
+                raise StoreError(
+                    f"{file.name}: is of instrument '{serial[:60]}', the record of '{document.serial}'",
+                    remedy="keep each calibration under its own instrument",
+                )
+
+    def _check_superseded(self, connection: sa.Connection, document: RecordDocument, name: str) -> None:
+        row = connection.execute(sa.select(ENTRY).where(ENTRY.c.id == name)).one_or_none()
+        if row is not None:  # an export may leave out the record that one of its records amends
+            self._check_amended(connection, document, self._record(row))
+        same = sa.select(ENTRY).where(ENTRY.c.serial == document.serial)
+        for other in map(self._record, connection.execute(same)):
+            if other.document.supersedes == name:
                 raise ArgumentError(
-                    f"supersedes: record {old.id} is superseded already, by {other.id}",
+                    f"supersedes: record {name} is superseded already, by {other.id}",
                     remedy=f"supersede {other.id}",
                 )
+
+    def _check_amended(self, connection: sa.Connection, document: RecordDocument, old: Record) -> None:
+        if old.document.serial != document.serial:
+            raise ArgumentError(
+                f"supersedes: record {old.id} is of instrument '{old.document.serial}', not '{document.serial}'",
+                remedy="name a record of the same instrument",
+            )
+        if old.document.store != document.store and not self._is_own(connection, document):
+            raise ArgumentError(
+                f"supersedes: record {old.id} is not of the store that the record comes from",
+                remedy="a record is amended where it was written, or by this store",
+            )
+
+    def _is_own(self, connection: sa.Connection, document: RecordDocument) -> bool:
+        """True for a record that this store writes itself."""
+        identity = decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
+        return document.store == identity.store
 
     def _check_clock(self, connection: sa.Connection, head: Head) -> None:
         if head.number == 0:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from piga.errors import StoreError
+from piga.errors import PigaError, StoreError
 from piga.records.store.blobs import insert_blob
 from piga.records.store.database import (
     connect_sqlite,
@@ -30,6 +30,7 @@ from piga.records.store.documents import (
     TakenOver,
     checked_text,
     decode,
+    encode,
     sha256,
 )
 from piga.records.store.durable import write_durably
@@ -85,7 +86,8 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
     Raises
     ------
     StoreError
-        If the export is damaged, or holds another record under a name that the store has.
+        If the export is damaged, holds another record under a name that the store has, or a record that ``add`` would
+        refuse (:meth:`Store.check`).
     """
     operator, reason = checked_text("operator", operator), checked_text("reason", reason)
     with Export(path) as export:
@@ -100,9 +102,25 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
                 origin = link.taken_over or TakenOver(identity, entry.link.decode(), "", "")
                 taken_over = TakenOver(origin.identity, origin.link, operator, reason)
                 document = _copy_files(store, connection, export, entry.document)
+                _refuse_unfit(store, connection, entry.document, document, export.name)
                 store.insert(connection, entry.document, None, taken_over=taken_over)
                 added.append(document.id)
         return added
+
+
+def _refuse_unfit(
+    store: Store, connection: sa.Connection, raw: bytes, document: RecordDocument, name: str
+) -> None:
+    """Refuse what ``add`` would not have written."""
+    try:
+        if encode(document) != raw:
+            raise StoreError("it is not written as piga writes records")
+        store.check(connection, document)
+    except PigaError as error:
+        raise StoreError(
+            f"{name}: record {document.id[:20]!r} (number {document.number} there) cannot be taken over: {error.message}",
+            remedy="nothing was imported: ask its laboratory for an export without it (--record)",
+        ) from None
 
 
 def backup(store: Store, target: Path, *, replace: bool = False, advance: Advance = silent) -> Verification:

@@ -286,17 +286,68 @@ def _sqlite_schema() -> frozenset[tuple[Any, ...]]:
         return _schema(memory.execute(_SCHEMA_QUERY).fetchall())
 
 
+_WORDS = "piga: records are append-only"
+_GUARDED = ("piga_store", "piga_entry", "piga_blob", "piga_chunk")
+_GUARDS = {("no_delete", 11), ("no_truncate", 34), ("no_update", 19)}
+"""Triggers of a table that is only appended to, with what they act on (``pg_trigger.tgtype``)."""
+_TRIGGERS = frozenset(
+    {(f"{table}_{what}", table, kind, None) for table in _GUARDED for what, kind in _GUARDS}
+    | {(f"piga_head_{what}", "piga_head", kind, None) for what, kind in _GUARDS if what != "no_update"}
+    | {("piga_head_forward", "piga_head", 19, "(new.number <> (old.number + 1))")}
+)
+"""Name, table, kind and condition of every trigger."""
+_KEYS = frozenset(
+    {
+        ("piga_blob", "CHECK ((size >= 0))"),
+        ("piga_blob", "PRIMARY KEY (sha256)"),
+        ("piga_chunk", "FOREIGN KEY (sha256) REFERENCES piga_blob(sha256)"),
+        ("piga_chunk", "PRIMARY KEY (sha256, part)"),
+        ("piga_entry", "CHECK ((number > 0))"),
+        ("piga_entry", "PRIMARY KEY (number)"),
+        ("piga_entry", "UNIQUE (head)"),
+        ("piga_entry", "UNIQUE (id)"),
+        ("piga_head", "CHECK ((one = 1))"),
+        ("piga_head", "PRIMARY KEY (one)"),
+        ("piga_schema_version", "PRIMARY KEY (version_num)"),
+        ("piga_store", "PRIMARY KEY (document)"),
+    }
+)
+"""Table and definition of every key and check."""
+
+
 def _check_postgresql(found: Verification, connection: sa.Connection) -> None:
-    rows = connection.exec_driver_sql(
-        "SELECT tgname, tgenabled FROM pg_trigger WHERE NOT tgisinternal AND tgrelid IN "
-        "(SELECT oid FROM pg_class WHERE relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
+    """Triggers, the function behind them, keys and checks must be those that piga makes."""
+    ours = "(SELECT oid FROM pg_class WHERE relkind = 'r' AND relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
+    triggers = connection.exec_driver_sql(
+        "SELECT t.tgname, c.relname, t.tgtype, t.tgenabled, t.tgisinternal, "  # noqa: S608
+        "btrim(p.prosrc), l.lanname, pg_get_triggerdef(t.oid) FROM pg_trigger t "
+        "JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_proc p ON p.oid = t.tgfoid "
+        f"JOIN pg_language l ON l.oid = p.prolang WHERE t.tgrelid IN {ours}"
     ).all()
-    tables = ("store", "entry", "blob", "chunk")
-    wanted = {f"piga_{table}_no_{what}" for table in tables for what in ("truncate", "delete", "update")}
-    wanted |= {"piga_head_no_truncate", "piga_head_no_delete", "piga_head_forward"}
-    if {name for name, enabled in rows if enabled in ("O", b"O")} != wanted:
+    own = [row for row in triggers if not row.tgisinternal]
+    there = {(r.tgname, r.relname, r.tgtype, _condition(r.pg_get_triggerdef)) for r in own}
+    refuse = f"BEGIN RAISE EXCEPTION '{_WORDS}'; END"
+    if there != _TRIGGERS or any(_text(row.tgenabled) != "O" for row in triggers):
         found.problem("the triggers that refuse changes were altered or disabled")
+    if any((row.btrim, row.lanname) != (refuse, "plpgsql") for row in own):
+        found.problem("the function that refuses changes was replaced")
+    keys = connection.exec_driver_sql(
+        "SELECT c.relname, pg_get_constraintdef(k.oid) FROM pg_constraint k "  # noqa: S608
+        f"JOIN pg_class c ON c.oid = k.conrelid WHERE k.contype <> 'n' AND k.conrelid IN {ours}"
+    ).all()
+    if {tuple(row) for row in keys} != _KEYS:
+        found.problem("keys or checks of the tables were altered")
     _check_revision(found, connection)
+
+
+def _condition(definition: str) -> str | None:
+    """The condition in the definition of a trigger."""
+    _, when, rest = definition.partition(" WHEN (")
+    return rest.partition(") EXECUTE ")[0] if when else None
+
+
+def _text(value: str | bytes) -> str:
+    return value.decode() if isinstance(value, bytes) else value
 
 
 def _check_revision(found: Verification, connection: sa.Connection) -> None:
