@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from piga.evidence import compare_calibrations, prepare_results, prepare_run, re
 from piga.evidence import reproduce as reproduce_function
 from piga.evidence.inputs import input_files
 from piga.records.store.verify import verify
+from piga.stand.run_reference import _check_unchanged
 from tests.records.files import lines, write_log, write_run
 
 
@@ -57,7 +59,7 @@ def test_reproduce_needs_nothing_but_the_store(tmp_path: Path) -> None:
         else None
     )
     assert run is not None
-    names = [(file.role, file.name) for file in input_files(run)]
+    names = [(file.role, file.name) for file in input_files(run, piga.read_run(run).input_sha256)]
     assert names == [("run", "run/run.toml"), ("data", "logs/run.csv")]
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
         prepare_run(run, "A", "test", report=False).keep(store)
@@ -86,19 +88,61 @@ def test_absolute_data_file_is_refused(tmp_path: Path) -> None:
     run = small_run(tmp_path)
     run.write_text(run.read_text().replace('file = "run.csv"', f'file = "{tmp_path}/run.csv"'))
     with pytest.raises(PigaError, match="is an absolute path"):
-        input_files(run)
+        input_files(run, {})
 
 
-def test_stand_files_are_inputs(tmp_path: Path) -> None:
-    run = small_run(tmp_path)
-    run.write_text(
-        run.read_text() + '[stand]\nkind = "composite"\nparts = [{ kind = "profile", file = "p.csv" }]\n'
+def profile_run(folder: Path) -> Path:
+    """A record whose reference is a logged profile, with a ``.sha256`` beside its data."""
+    run = small_run(folder)
+    text = run.read_text().replace('reference = { columns = ["fx", "fy", "fz"], unit = "g" }\n', "")
+    columns = 'time = { column = "t", unit = "s" }, force = { columns = ["fx", "fy", "fz"], unit = "g" }'
+    (folder / "stand").mkdir()
+    rows = "\n".join(f"{t / 10},1.0,0.3,0.0" for t in range(200))
+    (folder / "stand" / "p.csv").write_text(f"t,fx,fy,fz\n{rows}\n")
+    composite = (
+        f'[stand]\nkind = "profile"\nfile = "stand/p.csv"\n{columns.replace(", force", chr(10) + "force")}\n'
     )
-    (tmp_path / "run.csv.sha256").write_text("0")
-    assert [(f.role, f.name) for f in input_files(run)][2:] == [
-        ("stand", "p.csv"),
-        ("sidecar", "run.csv.sha256"),
-    ]
+    run.write_text(f"{text}\n{composite}")
+    digest = hashlib.sha256((folder / "run.csv").read_bytes()).hexdigest()
+    (folder / "run.csv.sha256").write_text(f"{digest}  run.csv\n")
+    return run
+
+
+def test_every_input_has_its_digest_in_the_result(tmp_path: Path) -> None:
+    run = profile_run(tmp_path)
+    digests = piga.calibrate(piga.read_run(run), ["scale_factor"]).provenance.input_sha256
+    files = ("run.toml", "run.csv", "run.csv.sha256", "stand/p.csv")
+    assert digests == {name: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() for name in files}
+    roles = [(file.role, file.name) for file in input_files(run, digests)]
+    assert roles == [
+        ("run", "run.toml"), ("data", "run.csv"), ("stand", "stand/p.csv"), ("sidecar", "run.csv.sha256"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["run.toml", "run.csv", "run.csv.sha256", "stand/p.csv"])
+def test_an_input_that_changes_before_the_record_is_written_is_refused(tmp_path: Path, name: str) -> None:
+    """Between calibration and record (while the report is drawn), and between calibrate and ``add --results``."""
+    run = profile_run(tmp_path)
+    with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
+        prepared = prepare_run(run, "A", "test", terms=["scale_factor"], report=False)
+        (tmp_path / "out").mkdir()
+        prepared.calibration.to_json(tmp_path / "out" / "calibration.json")
+        path = tmp_path / name
+        path.write_text(path.read_text() + ("# more\n" if name == "run.toml" else "\n"))
+        with pytest.raises(PigaError, match=f"{name}: changed after it was read"):
+            prepared.keep(store)
+        with pytest.raises(PigaError, match=f"{name}: is not the file that the calibration was computed from"):
+            prepare_results(run, tmp_path / "out", "A", "test")
+        assert store.head().number == 0
+
+
+def test_a_stand_that_changes_between_reading_and_its_uncertainty_is_refused(tmp_path: Path) -> None:
+    run = profile_run(tmp_path)
+    record = piga.read_run(run)
+    path = tmp_path / "stand" / "p.csv"
+    path.write_text(path.read_text().replace("0.3", "0.4"))
+    with pytest.raises(PigaError, match="changed after it was read"):
+        _check_unchanged(record)
 
 
 @pytest.fixture(scope="module")

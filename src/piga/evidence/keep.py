@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from piga.errors import DataError
+from piga.errors import CalibrationError
 from piga.evidence.inputs import input_files
 from piga.records import Calibration
+from piga.records.calibration_json import MAX_BYTES, calibration_from_bytes
+from piga.records.limits import read_whole
 from piga.records.store import Draft, DraftFile, Record, Store
-from piga.records.store.blobs import digest_of
 from piga.records.store.software import software_identity
 
 if TYPE_CHECKING:
@@ -88,9 +89,8 @@ def prepare_run(
     from piga.records.calibration_json import calibration_to_bytes
     from piga.stand import read_run
 
-    inputs = input_files(run)
     calibration = calibrate(read_run(run), terms, method, phase=phase, phase_source=phase_source)
-    _check_inputs(calibration, inputs)
+    inputs = input_files(run, calibration.provenance.input_sha256)
     draft = Draft(
         calibration.serial,
         operator,
@@ -129,10 +129,11 @@ def prepare_results(
     PigaError
         If the results are not those of this run.
     """
-    inputs = input_files(run)
-    calibration = Calibration.from_json(results / "calibration.json")
-    _check_inputs(calibration, inputs)
-    files = [*inputs, DraftFile("calibration", "results/calibration.json", results / "calibration.json")]
+    path = results / "calibration.json"
+    raw = read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError)
+    calibration = calibration_from_bytes(raw, path)
+    inputs = input_files(run, calibration.provenance.input_sha256)
+    files = [*inputs, DraftFile("calibration", "results/calibration.json", raw)]
     if (results / "report.html").is_file():
         files.append(DraftFile("report", "results/report.html", results / "report.html"))
     software = {"piga": calibration.provenance.software.removeprefix("piga ")}
@@ -157,18 +158,6 @@ def _request(calibration: Calibration) -> dict[str, Any]:
         "phase": calibration.phase,
         "phase_source": calibration.phase_source,
     }
-
-
-def _check_inputs(calibration: Calibration, inputs: tuple[DraftFile, ...]) -> None:
-    """The result must come from these very files."""
-    known = calibration.provenance.input_sha256
-    for file in inputs:
-        name = Path(file.name).name
-        if file.role in ("run", "data") and known.get(name) != digest_of(file.parts())[0]:
-            raise DataError(
-                f"{file.name}: is not the file that the calibration was computed from (its SHA-256 differs)",
-                remedy="calibrate again, with the files as they are now",
-            )
 
 
 def _report(calibration: Calibration, draft: Draft) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,10 @@ MAX_SIDECAR = 1 << 16
 
 @dataclass
 class RawColumns:
-    """``numbers`` in the units of the file (n,), ``segment`` (n,) with ``labels``, 1-based file ``rows`` (n,)."""
+    """``numbers`` in the units of the file (n,), ``segment`` (n,) with ``labels``, 1-based file ``rows`` (n,).
+
+    ``inputs`` holds the SHA-256 of the data file and of its ``.sha256`` as they were read, by name.
+    """
 
     path: Path
     numbers: dict[str, Array]
@@ -39,7 +42,7 @@ class RawColumns:
     units: dict[str, str]
     events: list[Event]
     arrays: Arrays
-    digest: str
+    inputs: dict[str, str] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -58,17 +61,16 @@ def read_columns(folder: Path, data: DataTable, held: int | None = None) -> RawC
         If the file cannot be read as the run file says, is not the one of its ``.sha256``, or changes meanwhile.
     """
     path = folder / data.file
-    before = _state(path)
-    _check_sidecar(path)
+    steady = SteadyFile(path, "[data] file is relative to the run file")
+    sidecar = _check_sidecar(path)
     text = file_kind(path) in TEXT_SUFFIXES
     seen = hashlib.sha256()
     with ThreadPoolExecutor(1) as pool:
         digest = None if text else pool.submit(file_digest, path)
         stream = open_stream(folder, data, seen.update)
         raw = _collect(path, data, stream, LARGE_ROWS if held is None else held)
-    raw.digest = digest.result() if digest else seen.hexdigest()
-    if _state(path) != before:
-        raise DataError(f"{path}: the file changed while it was read", remedy="stop the logger, then try again")
+    steady.check()
+    raw.inputs.update({path.name: digest.result() if digest else seen.hexdigest()} | sidecar)
     return raw
 
 
@@ -102,21 +104,44 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> Ra
         stream.units,
         [*stream.events(), *visits.events],
         arrays_like(file_rows),
-        "",
     )
 
 
-def _state(path: Path) -> tuple[int, int, int, int]:
-    """What changes when a file is written to: size, times, and which file it is."""
-    if path.exists() and not path.is_file():
-        raise DataError(f"{path}: is no regular file", remedy="name the data file in [data] file")
-    try:
-        found = os.stat(path)  # noqa: PTH116 - one call for all four
-    except OSError as error:
-        raise DataError(
-            f"{path}: cannot be read ({error.strerror})", remedy="[data] file is relative to the run file"
-        ) from None
-    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
+class SteadyFile:
+    """A file that must not change while it is read: looked at now, and again by :meth:`check`.
+
+    Raises
+    ------
+    DataError
+        If it is not there or not a regular file.
+    """
+
+    def __init__(self, path: Path, remedy: str) -> None:
+        self.path, self._remedy = path, remedy
+        self._before = self._state()
+
+    def check(self) -> None:
+        """Refuse the file if it was written to or replaced since.
+
+        Raises
+        ------
+        DataError
+            Naming the file.
+        """
+        if self._state() != self._before:
+            raise DataError(
+                f"{self.path}: the file changed while it was read", remedy="stop what writes it, then try again"
+            )
+
+    def _state(self) -> tuple[int, int, int, int]:
+        """What changes when a file is written to: size, times, and which file it is."""
+        if self.path.exists() and not self.path.is_file():
+            raise DataError(f"{self.path}: is no regular file", remedy=f"name the file: {self._remedy}")
+        try:
+            found = os.stat(self.path)  # noqa: PTH116 - one call for all four
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be read ({error.strerror})", remedy=self._remedy) from None
+        return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
 
 
 def file_digest(path: Path) -> str:
@@ -125,18 +150,18 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _check_sidecar(path: Path) -> None:
-    """Compare with ``FILE.sha256`` where the logger wrote one."""
+def _check_sidecar(path: Path) -> dict[str, str]:
+    """Compare with ``FILE.sha256`` where the logger wrote one; its own SHA-256 by name."""
     sidecar = path.with_name(path.name + ".sha256")
     try:
         sidecar.lstat()
     except OSError:
-        return
-    words = (
-        read_whole(sidecar, MAX_SIDECAR, "a line with the SHA-256").decode("ascii", errors="replace").split()
-    )
+        return {}
+    raw = read_whole(sidecar, MAX_SIDECAR, "a line with the SHA-256")
+    words = raw.decode("ascii", errors="replace").split()
     if not words or words[0].lower() != file_digest(path):
         raise DataError(
             f"{path}: its SHA-256 is not the one in {sidecar.name}",
             remedy="the file was damaged or changed: copy it again",
         )
+    return {sidecar.name: hashlib.sha256(raw).hexdigest()}

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
 
 from piga.errors import RunFileError
 from piga.records.assembly import Assembly, StandReference
-from piga.records.raw_columns import file_digest, read_columns
+from piga.records.raw_columns import read_columns
 from piga.records.run import Run
 from piga.records.run_file import read_run_file
+from piga.records.toml_file import toml_bytes
 
 
 def read_record(
@@ -42,7 +44,8 @@ def read_record(
     stays resident is bounded, whatever the length of the record.
     """
     path = Path(path)
-    run_file = read_run_file(path)
+    content = toml_bytes(path)
+    run_file = read_run_file(path, content)
     if need_reference and run_file.data.reference is None and run_file.stand is None:
         raise RunFileError(
             f"{path}: [data] reference is missing: the specific force that the instrument felt",
@@ -51,5 +54,5 @@ def read_record(
     raw = read_columns(path.parent, run_file.data, held)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         run = Assembly(run_file, raw, stand_reference).run(path)
-    run.input_sha256.update({path.name: file_digest(path), raw.path.name: raw.digest})
+    run.input_sha256.update({path.name: hashlib.sha256(content).hexdigest()} | raw.inputs)
     return run

@@ -189,8 +189,15 @@ UNCERTAINTY_UNITS = {
 """Unit of each Type B entry as reported; ``timing`` is the relative error of the clock's rate."""
 
 
-def read_run_file(path: str | Path) -> RunFile:
+def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     """Read and check a run file.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    raw:
+        Its bytes, where they were read already (:func:`piga.records.toml_file.toml_bytes`).
 
     Raises
     ------
@@ -198,7 +205,7 @@ def read_run_file(path: str | Path) -> RunFile:
         With file, table, key, value and remedy.
     """
     path = Path(path)
-    run_file = read_toml(path, RunFile)
+    run_file = read_toml(path, RunFile, raw)
     try:
         _check_units(run_file)
         _check_output(run_file)

@@ -37,8 +37,19 @@ _MISSING = re.compile(r"missing required field `([^`]*)`")
 _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
 
 
-def toml_document(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file as plain values.
+def toml_bytes(path: Path) -> bytes:
+    """The bytes of a TOML file.
+
+    Raises
+    ------
+    RunFileError
+        If the file cannot be read or is larger than such files are.
+    """
+    return read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError)
+
+
+def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
+    """The tables of a TOML file as plain values; ``raw`` are its bytes where they were read already.
 
     Raises
     ------
@@ -47,7 +58,7 @@ def toml_document(path: Path) -> dict[str, Any]:
         than :data:`MOST_PARTS`, integers beyond 64 bits, control characters.
     """
     try:
-        text = read_whole(path, MAX_BYTES, "the TOML file, not the data file", RunFileError).decode("utf-8-sig")
+        text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise RunFileError(
             f"{path}: byte {error.start} is not UTF-8", remedy="save the file as UTF-8"
@@ -59,13 +70,13 @@ def toml_document(path: Path) -> dict[str, Any]:
             remedy="see the documentation for the keys",
         )
     try:
-        raw = tomllib.loads(text)
+        document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise RunFileError(
             f"{path}: not valid TOML: {str(error)[:300]}", remedy="see https://toml.io for the syntax"
         ) from None
-    _check_values(path, raw, "")
-    return raw
+    _check_values(path, document, "")
+    return document
 
 
 def _check_values(path: Path, value: object, where: str) -> None:
@@ -86,8 +97,8 @@ def _check_values(path: Path, value: object, where: str) -> None:
         raise RunFileError(f"{path}: [{where}]: an integer of more than 64 bits", remedy="correct the value")
 
 
-def read_toml(path: Path, kind: type[T]) -> T:
-    """Read ``path`` into ``kind``.
+def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
+    """Read ``path`` into ``kind``; ``raw`` are its bytes where they were read already.
 
     Raises
     ------
@@ -95,11 +106,11 @@ def read_toml(path: Path, kind: type[T]) -> T:
         If the file is missing, is no TOML (with line), has an unknown or missing key, or a value of
         the wrong type.
     """
-    raw = toml_document(path)
+    document = toml_document(path, raw)
     try:
-        return msgspec.convert(raw, kind)
+        return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:
-        raise _explain(path, str(error), kind, raw) from None
+        raise _explain(path, str(error), kind, document) from None
 
 
 def _explain(path: Path, message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> RunFileError:

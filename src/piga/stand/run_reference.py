@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
+from piga.records.raw_columns import SteadyFile, file_digest
 from piga.records.read_run import read_record
 from piga.records.run import Run
 from piga.records.spool import arrays_like, spans
@@ -97,10 +98,46 @@ def read_run(path: str | Path, *, need_reference: bool = True, held: int | None 
     DataError
         If the data file does not hold what the run file says; with file, row, column and remedy.
     """
+    read: dict[str, str] = {}
+
+    def reference(
+        table: dict[str, Any], folder: Path, t: Array, segment: NDArray[np.int32], labels: tuple[str, ...]
+    ) -> tuple[Array, Array]:
+        files = {
+            name: SteadyFile(folder / name, "[stand] file is relative to the run file")
+            for name in stand_files(table)
+        }
+        result = stand_reference(table, folder, t, segment, labels)
+        read.update({name: file_digest(file.path) for name, file in files.items()})
+        for file in files.values():
+            file.check()
+        return result
+
     try:
-        return read_record(path, stand_reference, need_reference=need_reference, held=held)
+        run = read_record(path, reference, need_reference=need_reference, held=held)
+        for name in stand_files(run.stand):
+            run.input_sha256[name] = read.get(name) or file_digest(Path(path).parent / name)
+        return run
     except (ArgumentError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+
+
+def stand_files(table: Any) -> list[str]:
+    """Names of the files that a ``[stand]`` table names, as written, at any depth."""
+    if isinstance(table, dict):
+        own = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
+        return list(dict.fromkeys(own + [name for value in table.values() for name in stand_files(value)]))
+    if isinstance(table, list):
+        return list(dict.fromkeys(name for value in table for name in stand_files(value)))
+    return []
+
+
+def _check_unchanged(run: Run) -> None:
+    """Refuse a stand whose files are not those that the record was read with."""
+    for name in stand_files(run.stand):
+        known = run.input_sha256.get(name)
+        if known is not None and known != file_digest(Path(run.source).parent / name):
+            raise RunFileError(f"[stand] file '{name}' changed after it was read", remedy="read the run again")
 
 
 def stand_reference(
@@ -144,6 +181,7 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
         return
     try:
         stand, names = _build(run.stand or {}, Path(run.source).parent)
+        _check_unchanged(run)
         t = _all_times(_followed(stand, names, lambda: run.labels), run)
         for name, written in named.items():
             standard, shape = _standard(name, written)

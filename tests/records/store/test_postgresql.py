@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from piga.errors import StoreError
-from piga.records.store import open_store
+from piga.records.store import Store, open_store
 from piga.records.store.transfer import backup, export_records, import_records, restore
 from piga.records.store.verify import verify
 from tests.records.store import station
@@ -124,6 +124,20 @@ def test_the_server_refuses_changes(socket: Path, statement: str, table: str, co
         ("UPDATE piga_head SET number = 7", "was cut short"),
         ("ALTER TABLE piga_entry DISABLE TRIGGER piga_entry_no_update", "triggers"),
         ("DROP TRIGGER piga_head_forward ON piga_head", "triggers"),
+        ("ALTER TABLE piga_chunk DISABLE TRIGGER ALL", "triggers"),
+        (
+            (
+                "DROP TRIGGER piga_head_forward ON piga_head; CREATE TRIGGER piga_head_forward BEFORE UPDATE "
+                "ON piga_head FOR EACH ROW WHEN (NEW.number < 0) EXECUTE FUNCTION piga_refuse()"
+            ),
+            "triggers",
+        ),
+        (
+            "CREATE OR REPLACE FUNCTION piga_refuse() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN RETURN NEW; END $$",
+            "function that refuses changes was replaced",
+        ),
+        ("ALTER TABLE piga_entry DROP CONSTRAINT piga_entry_id_key", "keys or checks"),
+        ("ALTER TABLE piga_chunk DROP CONSTRAINT piga_chunk_sha256_fkey", "keys or checks"),
         ("UPDATE piga_schema_version SET version_num = '0009'", "made by a newer piga"),
     ],
 )
@@ -158,6 +172,18 @@ def test_between_the_two_databases(socket: Path, tmp_path: Path) -> None:
     with open_store(other, create=True) as store:
         assert import_records(store, tmp_path / "two.zip", "A", "merge") == names[:2]
     assert verify(other).sound
+
+
+def test_a_serial_that_postgresql_cannot_index(
+    socket: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Piga 0.1 took serials of any length into SQLite; the message named a full disk."""
+    serial = "".join(random.Random(1).choices("abcdefghijklmnopqrstuvwxyz0123456789", k=8000))
+    with open_store(tmp_path / "a.sqlite", create=True) as store, monkeypatch.context() as patch:
+        patch.setattr(Store, "check", lambda *_: None)
+        add(store, serial=serial)
+    with pytest.raises(StoreError, match="a serial is too long for PostgreSQL"):
+        restore(tmp_path / "a.sqlite", new_database(socket, "long_serial"))
 
 
 def test_messages(socket: Path) -> None:

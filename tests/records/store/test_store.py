@@ -110,7 +110,7 @@ def test_an_amendment_is_a_new_record(tmp_path: Path) -> None:
         ({"operator": ""}, "operator: must be"),
         ({"reason": "two\nlines"}, "reason: must be"),
         ({"reason": "x" * 3000}, "reason: must be"),
-        ({"measured": "last week"}, "measured: 'last week' is no date"),
+        ({"measured": "last week"}, "measured: 'last week' is not a date"),
         ({"files": (DraftFile("data", "../x", b""),)}, "cannot be stored"),
         ({"files": (DraftFile("a", "x", b""), DraftFile("b", "x", b""))}, "same name"),
         ({"files": (DraftFile("a", "x", Path("missing.csv")),)}, "cannot be read"),
