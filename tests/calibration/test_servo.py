@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from piga._kernels.regressors import cubic_moments, servo_columns
-from piga.calibration import calibrate
+from piga.calibration import RunSummary, calibrate, compare_models
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.records.run_file import EstimationTable
 from piga.units import G0
@@ -188,3 +188,93 @@ def test_servo_needs_the_phase_of_tan_beta_and_belongs_to_the_instrument():
     with pytest.raises(ArgumentError, match="servo"):
         calibrate(run, TERMS, per_run=["servo"])
     assert K * STIFFNESS > 0.0 < DAMPING
+
+
+def joint_runs():
+    """A head run, and a centrifuge run whose zero of the output is elsewhere."""
+    across = recorded(levels(), seconds=4.0, step=0.02)
+    first = given(replace(recorded(head(8), seconds=8.0), input_sha256={"head": "1"}))
+    return [first, given(replace(across, output=across.output - 0.9, input_sha256={"arm": "2"}))]
+
+
+@pytest.mark.only_compiled
+def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
+    runs = joint_runs()
+    terms = ["scale_factor", "tan_beta", "k0", "k2", "k3", "m_Y", "servo", "servo_damping"]
+    found = calibrate(runs, terms)
+    check(
+        found,
+        TRUTH | {"k3": 0.0},
+        EXACT | {"k3": 1e-9},
+        ["scale_factor", "tan_beta", "k0", "k2", "k3", *TERMS[-2:]],
+    )
+    own = [c.value for c in found.coefficients if c.name == "phi"]
+    assert own == pytest.approx([PHI, PHI + 0.9], abs=1e-5)
+    assert any("run 1" in note and "servo" in note and "alone cannot" in note for note in found.notes)
+    stored = RunSummary.of(runs[0], name="head")
+    stored.to_json(tmp_path / "head.json")
+    again = calibrate([RunSummary.from_json(tmp_path / "head.json"), runs[1]], terms)
+    for name in ("scale_factor", "tan_beta", "servo", "servo_damping", "k3"):
+        assert again[name].value == pytest.approx(found[name].value, rel=1e-9, abs=1e-12)
+        assert again[name].std == pytest.approx(found[name].std, rel=1e-6)
+    with pytest.raises(
+        IdentifiabilityError, match=r"these 2 runs together cannot separate scale_factor, servo"
+    ):
+        calibrate(
+            [runs[1], replace(runs[1], input_sha256={"other": "3"})],
+            ["scale_factor", "tan_beta", "k0", "servo"],
+        )
+
+
+def on_a_head(terms, s=STIFFNESS, positions=12):
+    """Calibration of a noisy head record whose damping is nothing, its noise given."""
+    run = recorded(head(positions), seconds=8.0, noise=2e-7, s=s, d=0.0)
+    return calibrate(given(run, angle="2e-7 rad"), terms)
+
+
+def test_doing_nothing_holds_both_meanings_of_a_cube():
+    found = on_a_head(TERMS[:5])
+    scale = found["scale_factor"]
+    row = found.budget[-1]
+    assert row["source"] == "meaning of the cubic signature: servo or k3"
+    half = row["contributions"]["scale_factor"] * np.sqrt(3.0)
+    by_k3 = TRUTH["scale_factor"] * (1.0 - 1.3e-5)
+    for meaning in (TRUTH["scale_factor"], by_k3):
+        assert abs(scale.value - meaning) < 1.05 * abs(half)
+        assert abs(scale.value - meaning) < scale.expanded
+    assert scale.value + half == pytest.approx(by_k3, rel=1e-6)
+    first = found.diagnostics["missing_terms"][0]
+    assert first["terms"] == ["servo"]
+    under = first["scale_factor_under"]
+    assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
+    assert under["k3"] == pytest.approx(by_k3, rel=1e-6)
+    note = next(note for note in found.notes if "servo" in note)
+    assert "a choice of meaning" in note
+    assert "holds both" in note
+    assert not any(entry["terms"] == ["k3"] for entry in found.diagnostics["missing_terms"])
+
+
+def test_a_sound_record_has_no_such_row():
+    found = on_a_head(TERMS[:5], s=0.0)
+    assert len(found.budget) == 1
+    assert "missing_terms" not in found.diagnostics
+
+
+def test_an_asked_k3_is_said_to_be_a_choice():
+    found = on_a_head([*TERMS[:5], "k3"], positions=8)
+    note = next(note for note in found.notes if "k3 may as well be the servo" in note)
+    assert "0.8885" in note
+    assert "centrifuge" in note
+    assert "scale_factor" not in found.budget[-1]["source"]
+
+
+def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
+    run = given(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), angle="2e-7 rad")
+    found = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])
+    sets = [row.terms for row in found.sets]
+    assert sets[1:] == [(*TERMS[:3], "m_Y", "servo"), (*TERMS[:3], "m_Y", "k3")]
+    values = [{c.name: c.value for c in row.coefficients}["scale_factor"] for row in found.sets]
+    assert values[1] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
+    assert values[2] == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
+    assert "choice of meaning" in found.notes[0]
+    assert f"{values[1]:.8g}" in found.notes[0]

@@ -43,6 +43,12 @@ class AddedNoise:
         at = [held.index(name) for name in columns]
         return replace(self, scores=tuple(part[at] for part in self.scores))
 
+    def mixed(self, matrices: list[Array]) -> AddedNoise:
+        """That of combinations of the columns: ``matrices`` (m, wanted) of the phase groups."""
+        return replace(
+            self, scores=tuple(matrix.T @ part for matrix, part in zip(matrices, self.scores, strict=True))
+        )
+
     def scaled(self, information: float) -> AddedNoise:
         """That of the rows with ``information`` times the weight."""
         return replace(self, scores=tuple(part * information for part in self.scores))

@@ -15,6 +15,7 @@ from piga.calibration.advice import advise, with_advice
 from piga.calibration.budget import budget_row, combined, make_budget
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
+from piga.calibration.cubic import cubic_doubt, other_meaning
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.faint_walk import include_faint_walk
@@ -26,7 +27,7 @@ from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
 from piga.calibration.recursive import recursive_history
-from piga.calibration.remarks import find_remarks, with_remarks
+from piga.calibration.remarks import find_remarks, with_remarks, without_slow
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.revolutions import (
@@ -110,6 +111,9 @@ def calibrate(
     type_a = np.sqrt(np.diag(covariance))
     budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
     covariance = covariance + type_b
+    doubt = cubic_doubt(without_slow(fit, groups), groups, per_segment, coefficients)
+    if doubt is not None:
+        budget, covariance = (*budget, doubt.row(coefficients)), covariance + doubt.covariance
     coefficients = combined(coefficients, covariance, budget, type_a_degrees(fit, groups, per_segment))
     coefficients, tested = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
     with beside(run.size) as other:
@@ -118,8 +122,9 @@ def calibrate(
         history = _history(fit, groups) if request.method == "recursive" else None
         scatter = segment_scatter(fit.design, residuals, fit.noise)
         notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
+        notes = other_meaning(fit, coefficients) + notes
         result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
-    result = with_remarks(result, fit, remarks.result())
+    result = with_remarks(result, fit, remarks.result(), doubt)
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
 
 

@@ -7,14 +7,22 @@ from numpy.typing import NDArray
 
 from piga.calibration.design import Block, Design
 from piga.calibration.fit import Fit
-from piga.records.spool import extent
+from piga.records.run import Run
+from piga.records.spool import extent, gathered
 from piga.records.terms import SERVO_TERMS, harmonic
 
 Array = NDArray[np.float64]
 
 SINGLE = (
     "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+    *SERVO_TERMS,
 )  # fmt: skip
+CUBIC = ("servo", "k3", "k2o")
+"""Terms that take an odd signature of a_x; the one to think of first comes first."""
+CONSTANT = 1e-3
+"""Relative change of a squared force that counts as none."""
+LOOKED = 4096
+"""Samples that are looked at for that."""
 PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 """Candidates that turn with the output: term that stands for them, and their columns."""
 
@@ -28,10 +36,36 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
+    left_out |= servo_out_of_reach(design)
     found: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
     if design.request.phase == "shared" or "tan_beta" in terms:
         found += [columns for name, columns in PAIRS if name not in terms]
     return found
+
+
+def servo_out_of_reach(design: Design) -> set[str]:
+    """Terms that a record cannot tell from others because of the servo, or the servo because of them."""
+    total, across = constant_squares(design.run)
+    terms = design.request.terms
+    scaled = "scale_factor" in terms or "k1" in terms
+    found = set(design.turning_servo) if "tan_beta" in terms else set(SERVO_TERMS)
+    if scaled and total is not None:
+        found |= {"k3"} if "servo" in terms else set()
+        found |= {"servo"} if "k3" in terms else set()
+    if scaled and across is not None:
+        found |= {"servo"}
+    return found
+
+
+def constant_squares(run: Run) -> tuple[float | None, float | None]:
+    """``a_x^2 + a_t^2`` and ``a_t^2`` [m^2/s^4] of a record; None for one that changes."""
+    f = gathered(run.f, np.unique(np.linspace(0, run.size - 1, LOOKED).astype(np.int64)))
+    across = f[:, 1] ** 2 + f[:, 2] ** 2
+    found: list[float | None] = []
+    for square in (across + f[:, 0] ** 2, across):
+        low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
+        found.append(float(middle) if high - low <= CONSTANT * middle else None)
+    return found[0], found[1]
 
 
 def candidate_sums(

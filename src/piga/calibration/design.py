@@ -22,7 +22,7 @@ from piga._kernels.outliers import merge_rows
 from piga._kernels.regressors import CODES, coupling_columns, product_column, servo_columns
 from piga.calibration.phase_angle import phase_angle
 from piga.calibration.request import Request
-from piga.calibration.servo_columns import PHASELESS, ServoState, phaseless_columns
+from piga.calibration.servo_columns import PHASELESS, ServoState, given_servo, phaseless_columns
 from piga.calibration.workers import workers
 from piga.errors import DataError
 from piga.records.run import Run
@@ -118,7 +118,7 @@ class Design:
         """K times the coefficients of the servo that are given and not estimated [SI]."""
         return {
             name: self.scale_factor * value
-            for name, value in self.request.known_servo
+            for name, value in given_servo(self.run).items()
             if name not in self.request.terms
         }
 

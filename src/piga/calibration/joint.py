@@ -19,12 +19,14 @@ from piga.calibration.coefficients import Owner, name_parameters
 from piga.calibration.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import check_per_run, make_request
+from piga.calibration.servo import at_state, find_state, mixture, refuse_if_servo_confounded
+from piga.calibration.servo_columns import ServoState, phaseless_columns
 from piga.calibration.solution import Estimate, Layout, solve_parts
 from piga.calibration.summary import LiveRun, RunSummary, prepare, run_name, summarise
 from piga.errors import ArgumentError, CalibrationError
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
-from piga.records.terms import check_terms, harmonic
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 
 Array = NDArray[np.float64]
 
@@ -61,10 +63,19 @@ class JointFit:
     coefficients: tuple[Coefficient, ...]
     covariance: Array
     examination: Examination
+    servo: ServoState | None = None
 
     def first_group(self, index: int) -> int:
         """Number of the first phase group of a run."""
         return sum(len(summary.parts) for summary in self.summaries[:index])
+
+    def servo_of(self, index: int, segments: int) -> ServoState | None:
+        """What the columns of the servo are combined at in the segments of a run; None without such terms."""
+        if self.servo is None:
+            return None
+        first, count = self.first_group(index), len(self.summaries[index].parts)
+        own = self.servo.phases[first : first + count]
+        return replace(self.servo, phases=own if count == segments else own * segments)
 
     def column_values(self, index: int) -> Array:
         """Coefficients of the columns of a run in each of its phase groups."""
@@ -201,44 +212,83 @@ def _layout(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Layout, list[t
 
 
 def _parts(
-    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary], source: Source | None = None
+    layout: Layout,
+    shared: list[tuple[str, ...]],
+    summaries: Sequence[RunSummary],
+    state: ServoState | None,
+    source: Source | None = None,
 ) -> list[Reduction]:
-    """Summaries of all phase groups, those that a source moves in their moved form."""
+    """Summaries of all phase groups, those that a source moves in their moved form; with a state, at it."""
     local = layout.columns[: layout.local]
     parts: list[Reduction] = []
     for index, summary in enumerate(summaries):
         chosen = summary.parts
         if source is not None and index in source.moved:
             chosen = summary.sources[source.moved[index]].parts
-        parts += summary.choose(chosen, local, shared[index])
+        held = summary.choose(chosen, local, _without_phase(shared[index]))
+        wanted = summary.columns(local, shared[index])
+        if state is not None:
+            held = [at_state(part, wanted, state, len(parts) + group) for group, part in enumerate(held)]
+        parts += held
     return parts
+
+
+def _without_phase(shared: tuple[str, ...]) -> tuple[str, ...]:
+    """Shared columns as summaries hold them."""
+    return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns(shared)
+
+
+def _servo_state(
+    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary]
+) -> ServoState | None:
+    """What the columns of the servo are combined at in all phase groups; None without such terms."""
+    if not any(name in SERVO_TERMS for names in shared for name in names):
+        return None
+    local = layout.columns[: layout.local]
+    wanted = [
+        summary.columns(local, own)
+        for summary, own in zip(summaries, shared, strict=True)
+        for _ in summary.parts
+    ]
+    parts = _parts(layout, shared, summaries, None)
+    refuse_if_servo_confounded(layout, parts, wanted, runs=len(summaries))
+    return find_state(layout, parts, wanted)
 
 
 def _merge(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
     layout, shared = _layout(wish, summaries)
-    parts = _parts(layout, shared, summaries)
+    state = _servo_state(layout, shared, summaries)
+    parts = _parts(layout, shared, summaries, state)
     examination = examine_parts(layout, parts)
     refuse_if_confounded(examination, len(summaries))
-    estimate = _estimate(layout, shared, summaries, parts)
+    estimate = _estimate(layout, shared, summaries, parts, state)
     coefficients, covariance = _named(wish, summaries, layout, estimate)
     return JointFit(
-        wish, tuple(summaries), tuple(live), layout, estimate, coefficients, covariance, examination
+        wish, tuple(summaries), tuple(live), layout, estimate, coefficients, covariance, examination, state
     )
 
 
 def _estimate(
-    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary], parts: list[Reduction]
+    layout: Layout,
+    shared: list[tuple[str, ...]],
+    summaries: Sequence[RunSummary],
+    parts: list[Reduction],
+    state: ServoState | None,
 ) -> Estimate:
     """Estimate with what the noise that runs are not weighted by adds to its covariance."""
     plain = solve_parts(layout, parts)
     added = np.zeros_like(plain.covariance)
-    for noise, per_unit in _added(layout, shared, summaries, plain):
+    for noise, per_unit in _added(layout, shared, summaries, plain, state):
         added += noise.variance * per_unit
     return replace(plain, covariance=plain.covariance + added)
 
 
 def _added(
-    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary], plain: Estimate
+    layout: Layout,
+    shared: list[tuple[str, ...]],
+    summaries: Sequence[RunSummary],
+    plain: Estimate,
+    state: ServoState | None,
 ) -> Iterator[tuple[AddedNoise, Array]]:
     """Noise that runs are not weighted by, and what a unit of each adds to the covariance."""
     local = layout.columns[: layout.local]
@@ -248,10 +298,14 @@ def _added(
         first = groups.stop
         if not summary.added:
             continue
-        columns = summary.columns(local, shared[index])
+        held = summary.columns(local, _without_phase(shared[index]))
+        wanted = summary.columns(local, shared[index])
         jacobians = [layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
         for noise in summary.added:
-            meat = noise.select(summary.parts[0].names, columns).per_unit(jacobians)
+            own = noise.select(summary.parts[0].names, held)
+            if state is not None:
+                own = own.mixed([mixture(held, wanted, state, state.phases[g])[:-1, :-1] for g in groups])
+            meat = own.per_unit(jacobians)
             yield noise, plain.covariance @ meat @ plain.covariance
 
 
@@ -309,7 +363,7 @@ def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
     base = np.array([c.value for c in fit.coefficients])
     turns = np.array([c.name == "phi" for c in fit.coefficients])
     for source in joint_sources(fit.summaries):
-        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, source))
+        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source))
         named, _ = _named(fit.wish, fit.summaries, layout, estimate)
         change = np.array([c.value for c in named]) - base
         yield source, np.where(turns, np.angle(np.exp(1j * change)), change)
@@ -325,7 +379,7 @@ def joint_degrees(fit: JointFit) -> Array:
     now = np.diag(fit.covariance)
     known = np.zeros(now.size)
     for index, summary in enumerate(fit.summaries):
-        parts = _parts(layout, shared, fit.summaries)
+        parts = _parts(layout, shared, fit.summaries, fit.servo)
         first = fit.first_group(index)
         for group in range(first, first + len(summary.parts)):
             parts[group] = parts[group].scaled(1.0 / (1.0 + SMALL))
@@ -333,11 +387,11 @@ def joint_degrees(fit: JointFit) -> Array:
         summaries[index] = replace(
             summary, added=tuple(noise.scaled(1.0 / (1.0 + SMALL)) for noise in summary.added)
         )
-        estimate = _estimate(layout, shared, summaries, parts)
+        estimate = _estimate(layout, shared, summaries, parts, fit.servo)
         _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
         known += ((np.diag(covariance) - now) / SMALL) ** 2 / summary.degrees_of_freedom
-    plain = solve_parts(layout, _parts(layout, shared, fit.summaries))
-    for noise, per_unit in _added(layout, shared, fit.summaries, plain):
+    plain = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo))
+    for noise, per_unit in _added(layout, shared, fit.summaries, plain, fit.servo):
         _, share = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
         known += 0.5 * (noise.deviation * np.diag(share)) ** 2
     return now**2 / np.maximum(known, 1e-300)

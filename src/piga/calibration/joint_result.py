@@ -92,7 +92,8 @@ def _live_part(
     """
     summary = fit.summaries[index]
     wish = replace(live.request, terms=fit.wish.terms_of(index))
-    design = Design(live.run, wish, summary.inner_scale_factor)
+    state = fit.servo_of(index, len(live.run.labels))
+    design = Design(live.run, wish, summary.inner_scale_factor, state)
     values = fit.column_values(index)
     if len(values) != len(live.run.labels):
         values = np.tile(values[0], (len(live.run.labels), 1))

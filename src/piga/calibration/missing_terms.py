@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.candidate_columns import candidate_sums, candidate_terms
+from piga.calibration.candidate_columns import CUBIC, candidate_sums, candidate_terms, constant_squares
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.fit import Fit
 from piga.calibration.reduction import solve_upper
@@ -44,6 +44,8 @@ CONFOUNDED = 1e-3
 """Part of a candidate that the model leaves, relative to its size, below which it cannot be told apart."""
 NOTABLE = 0.01
 """Fall of the sum of squares from which a term is worth a word by itself."""
+LIKE_A_CUBE = 0.5
+"""Share of the best candidate's fall from which the stiffness of the servo is suggested in place of a cube of a_x."""
 ALIKE = 0.9
 """Share of the best candidate's fall from which another explains much the same."""
 SUGGESTIONS = 3
@@ -93,15 +95,14 @@ def suggest_terms(
     if fit.design.request.phase_source != "output" or not left:
         return ()
     layout = layout_of(fit.design, len(set(groups)))
-    pieces, rows = _pieces(fit, groups, [name for names in left for name in names])
+    pieces, rows = pieces_of(fit, groups, [name for names in left for name in names])
     found: list[dict[str, Any]] = []
     order = [name for names in left for name in names]
     limit = FALSE_ALARMS / len(left)
+    square = constant_squares(fit.design.run)[0]
     for _ in range(SUGGESTIONS):
         tests = [t for names in left if (t := tested(pieces, order, names, rows)) and t.probability < limit]
-        shifts = [
-            _largest_shift(fit, per_segment, coefficients, t.change, has_phases(layout, groups)) for t in tests
-        ]
+        shifts = [_largest_shift(fit, per_segment, coefficients, t, has_phases(layout, groups)) for t in tests]
         worth = [
             (test, shift)
             for test, shift in zip(tests, shifts, strict=True)
@@ -110,12 +111,37 @@ def suggest_terms(
         if not worth:
             break
         best, shift = max(worth, key=lambda item: item[0].fall)
+        best, shift = _servo_first(best, shift, worth, square)
         alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > ALIKE * best.fall]
-        found.append(_as_dict(best, shift, alike, fit.design.scale_factor))
+        entry = _as_dict(best, shift, alike, fit.design.scale_factor)
+        if square is not None and best.names[0] in ("servo", "k3"):
+            after = after_change(fit, per_segment, best.change, has_phases(layout, groups))
+            entry |= _both_meanings(best, after, square, fit.design.scale_factor)
+        found.append(entry)
         pieces = [_with_term(piece, order, best.names) for piece in pieces]
         order = [name for name in order if name not in best.names]
-        left = [names for names in left if names != best.names]
+        taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
+        left = [names for names in left if names != best.names and names[0] not in taken]
     return tuple(found)
+
+
+def _servo_first(
+    best: Tested, shift: tuple[float, str], worth: list[tuple[Tested, tuple[float, str]]], square: float | None
+) -> tuple[Tested, tuple[float, str]]:
+    """The stiffness of the servo in place of a cube of a_x that fits about as well, where the record cannot tell them."""
+    if square is None or best.names[0] not in CUBIC:
+        return best, shift
+    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > LIKE_A_CUBE * best.fall]
+    return servo[0] if servo else (best, shift)
+
+
+def _both_meanings(test: Tested, after: dict[str, float], square: float, scale_factor: float) -> dict[str, Any]:
+    """K under each name of a cubic signature: they differ by the coefficient times ``a_x^2 + a_t^2``."""
+    size, scale = float(test.columns[0]) / scale_factor * square, after.get("scale_factor")
+    if scale is None:
+        return {}
+    under = (scale, scale * (1.0 - size)) if test.names == ("servo",) else (scale * (1.0 + size), scale)
+    return {"scale_factor_under": dict(zip(CUBIC[:2], under, strict=True))}
 
 
 def terms_of(names: Names) -> Names:
@@ -123,7 +149,7 @@ def terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
-def _pieces(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list[Array], int]:
+def pieces_of(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list[Array], int]:
     """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows."""
     design, layout = fit.design, layout_of(fit.design, len(set(groups)))
     segments = len(design.run.labels)
@@ -220,10 +246,8 @@ def _scatter_probability(parts: list[Array], scale: Array, model: Array, R: Arra
     return float(fdtrc(q, freedom, ratio))
 
 
-def _largest_shift(
-    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...], change: Array, amplitudes: bool
-) -> tuple[float, str]:
-    """Largest change of a reported coefficient in its standard uncertainties, and its name."""
+def after_change(fit: Fit, per_segment: bool, change: Array, amplitudes: bool) -> dict[str, float]:
+    """Coefficients (file units) by key after a change of the parameters: ``amplitudes``, or column coefficients."""
     layout = layout_of(fit.design, max(len(fit.solution.phases), 1))
     if amplitudes:
         moved = replace(fit.solution, amplitudes=fit.solution.amplitudes + change[: layout.size])
@@ -236,11 +260,29 @@ def _largest_shift(
             phases=np.array([phase]) if layout.coupled else fit.solution.phases,
         )
     named, _ = name_coefficients(fit.design, moved, fit.solution.covariance, per_segment)
-    after = {c.key: c.value for c in named}
+    return {c.key: c.value for c in named}
+
+
+def _largest_shift(
+    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...], test: Tested, amplitudes: bool
+) -> tuple[float, str]:
+    """Largest change of a reported coefficient in its standard uncertainties, and its name.
+
+    The phase is looked at where a candidate turns it by nature.
+    """
+    after = after_change(fit, per_segment, test.change, amplitudes)
+    left_out = () if test.names == ("servo_damping",) else ("phi",)
     shifts = [
-        (abs(after[c.key] - c.value) / c.std, c.name) for c in coefficients if c.name != "phi" and c.std > 0.0
+        (abs(_difference(c, after[c.key])) / c.std, c.name)
+        for c in coefficients
+        if c.name not in left_out and c.std > 0.0
     ]
     return max(shifts, default=(0.0, ""))
+
+
+def _difference(coefficient: Coefficient, value: float) -> float:
+    change = value - coefficient.value
+    return math.remainder(change, 2.0 * math.pi) if coefficient.name == "phi" else change
 
 
 def _with_term(piece: Array, order: list[str], names: Names) -> Array:
@@ -270,8 +312,8 @@ def _as_dict(test: Tested, shift: tuple[float, str], alike: list[str], scale_fac
     }
 
 
-def suggestions_in_words(found: tuple[dict[str, Any], ...]) -> tuple[str, ...]:
-    """One sentence for each suggestion."""
+def suggestions_in_words(found: tuple[dict[str, Any], ...], *, held: bool = False) -> tuple[str, ...]:
+    """One sentence for each suggestion; ``held``: both meanings of a cube are in the budget."""
     notes = []
     for entry in found:
         sizes = ", ".join(
@@ -280,10 +322,20 @@ def suggestions_in_words(found: tuple[dict[str, Any], ...]) -> tuple[str, ...]:
                 entry["terms"], entry["estimate"], entry["standard_uncertainty"], entry["unit"], strict=True
             )
         )
+        under = entry.get("scale_factor_under")
+        meaning = (
+            "; no record of this stand can tell servo from k3, for a_x^2 + a_t^2 never changes: scale_factor becomes "
+            + " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
+            + f" {unit_of('scale_factor')}, a choice of meaning"
+            + (", and its uncertainty here holds both" if held else "")
+            + "; a servo of finite stiffness has 'servo', and 'servo_damping' with it"
+            if under
+            else ""
+        )
         alike = f"; {', '.join(entry['alike'])} would explain nearly as much" if entry["alike"] else ""
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
             f"{100.0 * entry['chi2_fall']:.2g} % and move {entry['coefficient']} by {entry['largest_shift']:.2g} "
-            f"standard uncertainties{alike}; not applied: add it to [model] terms if it makes sense"
+            f"standard uncertainties{alike}{meaning}; not applied: add it to [model] terms if it makes sense"
         )
     return tuple(notes)

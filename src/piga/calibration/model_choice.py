@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.whitening import innovation_weights
+from piga.calibration.candidate_columns import CUBIC, constant_squares
 from piga.calibration.coefficients import name_parameters
 from piga.calibration.counted import refine_counted
 from piga.calibration.cross_validation import Prediction, fold_of, predict, row_edges
@@ -25,6 +26,8 @@ from piga.calibration.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model_comparison import ModelComparison, TermSet
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
+from piga.calibration.servo import at_state, find_state, refuse_if_servo_confounded
+from piga.calibration.servo_columns import PHASELESS, ServoState, phaseless_columns
 from piga.calibration.solution import Estimate, Layout, merged, solve_parts
 from piga.calibration.summary import prepare, run_name
 from piga.calibration.weighting import weighted_blocks
@@ -32,7 +35,7 @@ from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
-from piga.records.terms import check_terms
+from piga.records.terms import SERVO_TERMS, check_terms
 
 Array = NDArray[np.float64]
 
@@ -77,6 +80,7 @@ def compare_models(
     """
     wanted = tuple(tuple(terms) for terms in (run.model.compare if term_sets is None else term_sets))
     _check_sets(wanted)
+    wanted = _with_servo_first(run, wanted)
     union = _union(wanted)
     request = make_request(run, union, "information", phase, None, ())
     weighed = _Weighed.of(run, request)
@@ -94,7 +98,50 @@ def compare_models(
         angle_random_walk=weighed.fit.noise.angle_random_walk,
         best=best,
         best_prediction=_simplest(rows),
+        notes=_meanings(rows),
     )
+
+
+def _with_servo_first(run: Run, wanted: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+    """The sets, before each with a cube of a_x the one with the stiffness of the servo in its place.
+
+    Only where ``a_x^2 + a_t^2`` never changes: there the two fit alike, and K is another.
+    """
+    if constant_squares(run)[0] is None or run.servo:
+        return wanted
+    found: list[tuple[str, ...]] = []
+    for terms in wanted:
+        cubes = [name for name in CUBIC[1:] if name in terms]
+        if len(cubes) == 1 and {"scale_factor", "tan_beta"} <= set(terms) and "servo" not in terms:
+            found.append(tuple("servo" if name == cubes[0] else name for name in terms))
+        found.append(terms)
+    known = [frozenset(terms) for terms in wanted]
+    return tuple(
+        terms
+        for i, terms in enumerate(found)
+        if terms in wanted or (frozenset(terms) not in known and terms not in found[:i])
+    )
+
+
+def _meanings(rows: list[TermSet]) -> tuple[str, ...]:
+    """What K is under the stiffness of the servo and under a cube of a_x in its place, for sets that differ by that alone."""
+    notes = []
+    values = {
+        frozenset(row.terms): next((c for c in row.coefficients if c.name == "scale_factor"), None)
+        for row in rows
+    }
+    for row in rows:
+        own = values[frozenset(row.terms)]
+        for cube in CUBIC[1:]:
+            other = values.get(frozenset(row.terms) - {"servo"} | {cube})
+            if "servo" in row.terms and own is not None and other is not None:
+                size = "k3 g^2" if cube == "k3" else "what k2o takes of it"
+                notes.append(
+                    f"scale_factor is {own.value:.8g} {own.unit} with servo and {other.value:.8g} with {cube} in its place: where "
+                    f"a_x^2 + a_t^2 never changes this is a choice of meaning (they differ by {size}), which BIC and prediction "
+                    "do not make; a servo of finite stiffness has the term servo"
+                )
+    return tuple(notes)
 
 
 def _check_sets(wanted: tuple[tuple[str, ...], ...]) -> None:
@@ -161,10 +208,13 @@ class _Weighed:
         local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
         shared = replace(self.design.request, terms=terms).shared_terms
         own = self.per_segment and bool(local)
-        chosen = self._chosen(local, shared, own)
         keys = tuple((name, None) for name in shared)
-        layout = Layout("tan_beta" in terms, harmonics, keys, (np.arange(len(shared)),) * len(chosen))
+        count = max(self.groups) + 1 if own else 1
+        layout = Layout("tan_beta" in terms, harmonics, keys, (np.arange(len(shared)),) * count)
+        state: ServoState | None = None
         try:
+            _refuse_servo_alone(terms)
+            state, chosen = self._at_state(layout, local, shared, own)
             refuse_if_confounded(examine_parts(layout, chosen))
             estimate = solve_parts(layout, chosen)
             coefficients = self._named(layout, estimate, terms, own)
@@ -179,15 +229,40 @@ class _Weighed:
             log_likelihood=likelihood,
             bic=m * math.log(n) - 2.0 * likelihood,
             aic=2.0 * m - 2.0 * likelihood,
-            prediction=None if own else self._predicted(local, shared),
+            prediction=None if own else self._predicted(local, shared, state),
             coefficients=coefficients,
         )
 
-    def _predicted(self, local: tuple[str, ...], shared: tuple[str, ...]) -> Prediction | None:
-        names = self.design.names
+    def _at_state(
+        self, layout: Layout, local: tuple[str, ...], shared: tuple[str, ...], own: bool
+    ) -> tuple[ServoState | None, list[Reduction]]:
+        """One summary per phase group with the columns of a set, those of the servo at the phases that they tell."""
+        known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
+        terms = (*(name for name in SERVO_TERMS if name in shared), *known)
+        if not terms:
+            return None, self._chosen(local, shared, own)
+        plain = tuple(name for name in shared if name not in SERVO_TERMS)
+        held = self._chosen(local, (*plain, *phaseless_columns(terms)), own)
+        wanted = [(*local, *shared)] * len(held)
+        if layout.coupled:
+            refuse_if_servo_confounded(layout, held, wanted, per_segment=own)
+            state = find_state(layout, held, wanted, known)
+        else:
+            state = ServoState((0.0,) * len(held), known.get("servo", 0.0), 0.0, 0.0, turning=False)
+        return state, [at_state(part, wanted[0], state, group, known) for group, part in enumerate(held)]
+
+    def _predicted(
+        self, local: tuple[str, ...], shared: tuple[str, ...], state: ServoState | None
+    ) -> Prediction | None:
+        names, parts = self.design.names, self.parts
+        if state is not None:
+            known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
+            names = tuple(name for name in names if name not in PHASELESS)
+            names += tuple(name for name in SERVO_TERMS if name in shared)
+            parts = [at_state(part, names, state, 0, known) for part in parts]
         columns = [names.index(self._held(name)) for name in (*local, *shared)]
         probe = (names.index(PROBE), self.design.scale_factor)
-        return predict(self.parts, columns, probe, self._fixed(shared))
+        return predict(parts, columns, probe, self._fixed(shared))
 
     def _held(self, name: str) -> str:
         return "scale_factor" if name == "k1" and "k1" not in self.design.names else name
@@ -222,6 +297,12 @@ class _Weighed:
         spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
         refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
         return named
+
+
+def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
+    """The terms of the servo need the phase of the coupling."""
+    if set(SERVO_TERMS) & set(terms) and "tan_beta" not in terms:
+        raise CalibrationError("the terms of the servo need the phase that tan_beta carries")
 
 
 def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Reduction], float]:

@@ -52,7 +52,8 @@ class ModelComparison:
 
     ``best`` has the least BIC. ``best_prediction`` has the fewest coefficients of all sets whose prediction is
     within one standard error of the best one. ``noise_terms`` is the set with which the common noise levels
-    were found; ``parted_by`` says what was left out: segments or blocks of one.
+    were found; ``parted_by`` says what was left out: segments or blocks of one. ``notes``: what a choice between sets
+    means for K where the record cannot make it.
     """
 
     sets: tuple[TermSet, ...]
@@ -65,6 +66,7 @@ class ModelComparison:
     angle_random_walk: float
     best: int | None
     best_prediction: int | None
+    notes: tuple[str, ...] = ()
 
     @property
     def ranking(self) -> tuple[int, ...]:
@@ -88,6 +90,7 @@ class ModelComparison:
             "best_prediction": None
             if self.best_prediction is None
             else list(self.sets[self.best_prediction].terms),
+            "notes": list(self.notes),
             "sets": [_set_document(found, best, self.observations) for found in self.sets],
         }
 

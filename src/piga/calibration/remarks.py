@@ -16,6 +16,7 @@ import numpy as np
 
 from piga.calibration.advice import advise, looks_wrong
 from piga.calibration.coefficients import name_coefficients
+from piga.calibration.cubic import CubicDoubt
 from piga.calibration.fit import Fit
 from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
@@ -47,7 +48,7 @@ def find_remarks(
         Those of the result, with combined standard uncertainties.
     """
     slow = fit.noise.slow > 0.0
-    plain = _without_slow(fit, groups) if slow else fit
+    plain = without_slow(fit, groups)
     known = _known_without_slow(fit, plain, per_segment, coefficients) if slow else coefficients
     found, alone, moved = find_leverage(plain, groups, per_segment, known, slow)
     _in_reported_uncertainties(found, known, coefficients)
@@ -64,8 +65,13 @@ def _in_reported_uncertainties(
                 row["shift"][one.name] *= one.std / reported.std
 
 
-def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration:
-    """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes."""
+def with_remarks(
+    result: Calibration, fit: Fit, remarks: Remarks, doubt: CubicDoubt | None = None
+) -> Calibration:
+    """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes.
+
+    A doubt about the meaning of a cubic signature is said by the suggestion, or in words of its own.
+    """
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
     found = dict(remarks.diagnostics)
@@ -75,15 +81,19 @@ def with_remarks(result: Calibration, fit: Fit, remarks: Remarks) -> Calibration
         found |= {"missing_terms": list(missing)}
     slow = "bias drift" if fit.noise.drift > 0.0 else "scatter of the segments"
     also = f"; the {slow} found may be the same effect" if fit.noise.slow > 0.0 else ""
-    suggested = tuple(words + also for words in suggestions_in_words(missing))
+    suggested = tuple(words + also for words in suggestions_in_words(missing, held=doubt is not None))
+    if doubt is not None and not any("scale_factor_under" in entry for entry in missing):
+        suggested = (*suggested, doubt.words())
     cause = (*advice, *suggested) or remarks.moved
     return replace(
         result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=result.diagnostics | found
     )
 
 
-def _without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
+def without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
     """The fit by the weights of white noise and random walk, one summary per segment."""
+    if fit.noise.slow == 0.0:
+        return fit
     noise = fit.noise.without_slow()
     if fit.slow_part is not None:
         return replace(fit, noise=noise, covariance=fit.solution.covariance)

@@ -28,7 +28,6 @@ class Request:
     x0: tuple[float, ...] | None = None
     P0: float | None = None
     per_run: tuple[str, ...] = ()
-    known_servo: tuple[tuple[str, float], ...] = ()
 
     @property
     def harmonics(self) -> tuple[int, ...]:

@@ -57,7 +57,13 @@ def at_state(
     known:
         K times the coefficients that are given (SI): taken off the observation.
     """
-    names, phase = part.names, state.phases[group]
+    return part.mixed(wanted, mixture(part.names, wanted, state, state.phases[group], known))
+
+
+def mixture(
+    names: Names, wanted: Names, state: ServoState, phase: float, known: dict[str, float] | None = None
+) -> Array:
+    """What columns without a phase, and the observation behind them, make of wanted ones: (m + 1, wanted + 1)."""
     there = [name for name in PHASELESS if name in names]
     at = [names.index(name) for name in there]
     of = [PHASELESS.index(name) for name in there]
@@ -75,7 +81,7 @@ def at_state(
             matrix[at, column] += np.cos(phase) * turn
     for name, value in (known or {}).items():
         matrix[at, -1] -= value * terms[name][of]
-    return part.mixed(wanted, matrix)
+    return matrix
 
 
 def find_state(

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from piga.instrument.twin_predictions import ServoParameters, servo_terms
+from piga.records.run import Run
+from piga.records.spool import square_sum
 
 Array = NDArray[np.float64]
 Names = tuple[str, ...]
@@ -59,3 +64,21 @@ def phaseless_columns(terms: Sequence[str]) -> Names:
     """Columns that hold the asked terms of the servo without a phase."""
     held = STIFFNESS_COLUMNS if "servo" in terms else ()
     return held + (DAMPING_COLUMNS if "servo_damping" in terms else ())
+
+
+def given_servo(run: Run) -> dict[str, float]:
+    """Coefficients of the servo [1/(m/s^2)^2] that the run file's ``[instrument] servo`` predicts; none without it.
+
+    At the root-mean-square rate of the record. ``servo_damping`` is among them where the damping is given.
+    """
+    if not run.servo:
+        return {}
+    given = {parameter.name: parameter.value for parameter in run.servo}
+    lever = given.get("pendulosity", run.scale_factor * given.get("angular_momentum", 0.0))
+    plain = {
+        name: given.get(name, 0.0) for name in ("integral_gain", "proportional_gain", "rate_gain", "damping")
+    }
+    rate = run.scale_factor * math.sqrt(square_sum(np.ascontiguousarray(run.f[:, 0])) / run.size)
+    terms = servo_terms(ServoParameters(run.scale_factor, lever, **plain), rate=rate)
+    damping = {"servo_damping": terms.servo_damping} if "damping" in given else {}
+    return {"servo": terms.servo} | damping

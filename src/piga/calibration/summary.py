@@ -32,12 +32,13 @@ from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
 from piga.records.spool import spans
-from piga.records.terms import harmonic
+from piga.records.terms import SERVO_TERMS, harmonic
 
 Array = NDArray[np.float64]
 
 STATIC_TERMS = (
     "scale_factor", "tan_beta", "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t",
+    *SERVO_TERMS,
 )  # fmt: skip
 """Columns that a stored summary holds besides the harmonics asked for; with temperature also those of it."""
 LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
@@ -241,7 +242,7 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
     if found:
         return tuple(f"{kind}{found[1]}" for kind in ("s", "c"))
     if chosen == "tan_beta":
-        return (chosen, *(term for term in terms if harmonic(term)))
+        return (chosen, *(term for term in terms if harmonic(term) or term in SERVO_TERMS))
     return (chosen,)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from piga.calibration.added_noise import AddedNoise
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.servo_columns import PHASELESS
 from piga.errors import CalibrationError
 from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
 from piga.records.json_file import JsonError, decode_json, schema_of
@@ -220,7 +221,7 @@ def _reductions(path: Path, parts: tuple[_Reduction, ...], groups: int) -> tuple
         except ValueError:
             weight, unit = np.zeros(0), np.zeros(0)
         fits = weight.shape == (2, size) and unit.shape == (2, size, size)
-        known = all(name in ("p", "q") or check_name(name) for name in part.names)
+        known = all(name in ("p", "q", *PHASELESS) or check_name(name) for name in part.names)
         whole = fits and np.isfinite(weight).all() and np.isfinite(unit).all() and (weight[0] >= 0.0).all()
         if not (whole and known) or len(parts) != groups or part.count < 0:
             raise CalibrationError(f"{path}: its summaries are damaged", remedy="summarise the run again")

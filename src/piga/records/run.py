@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,18 @@ from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import spans, steps
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GivenParameter:
+    """A parameter that a run file gives: SI value and standard uncertainty, ``unit`` and distribution for the budget."""
+
+    name: str
+    value: float
+    standard: float
+    unit: str
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -51,6 +64,8 @@ class Run:
         increment ends in them.
     stand:
         The run file's ``[stand]`` table as written, for the uncertainty budget.
+    servo:
+        Known parameters of the servo by name [SI], from the run file's ``[instrument] servo``; empty where none are given.
     """
 
     serial: str
@@ -73,6 +88,7 @@ class Run:
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     left_out: NDArray[np.bool_] | None = None
     stand: dict[str, Any] | None = None
+    servo: tuple[GivenParameter, ...] = ()
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)
 

@@ -61,7 +61,7 @@ def comparison_words(document: dict[str, Any]) -> str:
         f"{words} Fewest coefficients within one standard error of the best prediction "
         f"({count(document['folds'])} folds over {count(document['parts'])} {parts}): "
         f"{_terms(document['best_prediction'])}."
-    )
+    ) + "".join(f" {note[0].upper()}{note[1:]}." for note in document.get("notes", ()))
 
 
 def _terms(names: list[str]) -> str:
