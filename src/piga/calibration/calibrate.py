@@ -259,6 +259,7 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
 
 def _published_calibration(run: Run, request: Request) -> Calibration:
     """The published recursion in the same result; its residuals are those of its own solution."""
+    run = replace(run, servo=())
     found = run_published(run, request)
     values, covariance = found.state.copy(), found.covariance
     if values[0] < 0.0:

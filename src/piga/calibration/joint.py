@@ -8,7 +8,7 @@ whose raw data are gone takes part like any other.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 INNER = 1e-6
 """Relative change of K from which the regressors of runs with base rotation are made anew."""
+SAME_SERVO = 0.02
+"""Relative difference of a coefficient of the servo between runs that is none: that of their rates."""
 SMALL = 0.01
 """Relative change of the noise of a run for the derivative of the variances."""
 COMMON_TO_ALL_STANDS = ("gravity",)
@@ -222,37 +224,65 @@ def _parts(
     local = layout.columns[: layout.local]
     parts: list[Reduction] = []
     for index, summary in enumerate(summaries):
-        chosen = summary.parts
+        chosen, known = summary.parts, _known_servo(summary, shared[index])
         if source is not None and index in source.moved:
-            chosen = summary.sources[source.moved[index]].parts
-        held = summary.choose(chosen, local, _without_phase(shared[index]))
+            moved = summary.sources[source.moved[index]]
+            chosen = moved.parts
+            known = _known_servo(
+                replace(summary, known_servo=moved.known_servo or summary.known_servo), shared[index]
+            )
+        held = summary.choose(chosen, local, _without_phase(shared[index], known))
         wanted = summary.columns(local, shared[index])
         if state is not None:
-            held = [at_state(part, wanted, state, len(parts) + group) for group, part in enumerate(held)]
+            held = [at_state(part, wanted, state, len(parts) + group, known) for group, part in enumerate(held)]
         parts += held
     return parts
 
 
-def _without_phase(shared: tuple[str, ...]) -> tuple[str, ...]:
+def _known_servo(summary: RunSummary, shared: tuple[str, ...]) -> dict[str, float]:
+    """K times the coefficients of the servo that a run gives and that are not estimated."""
+    return {name: summary.inner_scale_factor * size for name, size in summary.known_servo if name not in shared}
+
+
+def _without_phase(shared: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
     """Shared columns as summaries hold them."""
-    return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns(shared)
+    return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns((*shared, *known))
 
 
 def _servo_state(
     layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary]
 ) -> ServoState | None:
-    """What the columns of the servo are combined at in all phase groups; None without such terms."""
-    if not any(name in SERVO_TERMS for names in shared for name in names):
+    """What the columns of the servo are combined at in all phase groups; None without such terms.
+
+    Raises
+    ------
+    CalibrationError
+        If the runs give different parameters of the servo.
+    """
+    known = [_known_servo(summary, own) for summary, own in zip(summaries, shared, strict=True)]
+    if not any(known) and not any(name in SERVO_TERMS for names in shared for name in names):
         return None
+    for index, given in enumerate(known):
+        alike = given.keys() == known[0].keys() and all(
+            abs(size - known[0][name]) <= SAME_SERVO * abs(size) for name, size in given.items()
+        )
+        if not alike:
+            raise CalibrationError(
+                f"run '{summaries[0].name}' and run '{summaries[index].name}' give different parameters of the servo",
+                remedy="write the same [instrument] servo in all run files of an instrument, or in none",
+            )
     local = layout.columns[: layout.local]
     wanted = [
         summary.columns(local, own)
         for summary, own in zip(summaries, shared, strict=True)
         for _ in summary.parts
     ]
+    if not layout.coupled:
+        count = sum(len(summary.parts) for summary in summaries)
+        return ServoState((0.0,) * count, known[0].get("servo", 0.0), 0.0, 0.0, turning=False)
     parts = _parts(layout, shared, summaries, None)
     refuse_if_servo_confounded(layout, parts, wanted, runs=len(summaries))
-    return find_state(layout, parts, wanted)
+    return find_state(layout, parts, wanted, known[0])
 
 
 def _merge(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
@@ -298,7 +328,8 @@ def _added(
         first = groups.stop
         if not summary.added:
             continue
-        held = summary.columns(local, _without_phase(shared[index]))
+        known = _known_servo(summary, shared[index])
+        held = summary.columns(local, _without_phase(shared[index], known))
         wanted = summary.columns(local, shared[index])
         jacobians = [layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
         for noise in summary.added:

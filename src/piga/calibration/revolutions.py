@@ -21,6 +21,7 @@ from piga.calibration.fit import fit_run, phase_groups
 from piga.calibration.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request
+from piga.calibration.servo import with_mean_servo
 from piga.calibration.solution import Estimate, Layout
 from piga.calibration.summary import now, residual_figures, validity_ranges
 from piga.errors import CalibrationError, IdentifiabilityError
@@ -268,7 +269,7 @@ def fit_revolutions(run: Run, request: Request) -> RevolutionFit:
         raise CalibrationError(
             "method 'revolutions' needs a term besides tan_beta", remedy="add scale_factor, k0"
         )
-    design = Design(positions.run, replace(request, terms=linear_terms), run.scale_factor)
+    design = with_mean_servo(Design(positions.run, replace(request, terms=linear_terms), run.scale_factor))
     columns = np.concatenate([block.columns for block in design.blocks()], axis=1)
     weighted = columns / positions.std
     summary = Reduction.empty(design.names)

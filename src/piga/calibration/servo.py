@@ -181,11 +181,8 @@ def settled_design(design: Design, mode: str, noise: Noise, groups: tuple[int, .
     """
     if not design.turning_servo:
         return design
-    known, segments = design.known_servo, len(design.run.labels)
     if "tan_beta" not in design.request.terms:
-        return design.with_servo(
-            ServoState((0.0,) * segments, known.get("servo", 0.0), 0.0, 0.0, turning=False)
-        )
+        return with_mean_servo(design)
     summaries = reduce_segments(design.with_servo(None), mode, noise)
     count = max(groups) + 1
     parts = [merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(count)]
@@ -195,8 +192,16 @@ def settled_design(design: Design, mode: str, noise: Noise, groups: tuple[int, .
     )
     wanted = (design.local_names + terms,) * count
     refuse_if_servo_confounded(layout, parts, wanted, per_segment=count > 1)
-    state = find_state(layout, parts, wanted, known)
+    state = find_state(layout, parts, wanted, design.known_servo)
     return design.with_servo(replace(state, phases=tuple(state.phases[group] for group in groups)))
+
+
+def with_mean_servo(design: Design) -> Design:
+    """The design with the mean of a known stiffness of the servo alone, where there is no phase."""
+    if not design.turning_servo:
+        return design
+    stiffness = design.known_servo.get("servo", 0.0)
+    return design.with_servo(ServoState((0.0,) * len(design.run.labels), stiffness, 0.0, 0.0, turning=False))
 
 
 def refuse_if_servo_confounded(

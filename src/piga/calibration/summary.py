@@ -22,6 +22,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
+from piga.calibration.servo_columns import given_servo
 from piga.calibration.slow_bases import DRIFT_NAMES
 from piga.calibration.slow_noise import include_slow_noise
 from piga.calibration.solution import drift_columns, merged
@@ -55,6 +56,7 @@ class SourceSummary:
     parts: tuple[Reduction, ...]
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
+    known_servo: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,8 @@ class RunSummary:
         Kind of the stand and name of the reference: runs that agree in both share the errors of the reference.
     undetermined:
         Terms that this run alone cannot determine.
+    known_servo:
+        Coefficients of the servo [1/(m/s^2)^2] that the run file gives by the servo's parameters.
     quality, segments, figures, ranges:
         As in a calibration of this run alone.
     """
@@ -115,6 +119,7 @@ class RunSummary:
     outliers: tuple[Outlier, ...] = ()
     degrees_of_freedom: float = math.inf
     added: tuple[AddedNoise, ...] = ()
+    known_servo: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
@@ -287,6 +292,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         undetermined=live.undetermined,
         degrees_of_freedom=degrees,
         added=added_noise(fit, Design(run, wish, inner), groups),
+        known_servo=tuple(given_servo(run).items()),
         **described,
     )
 
@@ -309,7 +315,13 @@ def _as_weighted(fit: Fit) -> Fit:
 
 def _source(source: Source, parts: tuple[Reduction, ...]) -> SourceSummary:
     return SourceSummary(
-        source.name, source.value, source.unit, parts, source.distribution, source.degrees_of_freedom
+        source.name,
+        source.value,
+        source.unit,
+        parts,
+        source.distribution,
+        source.degrees_of_freedom,
+        tuple(given_servo(source.moved).items()),
     )
 
 

@@ -28,7 +28,7 @@ MAX_BYTES = 256 << 20
 _PLAIN = (
     "name", "serial", "scale_factor", "kind", "terms", "per_run", "phase", "temperature_reference", "time_reference",
     "inner_scale_factor", "turning", "labels", "stand", "reference_id", "undetermined", "figures", "ranges",
-    "input_sha256", "source", "software", "created",
+    "input_sha256", "source", "software", "created", "known_servo",
 )  # fmt: skip
 
 
@@ -54,6 +54,7 @@ class _Source(msgspec.Struct, frozen=True):
     parts: tuple[_Reduction, ...]
     distribution: str = "normal"
     degrees_of_freedom: float | None = None
+    known_servo: tuple[tuple[str, float], ...] = ()
 
 
 class _Summary(msgspec.Struct, frozen=True):
@@ -87,6 +88,7 @@ class _Summary(msgspec.Struct, frozen=True):
     outliers: tuple[Outlier, ...] = ()
     degrees_of_freedom: float | None = None
     added: tuple[_Added, ...] = ()
+    known_servo: tuple[tuple[str, float], ...] = ()
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
@@ -103,6 +105,7 @@ def write_summary(summary: RunSummary, path: Path) -> None:
                 "parts": [_plain(part) for part in s.parts],
                 "distribution": s.distribution,
                 "degrees_of_freedom": _finite(s.degrees_of_freedom),
+                "known_servo": s.known_servo,
             }
             for s in summary.sources
         ],
@@ -166,6 +169,7 @@ def read_summary(path: Path) -> RunSummary:
                 _reductions(path, s.parts, len(found.labels)),
                 s.distribution,
                 _degrees(s.degrees_of_freedom),
+                s.known_servo,
             )
             for s in found.sources
         ),

@@ -42,6 +42,7 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
     ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
     independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
     scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. The
+    parameters of the servo move what of the model is known of it; the
     entries of a particular stand (levelling, dividing errors, arm, rate ...) act through its own geometry.
     """
     for name, like in UNCERTAINTY_UNITS.items():
@@ -66,6 +67,14 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
             for axis, label in enumerate(("X0", "Y0", "Z0")):
                 moved = _felt(run, partial(move, run.f, axis, value))
                 yield Source(f"{name} {label}", shown, unit, moved, *shape)
+    for parameter in run.servo:
+        if parameter.standard > 0.0:
+            value = parameter.value + size * parameter.standard
+            entries = tuple(replace(p, value=value) if p is parameter else p for p in run.servo)
+            name = f"servo {parameter.name.replace('_', ' ')}"
+            shown = from_si(parameter.standard, parameter.unit)
+            shape = (parameter.distribution, parameter.degrees_of_freedom)
+            yield Source(name, shown, parameter.unit, replace(run, servo=entries), *shape)
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
         moved = _felt(run, partial(_added, run.f, size, change.change))
@@ -120,5 +129,7 @@ def contributions(run: Run, base: Array, estimate: Callable[[Run], Array]) -> li
     found = []
     for source in sources(run):
         change = estimate(source.moved) - base
+        if source.moved.servo is not run.servo and not change.any():
+            continue
         found.append((replace(source, moved=run), change))
     return found

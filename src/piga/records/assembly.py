@@ -99,6 +99,7 @@ class Assembly:
             estimation=self.run_file.estimation,
             uncertainty=self.run_file.uncertainty,
             stand=self.run_file.stand,
+            servo=() if self.run_file.instrument.servo is None else self.run_file.instrument.servo.parameters(),
             source=str(path),
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
@@ -29,6 +30,50 @@ class Spread(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     half_width: str | float | int | None = None
     distribution: Shape = "normal"
     degrees_of_freedom: float | None = None
+
+
+class Given(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``{ value = "3000 N m/(rad s)", standard = "60 N m/(rad s)" }``: a number and how well it is known, as in :class:`Spread`."""
+
+    value: str | float | int
+    standard: str | float | int | None = None
+    half_width: str | float | int | None = None
+    distribution: Shape = "normal"
+    degrees_of_freedom: float | None = None
+
+    @property
+    def spread(self) -> Spread | None:
+        """Its uncertainty; None where none is given."""
+        if self.standard is None and self.half_width is None:
+            return None
+        return Spread(None, self.standard, self.half_width, self.distribution, self.degrees_of_freedom)
+
+
+@dataclass(frozen=True)
+class GivenParameter:
+    """A parameter that a file gives: SI value and standard uncertainty, ``unit`` and distribution for the budget."""
+
+    name: str
+    value: float
+    standard: float
+    unit: str
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
+
+
+def given_parameter(name: str, given: Given | str | float, like: str, what: str) -> GivenParameter:
+    """A parameter in SI with its standard uncertainty, 0 where none is given.
+
+    Raises
+    ------
+    RunFileError, UnitError
+        If unit or uncertainty is wrong; names the entry.
+    """
+    entry = given if isinstance(given, Given) else Given(given)
+    value, spread = to_si(entry.value, like, what=what), entry.spread
+    if spread is None:
+        return GivenParameter(name, value, 0.0, like)
+    return GivenParameter(name, value, standard_uncertainty(spread, like, what), like, *shape_of(spread))
 
 
 def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,23 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Quality
+from piga.records.distribution import GivenParameter
 from piga.records.median import exact_median
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import spans, steps
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class GivenParameter:
-    """A parameter that a run file gives: SI value and standard uncertainty, ``unit`` and distribution for the budget."""
-
-    name: str
-    value: float
-    standard: float
-    unit: str
-    distribution: str = "normal"
-    degrees_of_freedom: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import msgspec
 
 from piga.errors import RunFileError, UnitError
-from piga.records.distribution import Spread, standard_uncertainty
+from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
 from piga.records.terms import check_terms
 from piga.records.toml_file import read_toml
 from piga.units import conversion_factor, to_si
@@ -32,13 +32,55 @@ class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error."""
 
 
+class ServoTable(Table, frozen=True):
+    """``[instrument] servo``: what is known of the servo and the float, each with its uncertainty where it has one.
+
+    The stiffness of the servo is then a known part of the model, and with ``damping`` (of the float) so is that.
+    """
+
+    integral_gain: Quantity | Given
+    pendulosity: Quantity | Given | None = None
+    angular_momentum: Quantity | Given | None = None
+    proportional_gain: Quantity | Given | None = None
+    rate_gain: Quantity | Given | None = None
+    damping: Quantity | Given | None = None
+
+    def parameters(self) -> tuple[GivenParameter, ...]:
+        """Those given, SI.
+
+        Raises
+        ------
+        RunFileError, UnitError
+            If one is not physical, or the pendulosity is given twice or not at all.
+        """
+        found = tuple(
+            given_parameter(name, given, like, f"[instrument] servo.{name}")
+            for name, like in SERVO_UNITS.items()
+            if (given := getattr(self, name)) is not None
+        )
+        for entry in found:
+            positive = entry.name in ("integral_gain", "pendulosity", "angular_momentum")
+            if entry.value < 0.0 or (positive and entry.value == 0.0):
+                raise RunFileError(
+                    f"[instrument] servo.{entry.name}: must be {'positive' if positive else 'zero or more'}",
+                    remedy="correct it; the terms of the servo are those of a servo that integrates",
+                )
+        if (self.pendulosity is None) == (self.angular_momentum is None):
+            raise RunFileError(
+                "[instrument] servo: one of pendulosity and angular_momentum is needed",
+                remedy="give exactly one: the pendulosity is scale_factor times the angular momentum",
+            )
+        return found
+
+
 class InstrumentTable(Table, frozen=True):
-    """``[instrument]``: who it is and its nominal figures."""
+    """``[instrument]``: who it is, its nominal figures, and what is known of its servo."""
 
     serial: str
     scale_factor: Quantity
     counts_per_revolution: float | None = None
     counter_bits: int | None = None
+    servo: ServoTable | None = None
 
 
 class Column(Table, frozen=True):
@@ -178,6 +220,16 @@ class RunFile(Table, frozen=True):
     stand: dict[str, Any] | None = None
 
 
+SERVO_UNITS = {
+    "integral_gain": "N m/(rad s)",
+    "proportional_gain": "N m/rad",
+    "rate_gain": "N m s/rad",
+    "damping": "N m s/rad",
+    "pendulosity": "kg m",
+    "angular_momentum": "kg m^2/s",
+}
+"""Unit of each parameter of the servo as reported."""
+
 UNCERTAINTY_UNITS = {
     "reference_scale": "ppm",
     "reference_bias": "ug",
@@ -224,6 +276,8 @@ def _check_units(run_file: RunFile) -> None:
     data, estimation = run_file.data, run_file.estimation
     if to_si(run_file.instrument.scale_factor, "rad/s/g", what="[instrument] scale_factor") <= 0.0:
         raise RunFileError("[instrument] scale_factor: must be positive", remedy="turn the axes, not the sign")
+    if run_file.instrument.servo is not None:
+        run_file.instrument.servo.parameters()
     if data.time is not None:
         conversion_factor(data.time.unit, "s", what="[data] time")
     for name, table, like in (("reference", data.reference, "g"), ("base_rate", data.base_rate, "rad/s")):
