@@ -22,9 +22,9 @@ SECONDS = 4.0 if numba.config.DISABLE_JIT else 20.0
 
 
 def smooth(t: np.ndarray) -> np.ndarray:
-    """Forces that change at their own frequencies [m/s^2]."""
+    """A force that sways along X0 and goes linearly across, where smooth samples mean a smooth force [m/s^2]."""
     a = 1.0 + 0.3 * np.sin(np.pi * t)
-    return G0 * np.stack([a, 5.0 + 0.5 * np.cos(1.1 * t), 0.4 * np.sin(0.7 * t)], axis=1)
+    return G0 * np.stack([a, 5.0 + 0.05 * t, 0.4 - 0.03 * t], axis=1)
 
 
 @pytest.mark.compiled

@@ -59,8 +59,11 @@ def load_block(
             w[at.FORCE_Y + 1 + j] = y[j]
         for j in range(z.size):
             w[at.FORCE_Z + 1 + j] = z[j]
+    for j in range(t.size if omega.shape[0] == 0 else 0):
+        w[at.OMEGA_X + 1 + j] = w[at.OMEGA_Y + 1 + j] = w[at.OMEGA_Z + 1 + j] = 0.0
     for j in range(omega.shape[0]):
         w[at.OMEGA_X + 1 + j] = omega[j, 0]
+        w[at.OMEGA_Y + 1 + j], w[at.OMEGA_Z + 1 + j] = omega[j, 1], omega[j, 2]
         w[at.RATE_Y + 1 + j] -= tangent * omega[j, 1]
         w[at.RATE_Z + 1 + j] -= tangent * omega[j, 2]
     for j in range(warmth.size):
@@ -80,9 +83,13 @@ def load_past(
     w[at.TIME], w[at.PSI], w[at.PSI - 1] = state[at.S_TIME], state[at.S_PSI], state[at.S_PSI_BEFORE]
     w[at.FORCE_Y], w[at.FORCE_Z] = state[at.S_FORCE_Y], state[at.S_FORCE_Z]
     w[at.OMEGA_X], w[at.WARMTH] = state[at.S_OMEGA_X], state[at.S_WARMTH]
+    w[at.OMEGA_Y], w[at.OMEGA_Z] = state[at.S_OMEGA_Y], state[at.S_OMEGA_Z]
     w[at.RATE_Y] = coupling * state[at.S_FORCE_Y] + offset_y - tangent * state[at.S_OMEGA_Y]
     w[at.RATE_Z] = coupling * state[at.S_FORCE_Z] + offset_z - tangent * state[at.S_OMEGA_Z]
-    w[at.RATE_Y - 1], w[at.RATE_Z - 1] = state[at.S_RATE_Y_BEFORE], state[at.S_RATE_Z_BEFORE]
+    for k in range(2):
+        w[at.OMEGA_X - 1 - k] = state[at.S_OMEGA_X_BEFORE + k]
+        w[at.RATE_Y - 1 - k] = state[at.S_RATE_Y_BEFORE + k]
+        w[at.RATE_Z - 1 - k] = state[at.S_RATE_Z_BEFORE + k]
     w[at.FIRST], w[at.FORCE] = state[at.S_FIRST], state[at.S_FORCE]
     for k in range(3):
         step = state[at.S_STEPS + k]
@@ -93,23 +100,16 @@ def load_past(
 @exact
 def save_last(n: int, y: Array, z: Array, omega: Array, state: Array, w: Array) -> None:
     """Keep what the next block needs to know of this one."""
-    last_y, last_z = state[at.S_FORCE_Y], state[at.S_FORCE_Z]
     state[at.S_VALID] = 1.0
     state[at.S_TIME], state[at.S_PSI] = w[at.TIME + n], w[at.PSI + n]
     state[at.S_PSI_BEFORE] = w[at.PSI + n - 1]
-    state[at.S_RATE_Y_BEFORE], state[at.S_RATE_Z_BEFORE] = w[at.RATE_Y + n - 1], w[at.RATE_Z + n - 1]
     state[at.S_FORCE_Y], state[at.S_FORCE_Z] = y[n - 1], z[n - 1]
     state[at.S_WARMTH] = w[at.WARMTH + n]
     state[at.S_FIRST], state[at.S_FORCE] = w[at.FIRST + n], w[at.FORCE + n]
-    state[at.S_FORCE_Y_BEFORE] = y[n - 2] if n > 1 else last_y
-    state[at.S_FORCE_Z_BEFORE] = z[n - 2] if n > 1 else last_z
-    state[at.S_NODE_SINE], state[at.S_NODE_COSINE] = w[at.NODE_SINE + n], w[at.NODE_COSINE + n]
-    state[at.S_COUPLING], state[at.S_ACROSS] = w[at.COUPLING + n], w[at.ACROSS + n]
     for k in range(3):
         state[at.S_EARLY + k], state[at.S_STEPS + k] = w[at.EARLY + n - k], w[at.STEP + n - k]
-    if omega.shape[0]:
-        for axis in range(3):
-            state[at.S_OMEGA_X + axis] = omega[n - 1, axis]
+    for axis in range(3):
+        state[at.S_OMEGA_X + axis] = omega[n - 1, axis] if omega.shape[0] else 0.0
 
 
 @exact
@@ -283,13 +283,6 @@ def take_early(n: int, w: Array) -> None:
     """The trapezoid's mean of ``u_x`` where no better one is formed."""
     for j in range(1, n + 1):
         w[at.FIRST + j] = w[at.EARLY + j]
-
-
-@exact
-def add_base_rate(n: int, K: float, w: Array) -> None:
-    """Base rotation about X0 adds to the output: ``alpha' + Omega_x = K a_x + ...``."""
-    for j in range(1, n + 1):
-        w[at.INPUT + j] += 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j]) / K
 
 
 @exact

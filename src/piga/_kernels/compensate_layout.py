@@ -63,9 +63,15 @@ FAR_INPUT, FAR_SLOPE = 48 * STRIDE, 49 * STRIDE  # INPUT and SLOPE of intervals 
 # sets: changes of BASE over the interval
 BASE_RISE_X, BASE_RISE_Y, BASE_RISE_Z = 50 * STRIDE, 51 * STRIDE, 52 * STRIDE
 ERROR_RISE = 53 * STRIDE  # sets: change of ERROR over the interval [m/s^2]
-REGRESSORS = 54 * STRIDE
+# mean over the interval less that of both ends, of OMEGA_X, RATE_Y and RATE_Z [rad/s]
+BOW_X, BOW_Y, BOW_Z = 54 * STRIDE, 55 * STRIDE, 56 * STRIDE
+# standard uncertainty of the bows [rad/s]
+LEFT_X, LEFT_Y, LEFT_Z = 57 * STRIDE, 58 * STRIDE, 59 * STRIDE
+DOUBT = 60 * STRIDE  # what the samples do not tell of the mean force of the interval [m/s^2]
+OMEGA_Y, OMEGA_Z = 61 * STRIDE, 62 * STRIDE  # base rate across [rad/s]
+REGRESSORS = 63 * STRIDE
 MOST_TERMS = 40
-WORK = (54 + MOST_TERMS) * STRIDE
+WORK = (63 + MOST_TERMS) * STRIDE
 
 P_K = 0
 P_TAN_BETA = 1
@@ -79,6 +85,7 @@ P_WALK = 8  # of the random walk [rad^2/s]
 P_TERMS = 10  # coefficients by code, CODES below
 TERMS = (
     "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+    "servo", "servo_damping",
 )  # fmt: skip
 """Terms of the error model in the order of their codes; SI."""
 SCALE_FACTOR = 40  # codes behind those of the terms
@@ -103,17 +110,14 @@ S_REST = 13
 S_START = 14  # published formula: psi of the first sample
 S_PHI = 15  # phase that S_REST holds
 S_NOMINAL = 16  # nominal interval [s] to tell gaps; 0 until known
-S_PSI_BEFORE = 17  # angle and transverse input one sample before the last
-S_RATE_Y_BEFORE = 18
-S_RATE_Z_BEFORE = 19
+S_PSI_BEFORE = 17  # angle one sample before the last
+S_SLOPE = 18  # change of a_x over the last interval
+S_DOUBT = 19
 S_EARLY = 20  # mean u_x of the last three intervals, the latest first
 S_STEPS = 23  # their lengths
-S_FORCE_Y_BEFORE = 26  # reference one sample before the last
-S_FORCE_Z_BEFORE = 27
-S_NODE_SINE = 28  # of the last angle, and the coupling there
-S_NODE_COSINE = 29
-S_COUPLING = 30
-S_ACROSS = 31
+S_OMEGA_X_BEFORE = 26  # base rate and transverse input, one and two samples before the last
+S_RATE_Y_BEFORE = 28
+S_RATE_Z_BEFORE = 30
 STATE = 32
 
 EXACT, PUBLISHED = 0, 1

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels import compensate as angle
+from piga._kernels import compensate_bow as between
 from piga._kernels import compensate_layout as at
-from piga._kernels import compensate_lean as lean
-from piga._kernels import compensate_lean_angle as lean_angle
 from piga._kernels import compensate_near as near
 from piga._kernels import compensate_terms as terms
 from piga._kernels import compensate_uncertainty as known
@@ -28,7 +27,7 @@ def finish_block(
 ) -> None:  # fmt: skip
     """Error model, uncertainty and flags of a block whose indicated force is known."""
     if has_terms:
-        terms.invert_terms(n, p, w)
+        terms.invert_terms(n, p, per == at.PER, w)
     else:
         terms.take_input(n, w)
     if u.size:
@@ -38,8 +37,8 @@ def finish_block(
 
 
 @exact
-def indicate_intervals(n: int, formula: int, phi: float, K: float, wanted: bool, w: Array) -> None:
-    """Indicated mean force of every interval; ``wanted``: angles in the middle, too."""
+def indicate_intervals(n: int, formula: int, phi: float, K: float, w: Array) -> None:
+    """Indicated mean force of every interval for inputs that are linear in it, and the angle in the middle."""
     if formula == at.PUBLISHED:
         near.find_nodes(angle.padded(n + 1), phi, w)
         angle.find_angles(1, angle.padded(n) + 1, phi, w)
@@ -57,8 +56,7 @@ def indicate_intervals(n: int, formula: int, phi: float, K: float, wanted: bool,
     near.invert_near(stop, K, w)
     if far:
         near.take_far(stop, w)
-    if wanted:
-        near.middle_angles(n, phi, w)
+    near.middle_angles(n, phi, w)
 
 
 @exact
@@ -92,13 +90,6 @@ def compensate_angles(
     Empty ``begins``, ``omega``, ``temperature``, ``u`` and ``flags`` mean: none, not wanted.
     """
     K = p[at.P_K]
-    bare = omega.shape[0] == 0 and orders.size == 0 and (temperature.size == 0 or flags.size == 0)
-    if formula == at.EXACT and bare and lean.is_lean(p, codes[: codes.size if u.size else 0]):
-        lean_angle.compensate_intervals(
-            t, psi, y, z, begins, p, codes[: codes.size if u.size else 0], factor, limits, base_flag, state, w, ax, dv,
-            u, flags,
-        )  # fmt: skip
-        return
     light = not (has_terms or orders.size or u.size or flags.size)
     full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):
@@ -112,9 +103,11 @@ def compensate_angles(
             temperature[start:stop], p, light, state, w,
         )  # fmt: skip
         angle.find_steps(n, begins[start:stop], valid, w)
-        indicate_intervals(n, formula, p[at.P_PHI] - state[at.S_START], K, not light, w)
-        if omega.shape[0]:
-            angle.add_base_rate(n, K, w)
+        indicate_intervals(n, formula, p[at.P_PHI] - state[at.S_START], K, w)
+        between.find_bows(n, omega.shape[0] > 0, state, w)
+        if u.size:
+            between.find_doubt(n, K, state, w)
+        between.add_bows(n, K, w)
         if not light:
             angle.describe_means(n, K, w)
             if full:
@@ -218,6 +211,7 @@ def indicate_samples(n: int, K: float, w: Array) -> None:
     """Indicated specific force at the samples [m/s^2]."""
     inverse = 1.0 / K
     for j in range(1, n + 1):
+        w[at.BASE_X + j] = w[at.OMEGA_X + j]
         w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) * inverse
 
 
@@ -288,13 +282,6 @@ def compensate_rates(
     ``psi`` holds the recorded angle; empty: the angle follows from the rate.
     """
     light = not (has_terms or orders.size or u.size or flags.size)
-    bare = omega.shape[0] == 0 and orders.size == 0 and (temperature.size == 0 or flags.size == 0)
-    if psi.size and bare and lean.is_lean(p, codes[: codes.size if u.size else 0]):
-        lean.compensate_samples(
-            t, rate, y, z, begins, psi, typical, p, codes[: codes.size if u.size else 0], factor, limits, base_flag,
-            state, ax, dv, u, flags,
-        )  # fmt: skip
-        return
     full = has_terms or temperature.size > 0 or known.needs_time(codes)
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
@@ -311,6 +298,8 @@ def compensate_rates(
         else:
             follow_rate(n, rate[start:stop], p, valid, state, w)
         indicate_samples(n, p[at.P_K], w)
+        if u.size:
+            between.no_doubt(n, w)
         if not light:
             angle.find_inverse(n, w)
             describe_samples(n, full, rate[start:stop], p[at.P_K], typical, w)

@@ -72,9 +72,9 @@ def sample_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
 def mean_base(rows: int, w: Array) -> None:
     """What base rate and first harmonic add, averaged over every interval, and its change."""
     for j in range(1, rows + 1):
-        w[at.BASE_X + j] = 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j])
-        w[at.BASE_Y + j] = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j])
-        w[at.BASE_Z + j] = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j])
+        w[at.BASE_X + j] = 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j]) + w[at.BOW_X + j]
+        w[at.BASE_Y + j] = 0.5 * (w[at.RATE_Y + j - 1] + w[at.RATE_Y + j]) + w[at.BOW_Y + j]
+        w[at.BASE_Z + j] = 0.5 * (w[at.RATE_Z + j - 1] + w[at.RATE_Z + j]) + w[at.BOW_Z + j]
         w[at.BASE_RISE_X + j] = w[at.OMEGA_X + j] - w[at.OMEGA_X + j - 1]
         w[at.BASE_RISE_Y + j] = w[at.RATE_Y + j] - w[at.RATE_Y + j - 1]
         w[at.BASE_RISE_Z + j] = w[at.RATE_Z + j] - w[at.RATE_Z + j - 1]
@@ -177,8 +177,11 @@ def turn_force(rows: int, axes: Array, w: Array, c: Array) -> None:
 
 
 @kernel
-def model_errors(rows: int, p: Array, has_terms: bool, w: Array) -> None:
-    """Error model at the force and its change over the interval: what the indicated force has beyond ``a_x``."""
+def model_errors(rows: int, p: Array, has_terms: bool, sampled: bool, w: Array) -> None:
+    """Error model at the force and its change over the interval: what the indicated force has beyond ``a_x``.
+
+    The row HALF holds the rate where the set is ``sampled``.
+    """
     reference = p[at.P_TIME_REFERENCE]
     for j in range(1, rows + 1):
         w[at.ERROR + j], w[at.ERROR_RISE + j] = w[at.HARMONICS + j], 0.0
@@ -205,6 +208,11 @@ def model_errors(rows: int, p: Array, has_terms: bool, w: Array) -> None:
         rise += p[terms.K_YZ] * (y * dz + z * dy) + p[terms.K0_T] * w[at.STEP + j]
         rise += (p[terms.K0_TEMP] + p[terms.K1_TEMP] * a) * w[at.CHANGE_T + j] + p[terms.K1_TEMP] * warmth * da
         w[at.ERROR_RISE + j] = rise
+    if p[terms.SERVO] == 0.0 and p[terms.SERVO_DAMPING] == 0.0:
+        return
+    for j in range(1, rows + 1):
+        half = 0.0 if sampled else w[at.HALF + j]
+        w[at.ERROR + j] += terms.servo_error(p, j, sampled, half, w)
 
 
 @kernel

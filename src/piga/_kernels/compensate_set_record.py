@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels import compensate as angle
+from piga._kernels import compensate_bow as between
 from piga._kernels import compensate_layout as at
 from piga._kernels import compensate_record as single
 from piga._kernels import compensate_set as set_of
 from piga._kernels import compensate_terms as terms
-from piga._kernels import compensate_triad as triad
 from piga._kernels import compensate_uncertainty as known
 from piga._kernels.jit import exact
 
@@ -41,11 +41,14 @@ def load_instrument(
         single.take_rates(n, rate, w)
         set_of.sample_axis(rows, p, axes, w)
         set_of.sample_base(rows, w)
+        between.no_doubt(n, w)
     else:
         angle.find_angles(1, rows + 1, p[at.P_PHI], w)
         angle.describe_means(n, p[at.P_K], w)
         angle.describe_changes(n, w)
         set_of.interval_axis(rows, p, axes, w)
+        between.find_bows(n, omega.shape[0] > 0, state, w)
+        between.find_set_doubt(n, p[at.P_K], state, w)
         set_of.mean_base(rows, w)
     for j in range(1, rows + 1):
         w[at.INPUT + j] = 0.0
@@ -74,7 +77,7 @@ def solve_rounds(
         set_of.clear_right(rows, c)
         for i in range(count):
             set_of.turn_force(rows, axes[i], w[i], c)
-            set_of.model_errors(rows, parameters[i], has_terms[i], w[i])
+            set_of.model_errors(rows, parameters[i], has_terms[i], sampled, w[i])
             if sampled:
                 set_of.misfit_samples(rows, parameters[i], w[i])
             elif k == 0:
@@ -195,13 +198,6 @@ def compensate_set(
     zeros = np.zeros(at.BLOCK)
     block_flags = np.zeros(at.BLOCK, dtype=np.int32)
     weighed = u.shape[0] > 0 or count > 3
-    bare = omega.shape[1] == 0 and temperature.shape[1] == 0 and sines.size == 0
-    if sampled and bare and not weighed and not has_terms.any() and each.shape[1] == 0:
-        triad.compensate_triad(
-            t, psi, rate, begins, parameters, axes, limits, base_flag, states, set_state, c, force, dv, residual,
-            flags,
-        )  # fmt: skip
-        return
     for start in range(0, t.size, at.BLOCK):
         n = min(at.BLOCK, t.size - start)
         stop = start + n

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 ITERATIONS = 4
 """Newton steps: the error model is nearly linear, each step squares a relative error below 1e-2."""
-K0, K1, K2, K3, K2O, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_T, K0_TEMP, K1_TEMP = (
+K0, K1, K2, K3, K2O, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_T, K0_TEMP, K1_TEMP, SERVO, SERVO_DAMPING = (
     at.P_TERMS + i for i in range(len(at.TERMS))
 )
 
@@ -53,8 +53,11 @@ def odd_square_mean(a: float, change: float) -> float:
 
 
 @exact
-def invert_terms(n: int, p: Array, w: Array) -> None:
-    """Specific force ``a_x`` from the indicated one, to rounding: solved for the terms that are linear in it first."""
+def invert_terms(n: int, p: Array, sampled: bool, w: Array) -> None:
+    """Specific force ``a_x`` from the indicated one, to rounding: solved for the terms that are linear in it first.
+
+    ``sampled``: rows are samples, not intervals.
+    """
     reference = p[at.P_TIME_REFERENCE]
     twelfth = 1.0 / 12.0
     for j in range(1, n + 1):
@@ -66,15 +69,38 @@ def invert_terms(n: int, p: Array, w: Array) -> None:
         known += p[K_YZ] * (y * z + dy * dz * twelfth)
         known += (p[K_XY] * dy + p[K_XZ] * dz + p[K1_TEMP] * w[at.CHANGE_T + j]) * change * twelfth
         gain = p[K1] + p[K_XY] * y + p[K_XZ] * z + p[K1_TEMP] * warmth
-        right = w[at.INPUT + j] - known
-        w[at.PARTIAL + j], w[at.SQUARE + j] = right, gain
-        inverse = 1.0 / (1.0 + gain)
+        w[at.PARTIAL + j], w[at.SQUARE + j] = w[at.INPUT + j] - known, gain
+    if p[SERVO] != 0.0 or p[SERVO_DAMPING] != 0.0:
+        for j in range(1, n + 1):
+            half = 0.0 if sampled else 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+            w[at.PARTIAL + j] -= servo_error(p, j, sampled, half, w)
+    for j in range(1, n + 1):
+        inverse = 1.0 / (1.0 + w[at.SQUARE + j])
         w[at.DERIVATIVE + j] = inverse
-        w[at.FORCE + j] = right * inverse
+        w[at.FORCE + j] = w[at.PARTIAL + j] * inverse
     if p[K2] != 0.0 or p[K3] != 0.0:
         invert_powers(n, p[K2], p[K3], w)
     if p[K2O] != 0.0:
         invert_odd_square(n, p, w)
+
+
+@exact
+def servo_error(p: Array, j: int, sampled: bool, half: float, w: Array) -> float:
+    """What the servo adds to the indicated force of row ``j`` [m/s^2], which turns by ``2 half`` [rad].
+
+    The mean of ``-2 s v (y sin - z cos)^2 - d v^2 (y cos + z sin)`` with ``(y, z) = (u_Y, u_Z)/K``. Here ``v`` is the output
+    rate over K, which moves the load of the servo; in the terms of the calibration it is ``u_x/K``, the same to first order.
+    """
+    y, z, sine, cosine = w[at.MEAN_Y + j], w[at.MEAN_Z + j], w[at.SINE + j], w[at.COSINE + j]
+    share = 0.0 if sampled else 0.5
+    inverse = 1.0 / p[at.P_K]
+    y -= ((1.0 - share) * w[at.OMEGA_Y + j] + share * w[at.OMEGA_Y + j - 1]) * inverse
+    z -= ((1.0 - share) * w[at.OMEGA_Z + j] + share * w[at.OMEGA_Z + j - 1]) * inverse
+    once, _, _ = half_angle_moments(half)
+    twice, _, _ = half_angle_moments(2.0 * half)
+    across, along, v = y * sine - z * cosine, y * cosine + z * sine, w[at.TURN + j]
+    steady, turning = across * across + along * along, along * along - across * across
+    return -v * (p[SERVO] * (steady - twice * turning) + p[SERVO_DAMPING] * v * once * along)
 
 
 @exact

@@ -30,13 +30,15 @@ def fill_regressor(code: int, n: int, p: Array, w: Array, x: Array) -> None:
         x[: n + 1] = 1.0
     elif code == at.SCALE_FACTOR:
         for j in range(1, n + 1):
-            x[j] = (w[at.TURN + j] + w[at.OMEGA_X + j] * inverse) * inverse
+            x[j] = (w[at.TURN + j] + w[at.BASE_X + j] * inverse) * inverse
     elif code == at.TAN_BETA:
         for j in range(1, n + 1):
             x[j] = w[at.MEAN_Y + j] * w[at.SINE + j] - w[at.MEAN_Z + j] * w[at.COSINE + j]
     elif code == at.PHI:
         for j in range(1, n + 1):
             x[j] = (w[at.RATE_Y + j] * w[at.COSINE + j] + w[at.RATE_Z + j] * w[at.SINE + j]) * inverse
+    elif code in (terms.SERVO, terms.SERVO_DAMPING):
+        fill_servo(code, n, w, x)
     elif code >= at.HARMONIC:
         fill_harmonic(code, n, w, x)
     else:
@@ -75,6 +77,15 @@ def term_regressor(code: int, a: float, y: float, z: float, warmth: float, time:
     if code == terms.K0_T:
         return time
     return warmth if code == terms.K0_TEMP else a * warmth
+
+
+@exact
+def fill_servo(code: int, n: int, w: Array, x: Array) -> None:
+    """Regressor of a term of the servo: the same at the means of an interval."""
+    for j in range(1, n + 1):
+        v, y, z = w[at.TURN + j], w[at.MEAN_Y + j], w[at.MEAN_Z + j]
+        across, along = y * w[at.SINE + j] - z * w[at.COSINE + j], y * w[at.COSINE + j] + z * w[at.SINE + j]
+        x[j] = -2.0 * v * across * across if code == terms.SERVO else -v * v * along
 
 
 @exact
@@ -161,7 +172,9 @@ def add_four(
 def find_uncertainty(
     n: int, per: int, scaled: bool, p: Array, codes: NDArray[np.int64], factor: Array, w: Array, u: Array
 ) -> None:
-    """Standard uncertainty of ``a_x`` [m/s^2]: coefficients and noise; ``scaled``: by the row DERIVATIVE.
+    """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, noise, the unknown between samples (row DOUBT).
+
+    ``scaled``: by the row DERIVATIVE.
 
     ``per`` is the row that holds 1 over the time of a row in the noise.
     """
@@ -173,7 +186,8 @@ def find_uncertainty(
     for j in range(u.size):
         rate, a = w[per + 1 + j], w[at.FORCE + 1 + j]
         y, z = w[at.MEAN_Y + 1 + j], w[at.MEAN_Z + 1 + j]
-        u[j] = math.sqrt(w[at.SQUARE + 1 + j] + (white * rate + walk) * rate)
+        doubt = w[at.DOUBT + 1 + j]
+        u[j] = math.sqrt(w[at.SQUARE + 1 + j] + (white * rate + walk) * rate + doubt * doubt)
         zone |= a * a < near * (y * y + z * z)
     if scaled:
         for j in range(u.size):

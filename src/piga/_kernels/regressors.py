@@ -1,8 +1,8 @@
 """Regressors of the calibration: integrals of the error-model terms over each sample interval.
 
-All inputs are linear between samples. Row ``i`` of a block is the interval from sample ``lo + i`` to
-``lo + i + 1``; rows that begin a stretch are written as zeros. With ``step = 0`` the regressors are
-instead evaluated at the samples themselves (for logs that hold a rate).
+All inputs are linear between samples; the bow of a smooth one (:func:`smooth_bows`) is added to first order. Row ``i`` of
+a block is the interval from sample ``lo + i`` to ``lo + i + 1``; rows that begin a stretch are written as zeros. With
+``step = 0`` the regressors are instead evaluated at the samples themselves (for logs that hold a rate).
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import kernel
+from piga._kernels.jit import exact, kernel
+from piga._kernels.smooth import bow_of, curvature, limited
 
 Array = NDArray[np.float64]
 
@@ -239,3 +240,93 @@ def _turned_integral(
     imaginary = b[0] * m0 + b[2] * m2 - a[1] * m1 - a[3] * m3 - a[0] * sag
     s, c = math.sin(middle), math.cos(middle)
     return c * real + s * imaginary, c * imaginary - s * real
+
+
+@exact
+def smooth_bows(x: Array, h: Array, out: Array) -> bool:
+    """Mean of a smooth input over each interval less that of both ends; True where one is not 0.
+
+    ``-h^2/12 x''`` with the second derivative by the samples on both sides (exact for a cubic), at the ends of a stretch by
+    those on one side (:mod:`piga._kernels.smooth`).
+
+    Parameters
+    ----------
+    x, h, out:
+        (n + 1,) samples; (n,) intervals [s], 0 where samples do not belong together; (n,) results.
+    """
+    n = h.size
+    bent = False
+    for i in range(n):
+        out[i] = 0.0
+        if h[i] == 0.0:
+            continue
+        left = i > 0 and h[i - 1] != 0.0
+        right = i < n - 1 and h[i + 1] != 0.0
+        if left and right:
+            first, second = curvature(x[i - 1 : i + 2], h[i - 1 : i + 1]), curvature(x[i : i + 3], h[i : i + 2])
+            share = (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i - 1] + h[i] + h[i + 1]))
+            value = first + share * (second - first)
+        elif left and i > 1 and h[i - 2] != 0.0:
+            first, second = (
+                curvature(x[i - 1 : i + 2], h[i - 1 : i + 1]),
+                curvature(x[i - 2 : i + 1], h[i - 2 : i]),
+            )
+            value = first + (first - second) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
+        elif right and i < n - 2 and h[i + 2] != 0.0:
+            first, second = curvature(x[i : i + 3], h[i : i + 2]), curvature(x[i + 1 : i + 4], h[i + 1 : i + 3])
+            value = first + (first - second) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
+        else:
+            continue
+        out[i] = bow_of(h[i], limited(value, first, second))
+        bent |= out[i] != 0.0
+    return bent
+
+
+@kernel
+def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:
+    """Add to a column of :func:`product_column` what the bows (3, n) of the force make of it, to first order."""
+    for i in range(h.size):
+        x, y, z = 0.5 * (f[0, i] + f[0, i + 1]), 0.5 * (f[1, i] + f[1, i + 1]), 0.5 * (f[2, i] + f[2, i + 1])
+        bx, by, bz = bows[0, i], bows[1, i], bows[2, i]
+        value = 0.0
+        if code == 0:
+            value = bx
+        elif code == 4:
+            value = 2.0 * x * bx
+        elif code == 5:
+            value = 3.0 * x * x * bx
+        elif code == 6:
+            value = 2.0 * abs(x) * bx
+        elif code == 7:
+            value = by
+        elif code == 8:
+            value = bz
+        elif code == 9:
+            value = x * by + y * bx
+        elif code == 10:
+            value = x * bz + z * bx
+        elif code == 11:
+            value = 2.0 * y * by
+        elif code == 12:
+            value = 2.0 * z * bz
+        elif code == 13:
+            value = y * bz + z * by
+        elif code == 16:
+            value = bx * 0.5 * (temperature[i] + temperature[i + 1])
+        out[i] += h[i] * value
+
+
+@kernel
+def add_coupling_bows(
+    psi: Array, y: Array, z: Array, h: Array, order: float, cosine: Array, sine: Array
+) -> None:
+    """Add to the columns of :func:`coupling_columns` what the bows ``y, z`` (n,) of the transverse input make of them.
+
+    A bow is a parabola in the interval: it weighs with the angle by the moment of ``1 - v^2``.
+    """
+    for i in range(h.size):
+        _, _, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+        middle = 0.5 * order * (psi[i] + psi[i + 1])
+        s, c = math.sin(middle), math.cos(middle)
+        sine[i] += h[i] * 1.5 * sag * (y[i] * s - z[i] * c)
+        cosine[i] += h[i] * 1.5 * sag * (y[i] * c + z[i] * s)

@@ -19,7 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.outliers import merge_rows
-from piga._kernels.regressors import CODES, coupling_columns, product_column, servo_columns
+from piga._kernels.regressors import (
+    CODES,
+    add_coupling_bows,
+    add_product_bows,
+    coupling_columns,
+    product_column,
+    servo_columns,
+    smooth_bows,
+)
 from piga.calibration.phase_angle import phase_angle
 from piga.calibration.request import Request
 from piga.calibration.servo_columns import PHASELESS, ServoState, given_servo, phaseless_columns
@@ -185,17 +193,46 @@ class Design:
         if self.point:
             window = np.arange(start, stop).repeat(2)
         h, observation = self._observation(start, stop, first)
+        bows = self._bows(first, stop)
+        if bows is not None:
+            observation += np.where(h > 0.0, h, 0.0) * (bows[3] - self._known_scale_factor * bows[0])
         columns = np.empty((len(self.names) + 1, h.size))
         columns[-1] = observation
         force = np.ascontiguousarray(self._force[:, window])
         inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
-        self._fill_local(columns, window, force, inner_h)
-        self._fill_shared(columns, window, force, inner_h)
+        self._fill_local(columns, window, force, inner_h, bows)
+        self._fill_shared(columns, window, force, inner_h, bows)
         if self.turning_servo:
             self._fill_servo(columns, window, force, inner_h, segment)
         if self.run.left_out is not None:
             self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
         return index, Block(stop - h.size, stop, segment, h, columns)
+
+    @property
+    def _known_scale_factor(self) -> float:
+        """K that the observations hold already; 0 where it is estimated."""
+        return 0.0 if self.estimates_scale_factor else float(self.run.scale_factor)
+
+    def _bows(self, first: int, stop: int) -> Array | None:
+        """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None: there are none.
+
+        A sample that is left out belongs to no smooth input.
+        """
+        if self.point:
+            return None
+        run = self.run
+        low, high = max(first - 2, 0), min(stop + 2, run.size)
+        h = np.diff(run.t[low:high])
+        apart = run.begins[low + 1 : high].copy()
+        if run.left_out is not None:
+            apart |= run.left_out[low + 1 : high] | run.left_out[low : high - 1]
+        h[apart] = 0.0
+        inputs = [*self._force[:, low:high]]
+        inputs += [] if run.base_rate is None else [*run.base_rate[low:high].T]
+        bows, bent = np.zeros((6, h.size)), False
+        for bow, samples in zip(bows, inputs, strict=False):
+            bent |= bool(smooth_bows(np.ascontiguousarray(samples), h, bow))
+        return np.ascontiguousarray(bows[:, first - low : stop - 1 - low]) if bent else None
 
     def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
         if self.point:
@@ -224,16 +261,21 @@ class Design:
         y[h == 0.0] = 0.0
         return h, y
 
-    def _fill_local(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
+    def _fill_local(
+        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
+    ) -> None:
         if not self.local_names:
             return
         psi = np.ascontiguousarray(self.phase_angle[window])
-        _, y, z = self._turning(window, force)
-        bend = -self.scale_factor / 8.0 * h * np.diff(force[0])
+        x, y, z = self._turning(window, force)
+        bend = -self.scale_factor / 8.0 * h * np.diff(x)
         cosine, sine = np.empty(h.size), np.empty(h.size)
         row = 0
         if "p" in self.local_names:
             coupling_columns(psi, y, z, h, bend, 1.0, cosine, sine)
+            if bows is not None:
+                across = bows[1:3] - bows[4:6] / self.scale_factor
+                add_coupling_bows(psi, across[0], across[1], h, 1.0, cosine, sine)
             columns[0], columns[1] = self._every(sine), self._every(cosine)
             row = 2
         ones, zeros = np.ones_like(psi), np.zeros_like(psi)
@@ -254,9 +296,9 @@ class Design:
     ) -> None:
         """Columns of the servo; at a state, what they add to those of the coupling, and what of them is known."""
         psi = np.ascontiguousarray(self.phase_angle[window])
-        bend = -self.scale_factor / 8.0 * h * np.diff(force[0])
-        raw = np.empty((len(PHASELESS), h.size))
         x, y, z = (np.ascontiguousarray(part) for part in self._turning(window, force))
+        bend = -self.scale_factor / 8.0 * h * np.diff(x)
+        raw = np.empty((len(PHASELESS), h.size))
         servo_columns(psi, x, y, z, h, bend, raw)
         held = np.stack([self._every(row) for row in raw])
         if self.servo is None:
@@ -275,7 +317,9 @@ class Design:
         for name, value in self.known_servo.items():
             columns[-1] -= value * (terms[name] @ held)
 
-    def _fill_shared(self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array) -> None:
+    def _fill_shared(
+        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
+    ) -> None:
         t = self.run.t[window] - self.time_reference
         warm = self.run.temperature
         temperature = t if warm is None else warm[window] - self.request.temperature_reference
@@ -285,6 +329,8 @@ class Design:
                 continue
             code = CODES["a_x" if name in ("scale_factor", "k1") else name]
             product_column(code, t, force, temperature, h, out)
+            if bows is not None:
+                add_product_bows(code, force, bows, temperature, h, out)
             columns[row] = self._every(out)
 
     def _every(self, column: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The one-pass kernels against the general ones, and their results whatever the chunks."""
+"""Results do not depend, to the bit, on the chunks and on what else is asked for; rare rows among them."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ LIMITS = {"range": {"a_x": [-20.0, 20.0], "a_t": [0.0, 15.0]}}
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("left_out", [(), ("tan_beta",), ("scale_factor", "k0"), tuple(STD)])
-def test_one_pass_is_the_general_kernel_to_rounding_and_itself_to_the_bit(left_out):
-    """A base rate of zero takes the general kernel; chunks of any size, all results or some."""
+def test_samples_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_for(left_out):
+    """Chunks of any size, all results or some."""
     columns = samples()
     columns["t"][120] = columns["t"][119]
     std = {name: u for name, u in STD.items() if name not in left_out}
@@ -47,13 +47,6 @@ def test_one_pass_is_the_general_kernel_to_rounding_and_itself_to_the_bit(left_o
     spread = np.sqrt(np.diag(cal.covariance))
     cal = replace(cal, covariance=np.outer(spread, spread) * (0.6 + 0.4 * np.eye(spread.size)))
     whole = piga.Compensator(cal, kind="rate", step=0.01).push(columns)
-    still = {**columns, "base_rate": np.zeros((ROWS, 3))}
-    general = piga.Compensator(cal, kind="rate", step=0.01).push(still)
-    size = np.abs(general.ax) + np.abs(columns["f"]).max()
-    assert np.all(np.abs(whole.ax - general.ax) < 4e-16 * size)
-    assert np.abs(whole.dv - general.dv).max() < 4e-16 * size.max()
-    assert np.abs(whole.u_ax / general.u_ax - 1.0).max() < 2e-15
-    assert np.array_equal(whole.flags, general.flags)
     assert len(set(whole.flags.tolist())) > 4
     stream = piga.Compensator(cal, kind="rate", step=0.01)
     parts = [stream.push({name: c[a:b] for name, c in columns.items()}) for a, b in pairwise(CUTS)]
@@ -73,7 +66,7 @@ def test_one_pass_is_the_general_kernel_to_rounding_and_itself_to_the_bit(left_o
 
 
 @pytest.mark.compiled
-def test_triad_of_samples_agrees_with_the_general_solution_and_with_itself():
+def test_triad_of_samples_is_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_for():
     data = [samples(seed) for seed in range(3)]
     t, begins = data[0]["t"], data[0]["begins"]
     psi, rate = np.array([d["angle"] for d in data]), np.array([d["output"] for d in data])
@@ -86,15 +79,12 @@ def test_triad_of_samples_agrees_with_the_general_solution_and_with_itself():
         ]
         return {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("f", "dv", "flags")}
 
-    general, lean = push((0, ROWS)), push((0, ROWS), uncertainty=False)
+    whole, plain = push((0, ROWS)), push((0, ROWS), uncertainty=False)
     cut, bare = push(CUTS, uncertainty=False), push(CUTS, uncertainty=False, flags=False)
-    assert np.abs(lean["f"] - general["f"]).max() < 1e-14 * np.abs(general["f"]).max()
-    assert np.abs(lean["dv"] - general["dv"]).max() < 1e-15
-    assert np.array_equal(lean["flags"], general["flags"])
-    assert len(set(lean["flags"].tolist())) > 2
+    assert len(set(whole["flags"].tolist())) > 2
     for name in ("f", "dv"):
-        assert lean[name].tobytes() == cut[name].tobytes() == bare[name].tobytes()
-    assert lean["flags"].tobytes() == cut["flags"].tobytes()
+        assert whole[name].tobytes() == plain[name].tobytes() == cut[name].tobytes() == bare[name].tobytes()
+    assert whole["flags"].tobytes() == plain["flags"].tobytes() == cut["flags"].tobytes()
 
 
 def test_bad_number_in_a_set_is_named_and_leaves_the_state():
@@ -130,19 +120,11 @@ def angles(start: float) -> dict[str, np.ndarray]:
 @pytest.mark.compiled
 @pytest.mark.parametrize("start", [0.0, 1.6e6 - 30.0])
 @pytest.mark.parametrize("left_out", [(), ("scale_factor", "k0"), tuple(STD)])
-def test_angles_tile_by_tile_are_the_general_kernel_to_rounding_and_themselves_to_the_bit(start, left_out):
+def test_angles_are_the_same_to_the_bit_whatever_the_chunks_and_what_is_asked_for(start, left_out):
     columns = angles(start)
     std = {name: u for name, u in STD.items() if name not in left_out}
     cal = calibration_of(VALUES, std, angle_rms=1e-6, angle_random_walk=1e-5, diagnostics=LIMITS)
     whole = piga.Compensator(cal).push(columns)
-    general = piga.Compensator(cal).push({**columns, "base_rate": np.zeros((ROWS, 3))})
-    step = np.diff(columns["t"], prepend=-1.0)
-    rounding = 4e-16 * (np.abs(columns["output"]).max() * 9.8 / K_G / np.maximum(step, 0.01) + 100.0)
-    assert np.array_equal(np.isnan(whole.ax), np.isnan(general.ax))
-    assert np.all(~(np.abs(whole.ax - general.ax) > rounding))
-    assert np.all(~(np.abs(whole.dv - general.dv) > rounding * step))
-    assert not np.any(np.abs(whole.u_ax / general.u_ax - 1.0) > 1e-9)
-    assert np.array_equal(whole.flags, general.flags)
     assert len(set(whole.flags.tolist())) > 4
     assert whole.flagged("no_increment")[120]
     rng = np.random.default_rng(8)
@@ -161,7 +143,7 @@ def test_angles_tile_by_tile_are_the_general_kernel_to_rounding_and_themselves_t
 
 @pytest.mark.compiled
 def test_base_rate_may_come_and_go_in_a_stream_of_angles():
-    """Both kernels leave the state that the other one needs."""
+    """A chunk without one is a chunk with a base at rest."""
     columns = angles(0.0)
     cal = calibration_of(VALUES, STD, angle_rms=1e-6)
     whole, stream = piga.Compensator(cal).push(columns), piga.Compensator(cal)

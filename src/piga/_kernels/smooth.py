@@ -1,0 +1,40 @@
+"""Second derivatives of an input that its samples show to be smooth.
+
+A smooth input lies off the straight line between two samples: its mean over the interval is that of both ends less
+``h^2/12`` of its second derivative in the middle. A step, a kink and a bad sample make second differences that change
+their sign or size from sample to sample. Where the sign changes nothing is taken, and never more than twice the smaller of
+two neighbours, so that nothing rings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import exact, inline
+
+Array = NDArray[np.float64]
+
+MOST_GROWTH = 2.0
+"""The second derivative in an interval is at most this multiple of the smaller one of its neighbours."""
+
+
+@inline
+def limited(value: float, first: float, second: float) -> float:
+    """A second derivative made of two others, no larger than both agree on; 0 where their signs differ."""
+    most = MOST_GROWTH * min(abs(first), abs(second))
+    size = min(max(value if first > 0.0 else -value, 0.0), most)
+    agreed = size if first > 0.0 else -size
+    return agreed if first * second > 0.0 else 0.0
+
+
+@exact
+def curvature(x: Array, h: Array) -> float:
+    """Second derivative by three samples ``x`` and the two intervals ``h`` between them."""
+    return 2.0 * ((x[2] - x[1]) / h[1] - (x[1] - x[0]) / h[0]) / (h[0] + h[1])
+
+
+@inline
+def bow_of(h: float, curved: float) -> float:
+    """Mean over an interval ``h`` less that of both ends, for a second derivative ``curved``."""
+    return -h * h * (1.0 / 12.0) * curved
