@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels import compensate_layout as at
+from piga._kernels.compensate_terms import SERVO, SERVO_DAMPING
 from piga._kernels.regressors import coupling_columns
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.compensation.model import Model, Phase, make_model
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 LEAST_TURN = 2.0 * math.pi
 """The output must have turned by at least this much [rad]."""
+SERVO_ROUNDS = 4
+"""Each leaves the part of the phase's error that the servo's stiffness is of the coupling, 1e-2 at most."""
 USELESS = 0.5
 """A phase with a larger standard uncertainty [rad] is not given."""
 
@@ -30,12 +33,13 @@ class PhaseFinder:
 
     The output angle is fitted by a constant rate (which takes up ``a_x``, bias and base rotation) and the two
     columns of the coupling, linear in ``cos(phi)`` and ``sin(phi)``; increments are whitened with the noise
-    levels of the calibration, so that the uncertainty holds (estimation.md).
+    levels of the calibration, so that the uncertainty holds (docs/theory/compensation). What the servo adds is known but
+    for the phase: its damping belongs to the columns, its stiffness turns twice as fast and is taken off.
 
     Parameters
     ----------
     calibration:
-        Gives the coupling ``K tan_beta``, first harmonics and noise levels.
+        Gives the coupling ``K tan_beta``, first harmonics, the terms of the servo and noise levels.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -46,8 +50,8 @@ class PhaseFinder:
                 "the calibration has no cross-coupling: there is no phase to find", remedy="leave it out"
             )
         self._white, self._walk = max(float(p[at.P_WHITE]), 1e-24), float(p[at.P_WALK])
-        self._normal = np.zeros((4, 4))
-        self._whitener, self._variance = np.zeros(4), 0.0
+        self._normal = np.zeros((6, 6))
+        self._whitener, self._variance = np.zeros(6), 0.0
         self._last: tuple[float, float, float, float] | None = None
         self._turned = 0.0
 
@@ -73,18 +77,31 @@ class PhaseFinder:
         self._turned += float(np.abs(turn).sum())
         p = self._model.parameters
         coupling = p[at.P_K] * p[at.P_TAN_BETA]
-        sine, cosine = np.empty(h.size), np.empty(h.size)
+        straight, spent = np.zeros(h.size), float(h.sum())
+        v = float(turn.sum()) / (p[at.P_K] * spent) if spent > 0.0 else 0.0
+        damping, stiffness = p[at.P_K] * p[SERVO_DAMPING] * v * v, p[at.P_K] * p[SERVO] * v
+        rows = np.empty((6, h.size))
+        rows[0], rows[5] = h, turn
         coupling_columns(
             psi,
-            coupling * y + p[at.P_OFFSET_Y],
-            coupling * z + p[at.P_OFFSET_Z],
+            coupling * y + p[at.P_OFFSET_Y] - damping * z,
+            coupling * z + p[at.P_OFFSET_Z] + damping * y,
             h,
-            np.zeros(h.size),
+            straight,
             1.0,
-            cosine,
-            sine,
+            rows[2],
+            rows[1],
         )
-        rows = np.stack((h, sine, cosine, turn))
+        coupling_columns(
+            psi,
+            stiffness * (y * y - z * z),
+            stiffness * 2.0 * y * z,
+            h,
+            straight,
+            2.0,
+            rows[3],
+            rows[4],
+        )
         carry, scale, white = np.empty(h.size), np.empty(h.size), np.empty_like(rows)
         self._variance = innovation_weights(h, self._white, self._walk, self._variance, carry, scale)
         whiten(rows, carry, scale, self._whitener, white)
@@ -95,12 +112,16 @@ class PhaseFinder:
         if self._turned < LEAST_TURN:
             return None
         # The rate column is h itself; the coupling columns carry K tan_beta a_t, so p and q are cos and sin.
-        matrix, right = self._normal[:3, :3], self._normal[:3, 3]
+        matrix = self._normal[:3, :3]
         size = np.sqrt(np.diag(matrix))
         if not size.min() > 0.0:
             return None
         covariance = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
-        _, p, q = covariance @ right
+        p, q = 1.0, 0.0
+        for _ in range(SERVO_ROUNDS):  # cos and sin of twice the phase times what turns twice as fast
+            twice = 2.0 * math.atan2(q, p)
+            right = self._normal[:3] @ np.array([0, 0, 0, -math.cos(twice), math.sin(twice), 1.0])
+            _, p, q = covariance @ right
         slope = np.array([0.0, -q, p]) / math.hypot(p, q)
         return Phase(math.atan2(q, p), float(np.sqrt(slope @ covariance @ slope)))
 
