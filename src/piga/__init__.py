@@ -64,6 +64,7 @@ from piga._version import __version__
 from piga.errors import (
     ArgumentError,
     CalibrationError,
+    CalibrationWarning,
     DataError,
     IdentifiabilityError,
     MissingPackageError,
@@ -106,6 +107,7 @@ __all__ = [
     "ArgumentError",
     "Calibration",
     "CalibrationError",
+    "CalibrationWarning",
     "Compensated",
     "Compensator",
     "DataError",

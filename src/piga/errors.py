@@ -64,6 +64,10 @@ class PigaWarning(UserWarning):
     """Something was repaired, left out or assumed; the result says so too."""
 
 
+class CalibrationWarning(PigaWarning):
+    """A doubt about a calibration; its verdict says so too."""
+
+
 EXTRAS = {
     "scipy": "lab",
     "pyarrow": "lab",

@@ -37,7 +37,7 @@ def test_two_runs_separate_what_one_cannot(runs: list[piga.Run]) -> None:
     assert "dividing head" in str(caught.value)
     calibration = piga.calibrate(runs, TERMS)
     assert calibration.condition < 10.0
-    assert any("run 1" in note and "alone" in note for note in calibration.notes)
+    assert any("run 1" in remark and "alone" in remark for remark in calibration.remarks)
 
 
 def test_truth_within_uncertainty_over_repeats() -> None:
@@ -93,7 +93,7 @@ def test_summary_stands_in_for_the_raw_data(runs: list[piga.Run], tmp_path: Path
             pytest.approx(b.std, rel=1e-9),
         )
     assert [run.raw for run in merged.runs] == [False, True]
-    assert any("takes part by its summary" in note for note in merged.notes)
+    assert any("takes part by its summary" in remark for remark in merged.remarks)
     asked_anew = piga.calibrate([old, runs[1]], [*TERMS, "k3"])
     assert asked_anew["k3"].std < 1e-4
 

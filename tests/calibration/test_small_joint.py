@@ -54,7 +54,7 @@ def test_two_small_runs_together(
     assert [(run.name, run.raw, run.rows) for run in joint.runs] == [
         ("run 1", True, runs[0].size - 12), ("spun", True, runs[1].size - 8)
     ]  # fmt: skip
-    assert any("run 1" in note and "alone" in note for note in joint.notes)
+    assert any("run 1" in remark and "alone" in remark for remark in joint.remarks)
     assert joint.provenance.input_sha256 == {"run.csv": "1" * 64, "run.toml": "2" * 64}
     assert joint.residuals is not None
     assert joint.residuals.run is not None
@@ -79,7 +79,7 @@ def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> Non
         assert a.std >= c.std * (1.0 - 1e-12)
     assert merged["scale_factor"].std > 1.01 * plain["scale_factor"].std
     assert [run.raw for run in merged.runs] == [True, False]
-    assert any("takes part by its summary" in note for note in merged.notes)
+    assert any("takes part by its summary" in remark for remark in merged.remarks)
     assert merged.segments[-1].label.startswith("spun:")
 
 

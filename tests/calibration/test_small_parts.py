@@ -18,7 +18,7 @@ from piga.calibration.candidates import _without_phase, coefficient_names
 from piga.calibration.coefficients import name_parameters
 from piga.calibration.counted import count_of
 from piga.calibration.cross_validation import predict
-from piga.calibration.identifiability import _aligned, notes_in_words, refuse_useless
+from piga.calibration.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
 from piga.calibration.monte_carlo import standard_draws
 from piga.calibration.mounting import plan_mounting
 from piga.calibration.noise import Noise
@@ -75,8 +75,7 @@ def coefficient(
 def notes(coefficients: list[Coefficient], correlation: float = 0.0, **options: object) -> str:
     std = np.array([c.std for c in coefficients])
     covariance = np.outer(std, std) * (correlation + (1.0 - correlation) * np.eye(std.size))
-    wanted = {"condition": 10.0, "phase": "shared", "scatter": {}} | options
-    return "\n".join(notes_in_words(tuple(coefficients), covariance, **wanted))
+    return "\n".join(notes_in_words(tuple(coefficients), covariance, **({"scatter": {}} | options)))
 
 
 def test_doubts_are_said_when_there_are_and_only_then() -> None:
@@ -86,10 +85,15 @@ def test_doubts_are_said_when_there_are_and_only_then() -> None:
         coefficient("k0", 1.0, 0.1),
     ]
     assert notes(sure) == ""
-    assert "tan_beta and k0 are hard to tell apart" in notes(sure, 0.97)
-    assert "(correlation -0.970)" in notes([sure[0], sure[2]], -0.97)
-    assert "condition number 2e+05" in notes(sure, condition=2e5)
-    assert "k0 is smaller than twice" in notes([*sure[:2], coefficient("k0", 0.19, 0.1)])
+    assert notes(sure, 0.97).count("\n") == 0, "one sentence for the group, not one for each pair"
+    assert "scale_factor, tan_beta and k0 are hard to tell apart" in notes(sure, 0.97)
+    assert "scale_factor and k0 are hard to tell apart" in notes([sure[0], sure[2]], -0.97)
+    assert "largest correlation 0.970 in size" in notes([sure[0], sure[2]], -0.97)
+    small = [*sure[:2], coefficient("k0", 0.19, 0.1), coefficient("k2", 0.1, 0.1)]
+    assert notes(small) == ""
+    assert remarks_in_words(tuple(small), "shared") == (
+        "k0, k2 are smaller than twice their standard uncertainty: the record does not need them",
+    )
     assert "tan_beta is not well above" in notes([coefficient("tan_beta", 3.9e-6, 1e-6)])
     assert "scatter 2.1 times" in notes(sure, scatter={"segment_scatter_ratio": 2.1, "segment_scatter_g": 1e-6})
     assert "scatter" not in notes(sure, scatter={"segment_scatter_ratio": 1.9, "segment_scatter_g": 1e-6})
@@ -101,9 +105,9 @@ def test_doubts_are_said_when_there_are_and_only_then() -> None:
     assert "scatter 3.1 times more than the noise of the angle" in notes(sure, scatter=drift)
     assert "scatter" not in notes(sure, scatter=drift | {"segment_scatter_ratio_without_it": 1.9})
     loose = [*sure, coefficient("phi", 0.1, 0.6, "rad", "7"), coefficient("phi", 0.1, 0.01, "rad", "8")]
-    assert "phi is not determined in segment 7:" in notes(loose, phase="per-segment")
-    assert "has its own phase" not in notes(loose, phase="per-segment")
-    assert "has its own phase" in notes([*sure, loose[-1]], phase="per-segment")
+    assert "phi is not determined in segment 7:" in notes(loose)
+    assert remarks_in_words(tuple(loose), "per-segment") == ()
+    assert "has its own phase" in remarks_in_words((*sure, loose[-1]), "per-segment")[0]
 
 
 @pytest.mark.parametrize(

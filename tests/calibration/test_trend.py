@@ -12,6 +12,7 @@ from scipy import stats
 from piga.calibration.control_chart import moving_average
 from piga.calibration.trend import YEAR, find_trend
 from piga.errors import ArgumentError
+from piga.records.coverage import TYPE_A_ONLY
 from tests.calibration.history import START, history, record
 
 
@@ -111,7 +112,7 @@ def test_a_quiet_history_raises_none():
     rng = np.random.default_rng(6)
     found = find_trend(history(np.arange(20) / 10, 1e-3 + rng.normal(0, 1e-6, 20), 1e-6))
     assert found.alarms == ()
-    assert found.remarks == ()
+    assert found.remarks == (f"20 of 20 records: {TYPE_A_ONLY}.",)
 
 
 def test_remarks():

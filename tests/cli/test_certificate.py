@@ -29,7 +29,11 @@ def test_issue_verify_read(lab, tmp_path):
         "--certificate", "lab-cert.pem", cwd=lab,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["certificate.html", "certificate.xml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "certificate.html",
+        "certificate.xml",
+        "working-copy.html",
+    ]
     checked = piga(
         "certificate",
         "verify",

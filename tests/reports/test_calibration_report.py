@@ -131,7 +131,7 @@ def test_the_budget_on_the_terminal_leaves_slight_sources_out(cal):
 def test_missing_type_b_is_said():
     page = calibration_page(calibration(budget=False, with_residuals=False))
     budget = next(section for section in page.sections if section.anchor == "budget")
-    assert any(isinstance(block, Notice) and "type B" in block.text for block in budget.blocks)
+    assert any(isinstance(block, Notice) and "Type A only" in block.text for block in budget.blocks)
 
 
 def test_report_without_residuals_still_stands():

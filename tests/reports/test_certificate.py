@@ -105,7 +105,6 @@ def test_each_item_is_needed(cal, table, key):
         ({"statements": {"opinions": "stable"}}, "authorised to give opinions"),
         ({"statements": {"recalibrate": dt.date(2027, 1, 1)}}, "only where the customer agreed"),
         ({"calibration": {"end": dt.date(2020, 1, 1)}}, "is before"),
-        ({"certificate": {"issued": dt.date(2020, 1, 1)}}, "is before"),
         ({"adjustment": {"performed": True}}, "results before adjustment"),
         ({"item": {"serial": "other"}}, "the calibration is of 'G-0417'"),
         ({"certificate": {"largest_masked_share": 1e-4}}, "rows are masked"),
@@ -115,6 +114,27 @@ def test_what_contradicts_itself(cal, tables, words):
     found = missing_items(changed(complete(), **tables), cal)
     assert len(found) == 1
     assert words in found[0]
+
+
+def test_it_is_not_issued_before_the_evaluation(cal):
+    """Evaluated on 2026-01-01 at midnight UTC: still 2025-12-31 in the far west."""
+    early = changed(complete(), certificate={"issued": dt.date(2020, 1, 1)})
+    found = missing_items(early, cal)
+    assert any("2020-01-01 is before [calibration] end" in item for item in found)
+    later = replace(cal, provenance=replace(cal.provenance, created="2026-03-12T00:00:00Z"))
+    (refused,) = missing_items(complete(), later)
+    assert "2026-03-09 is before the evaluation, 2026-03-12" in refused
+    west = replace(cal, provenance=replace(cal.provenance, created="2026-03-10T11:00:00Z"))
+    assert missing_items(complete(), west) == []
+
+
+def test_the_working_copy_has_the_cautions(cal):
+    doubtful = replace(cal, notes=("segment 3 moves k0 by 4 u",))
+    issued, copy = (plain(certificate_html(complete(), doubtful, working_copy=one)) for one in (False, True))
+    assert "moves k0" not in issued
+    assert "Segment 3 moves k0 by 4 u." in copy
+    assert "not to be issued" in copy
+    assert "Use with care: 1 doubt." in copy
 
 
 def test_what_the_calibration_must_have(cal):

@@ -53,6 +53,7 @@ def rate_log(rows: int, seed: int = 1) -> piga.Run:
 @pytest.fixture(scope="module", params=list(ROWS))
 def calibrated(request) -> tuple[int, Calibration]:
     cal = piga.calibrate(rate_log(ROWS[request.param]), TERMS, "rate")
+    cal = replace(cal, provenance=replace(cal.provenance, created="2026-01-01T00:00:00Z"))
     assert cal.quality.masked == 0
     assert cal.surplus_observations == request.param
     return request.param, cal
@@ -197,13 +198,13 @@ def test_trend(calibrated):
     page = page_html(trend_page(found))
     for key in TERMS:
         k, half = expected(freedom, cal, key)
-        assert stated[key]["expanded"] == pytest.approx(half, rel=1e-9)
+        assert stated[key]["half_width_95"] == pytest.approx(half, rel=1e-9)
         on_page = cells(page, key, "On the last day")
         spread, power = re.fullmatch(r"\(?[^±]*± ([^)]*)\)?(.*)", on_page[2]).groups()
         same(spread + power, half, key, on_page[1])
         # without a common part the record's own is Type A alone, with its own degrees of freedom
         a = cal.budget[0]["contributions"][key]
-        assert stated[key]["own_expanded"] == pytest.approx(stats.t.ppf(0.975, freedom) * a, rel=1e-6)
+        assert stated[key]["own_half_width_95"] == pytest.approx(stats.t.ppf(0.975, freedom) * a, rel=1e-6)
         assert k > 1.95
 
 

@@ -13,6 +13,8 @@ from piga.records.run import Run
 SNAP = 0.1
 """Relative distance of the scale factor from a known factor that is taken for it (nominal values are close)."""
 AXES = ("X0", "Y0", "Z0")
+_ARRAYS = {"reference": "f (wanted in m/s^2)", "time": "t (wanted in s)"}
+"""Arguments of ``Run.from_arrays`` by the key of ``[data]``."""
 _PLACES = ("first", "second", "third")
 
 
@@ -121,10 +123,18 @@ def unit_words(ratio: float, factor: Factor, run: Run, *, output: bool) -> str:
     """The scale factor is ``ratio`` times the nominal one; ``output``: the output's unit may be to blame."""
     larger, size = ratio > 1.0, f"{factor.value:.6g}"
     mixed = [(key, factor.units[key]) for key in ("reference", "time") if key in factor.units]
-    places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
-    if output and ("output" in factor.units or factor.value == 4.0):
-        places.append(_output_unit(run, factor.value, larger=not larger))
-    places.append(f"[instrument] scale_factor {'multiplied' if larger else 'divided'} by {size}")
+    times = f"{'multiplied' if larger else 'divided'} by {size}"
+    if run.source:
+        places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
+        if output and ("output" in factor.units or factor.value == 4.0):
+            places.append(_output_unit(run, factor.value, larger=not larger))
+        places.append(f"[instrument] scale_factor {times}")
+    else:
+        places = [f"{_ARRAYS[key]} {times}" for key, _ in mixed]
+        if output and "output" in factor.units:
+            unit = "rad/s" if run.kind == "rate" else "rad"
+            places.append(f"output (wanted in {unit}) {'divided' if larger else 'multiplied'} by {size}")
+        places.append(f"scale_factor {times}")
     return (
         f"the scale factor comes out {ratio:.4g} times the nominal one, near the factor {size} of mixed-up units: "
         f"right may be {', or '.join(places)}; not applied"

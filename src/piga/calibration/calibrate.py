@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -20,7 +21,13 @@ from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.faint_walk import include_faint_walk
 from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
-from piga.calibration.identifiability import Examination, examine, notes_in_words, refuse_useless
+from piga.calibration.identifiability import (
+    Examination,
+    examine,
+    notes_in_words,
+    refuse_useless,
+    remarks_in_words,
+)
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
 from piga.calibration.joint_result import joint_result
 from piga.calibration.model_choice import compared_models
@@ -44,7 +51,7 @@ from piga.calibration.summary import RunSummary, now, residual_figures, validity
 from piga.calibration.uncertainty import contributions
 from piga.calibration.weighting import weighting_mode
 from piga.calibration.workers import beside
-from piga.errors import CalibrationError, DataError, IdentifiabilityError
+from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
 from piga.records.signal_checks import largest_size
@@ -80,7 +87,12 @@ def calibrate(
     Returns
     -------
     Calibration
-        Coefficients with covariance, noise levels, residuals, doubts in words, provenance.
+        Coefficients with covariance, noise levels, residuals, verdict, provenance.
+
+    Warns
+    -----
+    CalibrationWarning
+        For every doubt of ``Calibration.verdict``, with what to do about it.
 
     Raises
     ------
@@ -89,6 +101,21 @@ def calibrate(
     CalibrationError, ArgumentError
         If the request does not fit the record.
     """
+    result = _calibration(run, terms, method, phase, phase_source, per_run)
+    for doubt in result.verdict.doubts:
+        warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
+    return result
+
+
+def _calibration(
+    run: Run | RunSummary | Sequence[Run | RunSummary],
+    terms: list[str] | tuple[str, ...] | None,
+    method: str | None,
+    phase: str | None,
+    phase_source: str | None,
+    per_run: list[str] | tuple[str, ...] | None,
+) -> Calibration:
+    """The result of :func:`calibrate`."""
     if not isinstance(run, Run):
         runs = check_items(run)
         if len(runs) > 1 or not isinstance(runs[0], Run):
@@ -121,9 +148,9 @@ def calibrate(
         residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
         history = _history(fit, groups) if request.method == "recursive" else None
         scatter = segment_scatter(fit.design, residuals, fit.noise)
-        notes = notes_in_words(coefficients, covariance, fit.examination.condition, request.phase, scatter)
-        notes = other_meaning(fit, coefficients) + notes
+        notes = other_meaning(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
         result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+    result = replace(result, remarks=remarks_in_words(coefficients, request.phase))
     result = with_remarks(result, fit, remarks.result(), doubt)
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
 
@@ -252,9 +279,10 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
             budget_row(source.name, "B", shape, source.value, source.unit, coefficients, change, known)
         )
     coefficients = combined(coefficients, covariance, tuple(budget), revolutions_degrees(fit, request))
-    notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", {})
+    notes = notes_in_words(coefficients, covariance, {})
     notes = (*notes, note) if note else notes
-    return revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)
+    result = revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)
+    return replace(result, remarks=remarks_in_words(coefficients, "shared"))
 
 
 def _published_calibration(run: Run, request: Request) -> Calibration:

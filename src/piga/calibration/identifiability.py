@@ -23,6 +23,8 @@ USELESS = 0.05
 """An uncertainty that means more than this fraction of the record's largest specific force is no result."""
 SCATTER = 2.0
 """Scatter of the segments' mean rates, over what the noise explains, from which it is said."""
+ALIKE = 0.95
+"""Correlation from which coefficients are named as hard to tell apart."""
 SHARE = 0.3
 """Weight in a null direction from which a term is named."""
 
@@ -231,39 +233,19 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
 def notes_in_words(
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
-    condition: float,
-    phase: str,
     scatter: dict[str, float],
 ) -> tuple[str, ...]:
     """Doubts about the estimate, one sentence each."""
-    notes = []
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(std, std)
-    for i, first in enumerate(coefficients):
-        for j in range(i):
-            second = coefficients[j]
-            if abs(correlation[i, j]) > 0.95 and "phi" not in (first.name, second.name):
-                notes.append(
-                    f"{second.key} and {first.key} are hard to tell apart in this record "
-                    f"(correlation {correlation[i, j]:+.3f}): use them together"
-                )
+    notes = _alike(coefficients, covariance)
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
             notes.append(
                 "tan_beta is not well above its uncertainty: phi is not determined; their intervals are by Monte Carlo"
             )
-        elif coefficient.name not in ("phi", "scale_factor") and abs(coefficient.value) < 2.0 * coefficient.std:
-            notes.append(
-                f"{coefficient.key} is smaller than twice its standard uncertainty: the record does not need it"
-            )
-    loose = [c.segment for c in coefficients if c.segment is not None and not c.determined]
+    loose = _loose(coefficients)
     if loose:
         notes.append(
             f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
-        )
-    if condition > 1e5:
-        notes.append(
-            f"the condition number {condition:.2g} is high: small errors of the reference are magnified"
         )
     if scatter.get("segment_scatter_ratio", 0.0) > SCATTER:
         notes.append(
@@ -278,9 +260,52 @@ def notes_in_words(
             "uncertainties include it as noise, but an effect of the stand or of the servo that the model does not hold, "
             "the same at every visit of a position, does not average out"
         )
-    if phase == "per-segment" and not loose:
-        notes.append("every segment has its own phase: nothing is assumed about the counter between segments")
     return tuple(notes)
+
+
+def _alike(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str]:
+    """Groups of coefficients that are hard to tell apart, one sentence each."""
+    plain = [i for i, c in enumerate(coefficients) if c.name != "phi"]
+    std = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(std, std))
+    notes, left = [], list(plain)
+    while left:
+        group = [left.pop(0)]
+        for i in group:
+            group += [j for j in left if correlation[i, j] > ALIKE]
+            left = [j for j in left if j not in group]
+        if len(group) > 1:
+            keys = [coefficients[i].key for i in sorted(group)]
+            worst = max(correlation[i, j] for i in group for j in group if i != j)
+            notes.append(
+                f"{', '.join(keys[:-1])} and {keys[-1]} are hard to tell apart in this record (largest correlation "
+                f"{worst:.3f} in size): use them together"
+            )
+    return notes
+
+
+def _loose(coefficients: tuple[Coefficient, ...]) -> list[str]:
+    """Segments whose phase is not determined."""
+    return [c.segment for c in coefficients if c.segment is not None and not c.determined]
+
+
+def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple[str, ...]:
+    """What is worth knowing and no doubt, one sentence each."""
+    small = [
+        c.key
+        for c in coefficients
+        if c.name not in ("phi", "scale_factor", "tan_beta") and abs(c.value) < 2.0 * c.std
+    ]
+    found = []
+    if small:
+        verb, whose = ("is", "its") if len(small) == 1 else ("are", "their")
+        found.append(
+            f"{', '.join(small)} {verb} smaller than twice {whose} standard uncertainty: the record does not need "
+            f"{'it' if len(small) == 1 else 'them'}"
+        )
+    if phase == "per-segment" and not _loose(coefficients):
+        found.append("every segment has its own phase: nothing is assumed about the counter between segments")
+    return tuple(found)
 
 
 def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from piga._version import __version__
 from piga.calibration.budget import combined
 from piga.calibration.design import Design
-from piga.calibration.identifiability import notes_in_words, notes_on_runs, refuse_useless
+from piga.calibration.identifiability import notes_in_words, notes_on_runs, refuse_useless, remarks_in_words
 from piga.calibration.joint import JointFit
 from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.summary import LiveRun, now, residual_figures
@@ -47,7 +47,7 @@ def joint_result(
         segments += [replace(row, label=f"{fit.summaries[index].name}:{row.label}") for row in own]
     residuals = _all_residuals(fit, found)
     alone = {summary.name: summary.undetermined for summary in fit.summaries}
-    notes = notes_in_words(coefficients, covariance, fit.examination.condition, "shared", _worst_scatter(found))
+    notes = notes_in_words(coefficients, covariance, _worst_scatter(found))
     weights = np.array([record.rows for record in records], dtype=float)
     first = fit.summaries[0]
     return Calibration(
@@ -68,7 +68,12 @@ def joint_result(
         residual_max_after=max(r.residual_max_after for r in records),
         quality=_joint_quality(records),
         condition=fit.examination.condition,
-        notes=(*notes, *notes_on_runs(alone), *_notes_on_summaries(records)),
+        notes=notes,
+        remarks=(
+            *remarks_in_words(coefficients, "shared"),
+            *notes_on_runs(alone),
+            *_notes_on_summaries(records),
+        ),
         budget=budget,
         diagnostics={"residual_kind": kind, "range": _ranges(fit)}
         | (diagnose(residuals) if residuals is not None else {})

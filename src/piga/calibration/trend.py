@@ -44,7 +44,7 @@ Common = float | Mapping[str, float]
 class Point:
     """One record in a trend: value, whole standard uncertainty and its own part, in file units.
 
-    ``coverage`` is that of the record's coefficient, ``own_expanded`` the half-width for 95 % of its own part.
+    ``coverage`` is that of the record's coefficient, ``own_half_width`` the half-width for 95 % of its own part.
     ``forecast`` is what the records of earlier days let expect of this one, or None while there are too few;
     ``score`` the deviation from it as a standard normal number, nan without one.
     """
@@ -56,7 +56,7 @@ class Point:
     std: float
     own: float
     coverage: Coverage
-    own_expanded: float
+    own_half_width: float
     score: float
     forecast: Forecast | None
 
@@ -235,7 +235,7 @@ class _Records:
             forecasts, scores, day_scores = self._expected(model, values, own, shared)
             model = model.take(-1)
         half = [
-            _own_expanded(c, one.type_b, float(o), self.common)
+            _own_half_width(c, one.type_b, float(o), self.common)
             for c, one, o in zip(held, self.figures, own, strict=True)
         ]
         points = tuple(
@@ -292,7 +292,7 @@ class _Records:
         return forecasts, scores, day_scores
 
 
-def _own_expanded(c: Coefficient, type_b: tuple[TypeB, ...], own: float, common: Common) -> float:
+def _own_half_width(c: Coefficient, type_b: tuple[TypeB, ...], own: float, common: Common) -> float:
     """Half-width for 95 % of a record's own part: k for its own effective degrees of freedom, times ``own``.
 
     ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The shared part of each source is taken off.

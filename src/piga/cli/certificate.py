@@ -52,6 +52,10 @@ def issue(
         Path, typer.Option("--data", metavar="CERTIFICATE.toml", help="Laboratory, customer, item, method ...")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the certificate goes.")],
+    issued: Annotated[
+        str | None,
+        typer.Option("--issued", metavar="YYYY-MM-DD | today", help="Date of issue, instead of the file's."),
+    ] = None,
     dcc: Annotated[bool, typer.Option("--dcc", help="Write certificate.xml too: DCC 3.3.0.")] = False,
     key: Annotated[
         Path | None, typer.Option("--key", metavar="PEM", help="Private key: sign the XML with it.")
@@ -61,7 +65,7 @@ def issue(
 ) -> None:
     """Write certificate.html (A4), with --dcc certificate.xml.
 
-    Refused while anything is missing.
+    Refused while anything is missing. working-copy.html, for the laboratory, has the cautions of the calibration too.
     """
     import hashlib
 
@@ -73,21 +77,47 @@ def issue(
         raise PigaError("--key and --certificate belong together", remedy="give both, or none")
     if key is not None and not dcc:
         raise PigaError("--key signs the XML, which is not asked for", remedy="add --dcc")
-    file = read_certificate_file(data)
+    file = _issued(read_certificate_file(data), issued)
     raw = _bytes(calibration)
     found = calibration_from_bytes(raw, calibration)
     before = _before(file, data)
     html = certificate_html(file, found, before, record_sha256=hashlib.sha256(raw).hexdigest())
     xml = _xml(file, found, before, key, certificate) if dcc else None
     folder = output_directory(out)
-    written = [write_by_rename(folder / "certificate.html", partial(write_certificate, html))]
+    copy = certificate_html(
+        file, found, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
+    )
+    written = [
+        write_by_rename(folder / "certificate.html", partial(write_certificate, html)),
+        write_by_rename(folder / "working-copy.html", partial(write_certificate, copy)),
+    ]
     if xml is not None:
         written.append(write_by_rename(folder / "certificate.xml", lambda path: path.write_bytes(xml)))
     if as_json:
-        print_json({"number": file.certificate.number, "files": [str(path) for path in written]})
+        cautions = [doubt.words for doubt in found.verdict.doubts]
+        print_json(
+            {"number": file.certificate.number, "files": [str(path) for path in written], "cautions": cautions}
+        )
         return
+    for doubt in found.verdict.doubts:
+        note(f"piga: caution: {doubt.words}")
     for path in written:
         say(f"wrote {path}")
+
+
+def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
+    """The administrative part with another date of issue."""
+    import datetime as dt
+
+    from msgspec.structs import replace
+
+    if date is None:
+        return file
+    try:
+        day = dt.datetime.now().astimezone().date() if date == "today" else dt.date.fromisoformat(date)
+    except ValueError:
+        raise PigaError(f"--issued {date}: is not a date", remedy="write e.g. 2027-06-01, or today") from None
+    return replace(file, certificate=replace(file.certificate, issued=day))
 
 
 def _bytes(path: Path) -> bytes:

@@ -94,7 +94,7 @@ def compensate(
     else:
         summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume, page)
     if json:
-        print_json({"file": str(out)} | summary)
+        print_json({"file": str(out)} | summary | {"calibrations": _verdicts(calibrations)})
         return
     say(f"wrote {out}: {summary['rows']} rows")
     if page is not None:
@@ -102,6 +102,21 @@ def compensate(
     for title in ("flags", "repairs"):
         for name, count in summary.get(title, {}).items():
             note(f"{name}: {count} rows")
+    for one in calibrations:
+        for doubt in one.verdict.doubts:
+            note(f"piga: calibration of {one.serial}: {doubt.words}")
+
+
+def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
+    """What does not hold of the calibrations that were used."""
+    return [
+        {
+            "serial": one.serial,
+            "verdict": one.verdict.level,
+            "does_not_hold": [d.words for d in one.verdict.doubts],
+        }
+        for one in calibrations
+    ]
 
 
 ONE_RECORD = {

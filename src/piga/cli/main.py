@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+import warnings
+from typing import Any
 
 import typer
 
@@ -19,7 +21,7 @@ from piga.cli.groups import Group
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
-from piga.errors import EXTRAS, PigaError, missing_package
+from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """The matrices here are small: more threads would only wait for each other, for seconds when the machine is busy."""
@@ -60,7 +62,26 @@ app.add_typer(certificate.app)
 
 
 def main() -> None:
-    """Run the command line and turn errors into exit codes."""
+    """Run the command line and turn errors into exit codes.
+
+    Doubts about a calibration are printed with its result; other warnings of piga are lines on stderr.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CalibrationWarning)
+        show = warnings.showwarning
+
+        def one_line(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, PigaWarning):
+                note(f"piga: {message}")
+            else:
+                show(message, category, *where, **more)
+
+        warnings.showwarning = one_line
+        _run()
+
+
+def _run() -> None:
+    """Run the command line; errors end the process with an exit code."""
     try:
         app(standalone_mode=True)
     except PigaError as error:

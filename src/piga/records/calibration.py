@@ -15,8 +15,12 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from piga.records.coverage import Coverage, coverage
+from piga.records.verdict import Verdict, verdict
 
 Array = NDArray[np.float64]
+
+_SHOWN = 20
+"""Coefficients that ``repr`` shows."""
 Count = Annotated[int, Meta(ge=0)]
 """A number of rows or findings; the limit is checked where a record is read."""
 
@@ -206,11 +210,25 @@ class CalibrationFigures:
     has_budget: bool
 
 
-@dataclass(frozen=True)
+def _budget_of(budget: tuple[dict[str, Any], ...], chosen: list[Coefficient]) -> tuple[dict[str, Any], ...]:
+    """The budget of some coefficients, under the names they have without their run."""
+    names = {c.key: replace(c, run=None).key for c in chosen}
+    tables = ("contributions", "sensitivities")
+    return tuple(
+        {
+            key: {names[k]: v for k, v in value.items() if k in names} if key in tables else value
+            for key, value in row.items()
+        }
+        for row in budget
+    )
+
+
+@dataclass(frozen=True, repr=False)
 class Calibration:
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
     Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
+    ``notes`` are doubts, one sentence each; ``remarks`` are worth knowing and no doubts.
     ``surplus_observations`` counts observations (increments of the angle, rates, positions) less coefficients; it is
     no degrees of freedom of an uncertainty, each coefficient has its own effective ones.
     ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate that was found, 0 where none was.
@@ -246,6 +264,26 @@ class Calibration:
     outliers: tuple[Outlier, ...] = ()
     bias_drift: float = 0.0
     segment_scatter: float = 0.0
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def type_a_only(self) -> bool:
+        """True when the budget has no source of Type B: the reference then counts as exact."""
+        return not any(row.get("type") == "B" for row in self.budget)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What holds, what does not, what to do: :func:`piga.records.verdict.verdict`."""
+        return verdict(self)
+
+    def __repr__(self) -> str:
+        rows = [f"  {c.key} = {c.value:.9g} +- {c.std:.2g} {c.unit}" for c in self.coefficients[:_SHOWN]]
+        more = len(self.coefficients) - _SHOWN
+        rows += [f"  and {more} more"] if more > 0 else []
+        head = (
+            f"<Calibration of {self.serial or 'an instrument'} by method {self.method}, standard uncertainties"
+        )
+        return "\n".join([head, *rows, *(f"  {line}" for line in self.verdict.lines())]) + ">"
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
@@ -284,7 +322,7 @@ class Calibration:
             phase=record.phase,
             angle_rms=record.angle_rms,
             angle_random_walk=record.angle_random_walk,
-            budget=(),
+            budget=_budget_of(self.budget, [self.coefficients[i] for i in chosen]),
             residuals=None,
             runs=(),
         )

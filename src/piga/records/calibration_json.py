@@ -113,6 +113,7 @@ class _Residual(msgspec.Struct, frozen=True):
 class _Identifiability(msgspec.Struct, frozen=True):
     condition: Annotated[float, msgspec.Meta(ge=1.0)] | None
     notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 class _Provenance(msgspec.Struct, frozen=True):
@@ -188,7 +189,9 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "identifiability": {
             "condition": c.condition if math.isfinite(c.condition) else None,
             "notes": list(c.notes),
+            "remarks": list(c.remarks),
         },
+        "verdict": _verdict(c),
         "diagnostics": c.diagnostics,
         "segments": [msgspec.to_builtins(s) for s in c.segments],
         "uncertainty_budget": list(c.budget),
@@ -226,7 +229,7 @@ def _estimates(c: Calibration) -> dict[str, Any]:
             {"name": k.name, "value": k.value, "std": k.std, "unit": k.unit}
             | ({"segment": k.segment} if k.name == "phi" else {})
             | ({} if k.run is None else {"run": k.run})
-            | _expanded(k)
+            | _expanded(k, "half_width_95" if c.type_a_only else "expanded")
             for k in c.coefficients
         ],
         "covariance": {"names": [k.key for k in c.coefficients], "matrix": c.covariance.tolist()},
@@ -251,13 +254,24 @@ def _residual(c: Calibration) -> dict[str, Any]:
     return {name: {"value": value, "unit": unit} for name, value in figures.items()}
 
 
-def _expanded(coefficient: Coefficient) -> dict[str, Any]:
-    """Degrees of freedom (null: infinite), coverage factor or Monte Carlo interval, expanded uncertainty for 95 %."""
+def _verdict(c: Calibration) -> dict[str, Any]:
+    """What holds and what does not; for readers: it is worked out again from the record, not read back."""
+    found = c.verdict
+    return {
+        "level": found.level,
+        "headline": found.headline,
+        "does_not_hold": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in found.doubts],
+        "holds": list(found.holds),
+    }
+
+
+def _expanded(coefficient: Coefficient, name: str) -> dict[str, Any]:
+    """Degrees of freedom (null: infinite), coverage factor or Monte Carlo interval, half-width for 95 % under ``name``."""
     nu, covered = coefficient.degrees_of_freedom, coefficient.coverage
     stated: dict[str, Any] = {"degrees_of_freedom": nu if math.isfinite(nu) else None}
     if covered.monte_carlo:
-        return stated | {"expanded": covered.half_width, "interval": [covered.low, covered.high]}
-    return stated | {"coverage_factor": covered.factor, "expanded": covered.half_width}
+        return stated | {name: covered.half_width, "interval": [covered.low, covered.high]}
+    return stated | {"coverage_factor": covered.factor, name: covered.half_width}
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -315,6 +329,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         quality=document.quality,
         condition=math.inf if condition is None else condition,
         notes=document.identifiability.notes,
+        remarks=document.identifiability.remarks,
         budget=document.uncertainty_budget,
         diagnostics=document.diagnostics,
         segments=document.segments,

@@ -238,6 +238,7 @@ def missing_items(
     ]
     found += [*_people(data), *_texts(data), *_conditions(data), *_order_of_dates(data)]
     found += [
+        *_evaluated_before(data, calibration),
         *_adjustment(data, calibration, before),
         *_numbers(data, calibration),
         *_conformity(data, calibration),
@@ -301,6 +302,17 @@ def _order_of_dates(data: CertificateFile) -> Iterator[str]:
     for (first, earlier), (second, later) in itertools.pairwise(given):
         if later < earlier:
             yield f"{second} (7.8.2.1): {later} is before {first}, {earlier}"
+
+
+def _evaluated_before(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
+    """The date of issue against that of the evaluation, which is in UTC: no date line is so far west as 12 h."""
+    evaluated = dt.datetime.fromisoformat(calibration.provenance.created) - dt.timedelta(hours=12)
+    issued = data.certificate.issued
+    if issued is not None and issued < evaluated.date():
+        yield (
+            f"[certificate] issued (7.8.2.1 j): {issued} is before the evaluation, "
+            f"{calibration.provenance.created[:10]}"
+        )
 
 
 def _adjustment(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> Iterator[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,14 +119,19 @@ class Run:
         segment: NDArray[np.int32] | None = None,
         resolution: float = 0.0,
         serial: str = "",
+        uncertainty: dict[str, Any] | UncertaintyTable | None = None,
     ) -> Run:
         """Make a run from arrays in memory (SI). Shapes: t, output (n,); f, base_rate (n, 3).
+
+        ``uncertainty`` is the run file's ``[uncertainty]``, e.g. ``{"reference_scale": "10 ppm"}``.
 
         Raises
         ------
         ArgumentError
-            For a shape mismatch, a non-finite sample or unsorted time, naming argument and index.
+            For a shape mismatch, a non-finite sample or unsorted time, naming argument and index; for an
+            ``uncertainty`` that is none.
         """
+        from piga.errors import ArgumentError
         from piga.records.run_checks import check_arrays
         from piga.units import to_si
 
@@ -133,6 +139,10 @@ class Run:
         labels_index = np.zeros(t.size, np.int32) if segment is None else np.asarray(segment, dtype=np.int32)
         check_arrays(t, output, f, base_rate, temperature, labels_index, kind)
         names, index = np.unique(labels_index, return_inverse=True)
+        try:
+            table = msgspec.convert(uncertainty or {}, UncertaintyTable)
+        except msgspec.ValidationError as error:
+            raise ArgumentError(f"uncertainty: {error}", remedy="e.g. {'reference_scale': '10 ppm'}") from None
         begins = np.ones(t.size, dtype=bool)
         begins[1:] = np.diff(index) != 0
         return cls(
@@ -151,4 +161,5 @@ class Run:
             row=np.arange(1, t.size + 1, dtype=np.int64),
             resolution=resolution,
             quality=Quality(rows=t.size, used=t.size, masked=0),
+            uncertainty=table,
         )

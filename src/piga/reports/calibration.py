@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-
 from piga.records.calibration import Calibration
+from piga.records.coverage import TYPE_A_ONLY
+from piga.records.verdict import THRESHOLDS, whitened_rms
 from piga.reports.calibration_budget import budget_table, sensitivity_table
 from piga.reports.calibration_diagnostics import (
     COMPARISON_LEAD,
@@ -24,6 +24,7 @@ from piga.reports.calibration_tables import (
     correlation_table,
     facts_table,
     freedom,
+    judgement,
     meaning,
     outlier_table,
     quality_table,
@@ -31,19 +32,16 @@ from piga.reports.calibration_tables import (
     runs_table,
     scalars,
     segment_table,
+    sentence,
 )
 from piga.reports.calibration_text import calibration_text, drift_found, scatter_found
 from piga.reports.figure import Figure
-from piga.reports.long_record import leading_part
 from piga.reports.model_choice import comparison_sections
 from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
 
 __all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
-
-WELL_SEPARATED, SEPARATED = 1e3, 1e6
-"""Condition numbers up to which the coefficients count as well separated, and as separable."""
 
 _METHODS = {
     "information": "whitened linear least squares in the angle domain",
@@ -81,6 +79,7 @@ def calibration_page(cal: Calibration) -> Page:
         subtitle=_subtitle(cal),
         tiles=_tiles(cal),
         sections=sections,
+        judgement=judgement(cal),
         kicker="piga · gyro accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. This file holds all it shows: "
         "it opens without a network, and prints on A4.",
@@ -97,7 +96,8 @@ def _improvement(before: float, after: float) -> str:
 
 
 def _tiles(cal: Calibration) -> tuple[Tile, ...]:
-    better: Tone = "good" if cal.residual_rms < cal.residual_rms_before else "bad"
+    level = cal.verdict.level
+    better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if level == "good" else ""
     quantity, unit = residual_quantity(cal)
     tiles = [
         Tile(
@@ -144,14 +144,13 @@ def _freedom_tile(cal: Calibration) -> Tile:
         freedom(fewest),
         "",
         detail,
-        "doubtful" if fewest.degrees_of_freedom < 10.0 else "",
     )
 
 
 def _condition_tile(cal: Calibration) -> Tile:
     verdicts: tuple[tuple[float, str, Tone], ...] = (
-        (WELL_SEPARATED, "the coefficients are well separated", "good"),
-        (SEPARATED, "some coefficients are hard to separate", "doubtful"),
+        (THRESHOLDS.well_separated, "the coefficients are well separated", "good"),
+        (THRESHOLDS.separated, "some coefficients are hard to separate", "doubtful"),
         (math.inf, "the record hardly separates the coefficients", "bad"),
     )
     words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
@@ -159,15 +158,18 @@ def _condition_tile(cal: Calibration) -> Tile:
 
 
 def _whiteness_tile(cal: Calibration) -> Tile | None:
-    if cal.residuals is None:
+    rms = whitened_rms(cal)
+    if math.isnan(rms):
         return None
-    innovation = np.asarray(leading_part(cal.residuals).innovation, dtype=float)
-    if not np.isfinite(innovation).any():
-        return None
-    rms = math.sqrt(float(np.nanmean(innovation**2)))
-    fits = 0.9 < rms < 1.1
-    words = "model and noise levels agree" if fits else "1 expected: model or noise levels do not fit"
-    return Tile("Whitened residual, rms", f"{rms:.3f}", "", words, "good" if fits else "doubtful")
+    white, fits = cal.diagnostics.get("verdict") == "white", abs(rms - 1.0) <= THRESHOLDS.residual_rms
+    words = (
+        "1 expected: the noise levels do not fit"
+        if not fits
+        else "of size one"
+        if white
+        else "of size one, but not white"
+    )
+    return Tile("Whitened residual, rms", f"{rms:.3f}", "", words, "good" if fits and white else "doubtful")
 
 
 def _data_tile(cal: Calibration) -> Tile:
@@ -287,8 +289,7 @@ def _budget(cal: Calibration) -> Section:
         blocks += [Text(text, lead=True), sensitivities]
     if not any(row.get("type") == "B" for row in cal.budget):
         text = (
-            "No source of type B was stated, so reference scale, alignment and local gravity are taken as "
-            "exact. "
+            f"{TYPE_A_ONLY}: reference scale, alignment and local gravity are taken as exact. "
             "Add an [uncertainty] table to the run file to include them."
         )
         blocks.append(Notice("warning", text))
@@ -299,12 +300,10 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
     lead = (
         "How well this record tells the coefficients apart, and whether the residuals are the noise they "
         "should be. "
-        "Good: no remark, and whitened residuals that look like white noise of size one."
+        "Good: whitened residuals that look like white noise of size one. Doubts stand in the verdict at the top."
     )
     blocks: list[Block] = [Text(lead, lead=True)]
-    blocks += [Notice("warning", note) for note in cal.notes]
-    if not cal.notes:
-        blocks.append(Notice("good", "The record separates all requested coefficients."))
+    blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
     blocks += [FigureBlock(figures[key]) for key in ("whiteness", "allan") if key in figures]
     white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
     rows = [

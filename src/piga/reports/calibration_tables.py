@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from piga.records.calibration import Calibration, Coefficient
+from piga.records.coverage import TYPE_A_ONLY
 from piga.reports.numbers import (
     count,
     fixed,
@@ -19,7 +20,7 @@ from piga.reports.numbers import (
     rounded,
     short,
 )
-from piga.reports.page import Cell, Column, Table
+from piga.reports.page import Cell, Column, Judgement, Table
 from piga.units import ARCSEC, G0
 
 _MEANING = {
@@ -62,6 +63,18 @@ def meaning(name: str) -> str:
     return _MEANING.get(name, name)
 
 
+def judgement(cal: Calibration, subject: str = "") -> Judgement:
+    """The verdict on a calibration as the box of a page; ``subject`` says which, where the page is of something else."""
+    found = cal.verdict
+    problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in found.doubts)
+    return Judgement(found.level, f"{subject}{found.headline}", problems, found.holds)
+
+
+def sentence(text: str) -> str:
+    """Text with a capital letter."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def common_coefficients(cal: Calibration) -> list[Coefficient]:
     """Coefficients of the instrument and of whole runs (phases of single segments stand in the segment table)."""
     return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
@@ -74,7 +87,7 @@ def coefficient_table(cal: Calibration) -> Table:
         Column("Coefficient", align="text"),
         Column("Value"),
         Column("Standard uncertainty u"),
-        Column("Expanded uncertainty U"),
+        Column("k u for 95 %, Type A only" if cal.type_a_only else "Expanded uncertainty U"),
         Column("Unit", align="text"),
         Column("u / value"),
         Column("ν"),
@@ -129,7 +142,12 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
 
 def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
     basis = "k from Student's t with the effective degrees of freedom ν of each coefficient (JCGM 100, G.4)"
-    notes = [f"U = k u is for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."]
+    notes = [
+        f"{'' if cal.type_a_only else 'U = '}k u is for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."
+    ]
+    if cal.type_a_only:
+        notes.insert(0, f"{TYPE_A_ONLY}.")
+    half = "k u" if cal.type_a_only else "U"
     for coefficient in common_coefficients(cal):
         if coefficient.name == "tan_beta":
             beta = math.atan(coefficient.value) / ARCSEC
@@ -138,7 +156,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
         if coefficient.interval is not None:
             notes.append(
                 f"{coefficient.name}: shortest 95 % interval {monte_carlo_interval(coefficient)} by Monte Carlo (JCGM "
-                "101); U is its half-width."
+                f"101); {half} is its half-width."
             )
         if coefficient.std > abs(coefficient.value):
             notes.append(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from piga.records.calibration import Calibration
 from piga.reports.calibration_budget import budget_text
 from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
@@ -14,6 +16,8 @@ def calibration_text(cal: Calibration) -> str:
     """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
     used = f"{cal.quality.used} of {cal.quality.rows}"
     head = [
+        *_wrapped(cal.verdict.lines()),
+        "",
         f"Calibration of {cal.serial} from {files_in_words(cal)}",
         f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
         f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
@@ -23,9 +27,18 @@ def calibration_text(cal: Calibration) -> str:
         [
             *[*head, *_text_table(cal), "", *_text_figures(cal)],
             *budget_text(cal),
-            *[f"note: {note}" for note in cal.notes],
+            *_wrapped([f"remark: {remark}" for remark in cal.remarks]),
         ]
     )
+
+
+def _wrapped(lines: list[str]) -> list[str]:
+    """Lines of at most 100 letters, their continuations indented."""
+    return [
+        part
+        for line in lines
+        for part in textwrap.wrap(line, 100, subsequent_indent=" " * (len(line) - len(line.lstrip()) + 4))
+    ]
 
 
 def drift_found(cal: Calibration) -> str:
@@ -45,7 +58,8 @@ def scatter_found(cal: Calibration) -> str:
 
 
 def _text_table(cal: Calibration) -> list[str]:
-    lines = [("coefficient", "value", "u", "U (95 %)", "unit", "dof", "k")]
+    half = "k u (95 %)" if cal.type_a_only else "U (95 %)"
+    lines = [("coefficient", "value", "u", half, "unit", "dof", "k")]
     for coefficient in cal.coefficients:
         if not coefficient.determined:
             lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))

@@ -21,6 +21,7 @@ from piga.reports.calibration_tables import (
     freedom,
     meaning,
     monte_carlo_interval,
+    sentence,
 )
 from piga.reports.certificate_statements import Conformity, decision_rule, statements, verdicts
 from piga.reports.numbers import (
@@ -76,8 +77,12 @@ def certificate_html(
     before: Calibration | None = None,
     *,
     record_sha256: str = "",
+    working_copy: bool = False,
 ) -> str:
     """The certificate as HTML text; the same input always gives the same bytes.
+
+    ``working_copy`` makes the page that stays in the laboratory: marked as such, with the cautions of the calibration
+    in front, for the person who authorises the certificate.
 
     Raises
     ------
@@ -91,9 +96,16 @@ def certificate_html(
         number_css=_css_string(data.certificate.number),
         identity=_identity(data),
         parts=_parts(data, calibration, before),
+        cautions=_cautions(calibration) if working_copy else None,
         statements=statements(data, calibration),
         record=_record(calibration, record_sha256),
     )
+
+
+def _cautions(calibration: Calibration) -> tuple[str, list[str]]:
+    """The verdict on the calibration, and what does not hold, for the laboratory."""
+    found = calibration.verdict
+    return found.headline, [f"{sentence(doubt.words)}." for doubt in found.doubts]
 
 
 def write_certificate(html: str, path: Path) -> Path:

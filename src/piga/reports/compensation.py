@@ -15,6 +15,7 @@ from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.terms import si_factor
 from piga.reports.apart import write_page_apart
+from piga.reports.calibration_tables import judgement
 from piga.reports.compensation_errors import error_figures
 from piga.reports.compensation_figures import (
     MICRO_G,
@@ -89,6 +90,7 @@ def compensation_page(
         subtitle=f"{data}, {count(found.size)} rows; the instrument's output is its {found.kind}.",
         tiles=_tiles(found),
         sections=tuple(sections),
+        judgement=judgement(facts.calibration, "The calibration that was used: "),
         kicker="piga · compensation",
         footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. This file holds all it "
         "shows: it opens without a network, and prints on A4.",

@@ -119,6 +119,16 @@ Block = Text | Table | FigureBlock | Notice
 
 
 @dataclass(frozen=True)
+class Judgement:
+    """The verdict box at the top of a page: ``tone``, one sentence, what does not hold (and what to do), what holds."""
+
+    tone: Tone
+    headline: str
+    problems: tuple[tuple[str, str], ...] = ()
+    holds: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of the page with its heading; ``anchor`` is the link target (letters, digits, hyphens)."""
 
@@ -137,6 +147,7 @@ class Page:
     sections: tuple[Section, ...] = ()
     kicker: str = "piga"
     footer: str = ""
+    judgement: Judgement | None = None
 
     def __post_init__(self) -> None:
         names = [section.anchor for section in self.sections] + [figure.key for figure in self.figures()]

@@ -92,7 +92,7 @@ def trend_figure(found: Trend, trend: CoefficientTrend, ahead: float | None) -> 
 def _values(trend: CoefficientTrend, clock: Clock, scale: Scale, ahead: float | None) -> Panel:
     times = np.array([point.time for point in trend.points])
     values = np.array([point.value for point in trend.points])
-    bars = np.array([point.own_expanded for point in trend.points]) * scale.factor
+    bars = np.array([point.own_half_width for point in trend.points]) * scale.factor
     outside = np.array([point.outside for point in trend.points])
     series: list[Series] = []
     if trend.model.line is not None:

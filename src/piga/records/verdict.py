@@ -1,0 +1,189 @@
+"""One verdict on a calibration: what holds, what does not, and what to do.
+
+Report page, terminal, ``repr``, calibration.json, the certificate's working copy and the warnings of
+:func:`piga.calibrate` all show this one. Nothing else judges a calibration as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from piga.records.coverage import TYPE_A_ONLY
+from piga.units import G0
+
+if TYPE_CHECKING:
+    from piga.records.calibration import Calibration
+
+Level = Literal["good", "doubtful", "bad"]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where a figure of a calibration becomes a doubt.
+
+    Attributes
+    ----------
+    well_separated, separated:
+        Condition numbers [1] of the column-scaled problem up to which the coefficients count as well separated, and
+        as separable: the reference's relative errors are magnified by at most this number.
+    residual_rms:
+        Largest distance [1] of the whitened residual's root mean square from 1: with noise levels this far off,
+        standard uncertainties are wrong by as much.
+    used:
+        Least share [1] of the rows that is used without a remark.
+    scale:
+        Ratio [1] of the scale factor to the nominal one, or its inverse, from which data or units are wrong.
+    """
+
+    well_separated: float = 1e3
+    separated: float = 1e6
+    residual_rms: float = 0.1
+    used: float = 0.95
+    scale: float = 2.0
+
+
+THRESHOLDS = Thresholds()
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What does not hold, and what to do about it; ``grave`` when the coefficients must not be used as they are."""
+
+    what: str
+    remedy: str = ""
+    grave: bool = False
+
+    @property
+    def words(self) -> str:
+        """Both in one sentence."""
+        return f"{self.what}: {self.remedy}" if self.remedy else self.what
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What holds of a calibration, and what does not, the gravest first."""
+
+    holds: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
+
+    @property
+    def level(self) -> Level:
+        """``good`` without a doubt, ``bad`` with a grave one."""
+        if any(doubt.grave for doubt in self.doubts):
+            return "bad"
+        return "doubtful" if self.doubts else "good"
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one sentence."""
+        count = len(self.doubts)
+        return {
+            "good": "Every test that was made holds.",
+            "doubtful": f"Use with care: {count} doubt{'s' * (count > 1)}.",
+            "bad": "Do not use these coefficients before this is settled.",
+        }[self.level]
+
+    def lines(self) -> list[str]:
+        """The verdict for a terminal: headline, doubts with remedies, what holds."""
+        doubts = [f"  does not hold: {doubt.words}" for doubt in self.doubts]
+        return [f"verdict: {self.headline}", *doubts, *(f"  holds: {what}" for what in self.holds)]
+
+
+def verdict(calibration: Calibration) -> Verdict:
+    """The verdict on a calibration, from what its record holds: it is the same after reading it back."""
+    found = [
+        *_scale(calibration),
+        *_whiteness(calibration),
+        *_separation(calibration),
+        *_budget(calibration),
+        *_rows(calibration),
+    ]
+    said = " ".join(item.remedy for item in found if isinstance(item, Doubt))
+    found += [Doubt(note) for note in calibration.notes if note not in said]
+    doubts = [item for item in found if isinstance(item, Doubt)]
+    doubts.sort(key=lambda doubt: not doubt.grave)
+    return Verdict(tuple(item for item in found if isinstance(item, str)), tuple(doubts))
+
+
+def whitened_rms(calibration: Calibration) -> float:
+    """Root mean square of the whitened residual, 1 when model and noise levels are right; nan when not known."""
+    return math.sqrt(float(calibration.diagnostics.get("variance", math.nan)))
+
+
+def _scale(calibration: Calibration) -> Iterator[str | Doubt]:
+    values = {c.name: c.value for c in calibration.coefficients}
+    nominal = calibration.scale_factor_nominal * G0
+    ratio = values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
+    if 1.0 / THRESHOLDS.scale < ratio < THRESHOLDS.scale:
+        return
+    remedy = (
+        "; ".join(_advice(calibration)) or "check units and signs of reference, output, time and scale_factor"
+    )
+    yield Doubt(f"the scale factor is {ratio:.4g} times the nominal one", remedy, grave=True)
+
+
+def _advice(calibration: Calibration) -> tuple[str, ...]:
+    """Other readings of the data that fit far better, in words."""
+    return tuple(str(words) for words in calibration.diagnostics.get("advice", ()))
+
+
+def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
+    tests, rms = calibration.diagnostics, whitened_rms(calibration)
+    if "verdict" not in tests or math.isnan(rms):
+        return
+    chance = float(tests["ljung_box_probability"])
+    shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
+    if tests["verdict"] != "white":
+        yield Doubt(
+            f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise description misses "
+            "something, and standard uncertainties may be too small",
+            "look for lines in the residuals against rotation, and for suggested terms",
+        )
+    if abs(rms - 1.0) > THRESHOLDS.residual_rms:
+        yield Doubt(
+            f"the whitened residuals have a root mean square of {rms:.3f} where 1 is expected",
+            "check the noise levels that were given, and the residuals of single segments",
+        )
+    elif tests["verdict"] == "white":
+        yield f"the whitened residuals are white (Ljung-Box, {shown}) and of size one ({rms:.3f})"
+
+
+def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
+    condition = calibration.condition
+    shown = f"{condition:.2g}" if math.isfinite(condition) else "infinite"
+    if condition <= THRESHOLDS.well_separated:
+        yield f"the record separates the coefficients (condition number {shown})"
+    elif condition <= THRESHOLDS.separated:
+        yield Doubt(
+            f"some coefficients are hard to separate (condition number {shown}): errors of the reference are "
+            "magnified",
+            "leave terms out, or add positions, levels or another kind of run",
+        )
+    else:
+        yield Doubt(
+            f"the record hardly separates the coefficients (condition number {shown})",
+            "leave terms out, or add positions, levels or another kind of run",
+            grave=True,
+        )
+
+
+def _budget(calibration: Calibration) -> Iterator[str | Doubt]:
+    if calibration.type_a_only:
+        yield Doubt(
+            TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
+        )
+        return
+    count = sum(row.get("type") == "B" for row in calibration.budget)
+    yield f"the uncertainties hold the fit and {count} source{'s' * (count > 1)} of Type B"
+
+
+def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
+    quality = calibration.quality
+    share = quality.used / quality.rows if quality.rows else 1.0
+    if share < THRESHOLDS.used:
+        yield Doubt(f"only {100.0 * share:.3g} % of the rows were used", "see the findings in the data")
+    else:
+        yield f"{'all' if share == 1.0 else f'{100.0 * share:.4g} % of the'} rows were used"

@@ -1,0 +1,172 @@
+"""One verdict: the same doubts at the top of page, terminal, repr and JSON, and as warnings in Python."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import piga
+from piga.records.calibration_json import calibration_to_bytes
+from piga.records.coverage import TYPE_A_ONLY
+from piga.records.verdict import THRESHOLDS, verdict
+from piga.reports.calibration import calibration_page, calibration_text
+from piga.reports.page import page_html
+from piga.reports.trend import trend_document, trend_page, trend_text
+from piga.units import G0
+from tests.reports.example import calibration
+
+K = 0.8884 / G0
+
+
+def rate_log(f_unit: float = 1.0, harmonic: float = 0.0, **options) -> piga.Run:
+    """Rates with white noise of 2e-7 rad/s; ``f_unit`` divides the force, ``harmonic`` [rad/s] is left in."""
+    rng = np.random.default_rng(1)
+    a = G0 * np.cos(np.linspace(0.1, 6.0, 400))
+    f = np.column_stack([a, np.zeros(400), np.zeros(400)])
+    rate = K * (a + 300e-6 * G0) + 2e-7 * rng.standard_normal(400)
+    rate = rate + harmonic * np.sin(np.arange(400) / 7.0)
+    return piga.Run.from_arrays(
+        np.arange(400.0), rate, f / f_unit, scale_factor="0.8884 rad/s/g", kind="rate", serial="G-1", **options
+    )
+
+
+KNOWN = {"reference_scale": "1 ppm"}
+TERMS = ["scale_factor", "k0"]
+
+
+@pytest.fixture(scope="module")
+def sound() -> piga.Calibration:
+    return piga.calibrate(rate_log(uncertainty=KNOWN), TERMS, "rate")
+
+
+@pytest.fixture(scope="module")
+def coloured() -> piga.Calibration:
+    return piga.calibrate(rate_log(uncertainty=KNOWN, harmonic=4e-7), TERMS, "rate")
+
+
+@pytest.fixture(scope="module")
+def alone() -> piga.Calibration:
+    return piga.calibrate(rate_log(), TERMS, "rate")
+
+
+def body(page: str) -> str:
+    """Text of a page, white space made single."""
+    text = re.sub(r"<(script|style).*?</\1>", " ", page[page.index("<body>") :], flags=re.DOTALL)
+    return " ".join(html.unescape(re.sub("<[^>]*>", " ", text)).split())
+
+
+def test_a_sound_calibration_is_good_and_warns_of_nothing(sound):
+    assert sound.verdict.level == "good"
+    assert sound.verdict.doubts == ()
+    assert "Every test that was made holds" in calibration_text(sound).splitlines()[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", piga.PigaWarning)
+        piga.calibrate(rate_log(uncertainty=KNOWN), TERMS, "rate")
+
+
+def test_coloured_residuals_are_said_everywhere_and_nothing_is_green(coloured):
+    assert coloured.diagnostics["verdict"] != "white"
+    assert coloured.verdict.level == "doubtful"
+    page = calibration_page(coloured)
+    whiteness = next(tile for tile in page.tiles if tile.label.startswith("Whitened"))
+    assert whiteness.tone == "doubtful"
+    assert "not white" in whiteness.detail
+    assert page.tiles[0].tone != "good"
+    text, said = body(page_html(page)), "he whitened residuals are not white (Ljung-Box, p "
+    assert 0 < text.index(said) < text.index("Degrees of freedom"), "the verdict stands above the tiles"
+    assert said in " ".join(calibration_text(coloured).split("Calibration of")[0].split())
+    assert said in repr(coloured)
+    document = json.loads(calibration_to_bytes(coloured))
+    assert any(said in doubt["what"] for doubt in document["verdict"]["does_not_hold"])
+    assert document["verdict"]["level"] == "doubtful"
+
+
+def test_the_verdict_is_the_same_after_reading_back(coloured, tmp_path):
+    coloured.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").verdict == coloured.verdict
+
+
+def test_without_uncertainty_every_output_says_type_a_only(alone):
+    """And none says expanded."""
+    with pytest.warns(piga.PigaWarning, match=TYPE_A_ONLY):
+        again = piga.calibrate(rate_log(), TERMS, "rate")
+    import datetime as dt
+
+    from piga.calibration.trend import find_trend
+
+    times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
+    found = find_trend([("a", times[0], alone), ("b", times[1], again)])
+    outputs = {
+        "terminal": " ".join(calibration_text(alone).split()),
+        "page": body(page_html(calibration_page(alone))),
+        "json": calibration_to_bytes(alone).decode(),
+        "repr": " ".join(repr(alone).split()),
+        "trend": trend_text(found),
+        "trend page": body(page_html(trend_page(found))),
+        "trend json": json.dumps(trend_document(found)),
+    }
+    for name, text in outputs.items():
+        assert TYPE_A_ONLY in text, name
+        assert "expanded" not in text.lower(), name
+    from piga.records.certificate_file import missing_items
+    from tests.reports.certificate_data import complete
+
+    assert any("no source of Type B" in item for item in missing_items(complete("G-1"), alone))
+
+
+def test_a_force_in_g_is_named(recwarn):
+    found = piga.calibrate(rate_log(f_unit=G0, uncertainty=KNOWN), TERMS, "rate")
+    assert found["scale_factor"].value == pytest.approx(0.8884 * G0, rel=1e-3)
+    assert found.verdict.level == "bad"
+    said = "\n".join(str(warning.message) for warning in recwarn.list)
+    assert "the scale factor is 9.807 times the nominal one" in said
+    assert "f (wanted in m/s^2) multiplied by 9.80665" in said
+    assert "[data]" not in said
+    assert "Do not use these coefficients" in repr(found)
+    assert repr(found).count("9.807 times") <= 2
+
+
+def test_repr_shows_values_with_uncertainty(sound):
+    shown = repr(sound)
+    assert len(shown) < 1500
+    assert re.search(r"scale_factor = 0\.888\d+ \+- \d\.\de-\d+ rad/s/g", shown)
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "level"),
+    [
+        ({"condition": 1.1 * THRESHOLDS.well_separated}, "hard to separate", "doubtful"),
+        ({"condition": 1.1 * THRESHOLDS.separated}, "hardly separates", "bad"),
+        ({"budget": ()}, TYPE_A_ONLY, "doubtful"),
+        ({"notes": ("odd",)}, "odd", "doubtful"),
+        (
+            {"diagnostics": {"variance": 1.5, "verdict": "white", "ljung_box_probability": 0.5}},
+            "of 1.225",
+            "doubtful",
+        ),
+    ],
+)
+def test_each_doubt(change, words, level):
+    base = replace(calibration(with_residuals=False), notes=())
+    assert verdict(base).level == "good"
+    found = verdict(replace(base, **change))
+    assert found.level == level
+    assert len(found.doubts) == 1
+    assert words in found.doubts[0].what
+
+
+def test_rows_that_were_not_used():
+    base = replace(calibration(with_residuals=False), notes=())
+    few = replace(base.quality, used=int(0.9 * base.quality.rows))
+    assert "only 90 % of the rows" in verdict(replace(base, quality=few)).doubts[0].what
+
+
+def test_uncertainty_of_arrays_is_checked():
+    with pytest.raises(piga.ArgumentError, match="uncertainty"):
+        rate_log(uncertainty={"reference_scales": "1 ppm"})
