@@ -90,10 +90,14 @@ CALIBRATION = {
     "candidate_columns missing_terms": SIGNATURES,
     "candidates criterion mounting planning prediction visits plan_file plan_export": PLANS,
     "cleaning outliers": tests_of("calibration", "small_parts", "outliers"),
-    "control_chart trend trend_line": TREND,
+    "control_chart trend trend_line trend_words": TREND,
     "counted stretches": COUNTED,
     "cross_validation model_choice model_comparison": CHOICE,
-    "drift drift_basis": tests_of("calibration", "small_parts", "drift"),
+    "added_noise": tests_of("calibration", "small_parts", "added_noise"),
+    "faint_walk": tests_of("calibration", "small_parts", "faint_walk"),
+    "saw_tooth": COUNTED,
+    "servo servo_columns cubic": tests_of("calibration", "servo"),
+    "slow_bases slow_noise": tests_of("calibration", "small_parts", "drift", "segment_scatter"),
     "joint joint_result summary summary_json": JOINT,
     "leverage segment_parts": [*tests_of("calibration", "leverage"), *SIGNATURES],
     "published recursive request": FIT,
@@ -135,6 +139,7 @@ KERNELS = {
     "platform_triad": TRIADS,
     "resample": [*PHASES, *tests_of("compensation", "files")],
     "servo": TWIN,
+    "trend": TREND,
 }
 TESTS = {
     f"{room}/{name}.py": tests

@@ -1,4 +1,6 @@
-"""Write the old-record corpus of this version: ``tests/records/corpus/VERSION`` with a store, its export, and what they hold.
+"""Write the old-record corpus of this version: a folder named by it in ``tests/records/corpus``.
+
+It holds a store, its export, and what they hold.
 
 Run once for each release, on a tree of that release; what was written is kept for ever and never written again:
 

@@ -1,7 +1,7 @@
 """Simulated tests with known truth for the statistics of the estimator: cheap, independent of the product's motion code.
 
 Every scenario has constant force in each segment, so that one step of the motion is the closed form of a
-2x2 matrix exponential (``physics.md`` eq. 4); the random walk is part of the motion, white noise and
+2x2 matrix exponential (docs/theory/motion); the random walk is part of the motion, white noise and
 counting of the reading. The gimbal starts anywhere in every segment.
 """
 

@@ -72,9 +72,9 @@ def calibrate(
 ) -> Calibration:
     """Estimate the coefficients of an instrument from a recorded test, or from several together.
 
-    The error model of ``physics.md`` is linear in its coefficients once the measured output angle is
+    The error model (docs/theory/calibration) is linear in its coefficients once the measured output angle is
     used as phase: no first guess, one optimum. Increments of the angle are whitened with the noise levels
-    found in the record and reduced orthogonally (``estimation.md``; own derivation in docs/theory).
+    found in the record and reduced orthogonally (own derivation in docs/theory/calibration).
 
     Parameters
     ----------

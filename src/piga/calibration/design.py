@@ -1,6 +1,6 @@
 """The linear model of a record: blocks of regressor columns, one segment at a time.
 
-Integrated over a sample interval the error model of ``physics.md`` is linear in
+Integrated over a sample interval the error model (docs/theory/calibration) is linear in
 
     K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
 

@@ -101,7 +101,7 @@ def find_noise(
 ) -> Noise:
     """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
 
-    Maximises the restricted likelihood of the first-order moving average (``estimation.md``) concentrated
+    Maximises the restricted likelihood of the first-order moving average (docs/theory/calibration) concentrated
     over its scale, on a grid of the ratio kappa = q/r refined ``REFINEMENTS`` times:
     ``(n - m) log S + sum log v + log|X' V^-1 X|`` with m ``parameters`` fitted. The last term, what the fit
     itself took out of the slow noise, is ``information`` of ``log10(kappa h)``; without it the fit's part is

@@ -37,7 +37,7 @@ def compensate(
 
     An angle (or count) record gives, for every interval, the velocity increment that the exact motion needs
     to turn the output as it was read (own derivation, docs/theory/compensation); a rate record gives the
-    specific force at each sample from the effective input axis (physics.md, equation 6).
+    specific force at each sample from the effective input axis (docs/theory/effective-axis).
 
     Parameters
     ----------

@@ -177,7 +177,7 @@ class _Figures(msgspec.Struct, frozen=True):
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
-    """The record as plain JSON values (file units; see ``interface.md``)."""
+    """The record as plain JSON values (file units)."""
     c = calibration
     document: dict[str, Any] = {
         "schema": SCHEMA,

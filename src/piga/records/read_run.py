@@ -23,7 +23,7 @@ def read_record(
     Parameters
     ----------
     path:
-        Run file (TOML), see ``interface.md``; its data file is looked for beside it.
+        Run file (TOML); its data file is looked for beside it.
     stand_reference:
         Gives the reference when ``[data]`` has none and a ``[stand]`` table describes it.
     need_reference:

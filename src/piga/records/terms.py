@@ -1,4 +1,4 @@
-"""Names of the error-model terms, their units in files, and what they multiply (``physics.md``).
+"""Names of the error-model terms, their units in files, and what they multiply (docs/reference/conventions).
 
 Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is claimed.
 

@@ -62,7 +62,7 @@ class Comparison:
     models: Mapping[Model, ModelRun]
 
     def document(self) -> dict[str, Any]:
-        """The JSON document of ``piga platform compare`` (``interface.md``)."""
+        """The JSON document of ``piga platform compare``."""
         theory = {m: _lines_document(r.theory) for m, r in self.models.items() if r.theory is not None}
         return {
             "models": {m: _lines_document(r.lines) for m, r in self.models.items()},

@@ -161,7 +161,7 @@ class Scenario:
 
 
 def load_scenario(path: Path) -> Scenario:
-    """Read a scenario file (TOML, ``interface.md``).
+    """Read a scenario file (TOML).
 
     Raises
     ------

@@ -149,7 +149,7 @@ class Store:
         return list(self._calibrations(serial, calibration_from_bytes))
 
     def figures(self, serial: str) -> Iterator[tuple[str, datetime, CalibrationFigures]]:
-        """As :meth:`history`, one by one, and of each calibration what :func:`piga.find_trend` needs.
+        """As :meth:`history`, one by one, and of each calibration what :func:`piga.calibration.trend.find_trend` needs.
 
         A calibration that cannot be read is named in a :class:`piga.PigaWarning` and left out.
         """

@@ -52,7 +52,7 @@ class Reproduction:
         return tuple(case for case in self.cases if case.verdict == "fail")
 
     def document(self) -> dict[str, list[dict]]:
-        """The JSON document of ``piga reproduce`` (``interface.md``)."""
+        """The JSON document of ``piga reproduce``."""
         return {"cases": [case.document() for case in self.cases]}
 
 

@@ -1,0 +1,120 @@
+"""Every file, module, test and command that pages, docstrings and builders name is there."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+from builders import mutate
+
+from .pages import DOCS, ROOT, pages
+
+PLACES = ("src", "tests", "docs", "builders", "benchmarks", "examples")
+_PATH = re.compile(rf"(?<![\w./-])((?:{'|'.join(PLACES)})/[\w./*-]*\w)")
+_PAGE = re.compile(r"(?<![\w./*-])([\w-]+(?:/[\w-]+)*\.md)\b")
+_DOTTED = re.compile(r"(?:`|:\w+:`~?)(piga(?:\.\w+)+)(?![\w/-])")
+_COMMAND = re.compile(r"`piga ([a-z]+(?: [a-z]+)?)(?=[ `])")
+_KEYS = {"piga.flags"}
+"""Names of metadata in files, which look like modules."""
+
+
+def sources() -> list[Path]:
+    """Everything whose words a reader follows; the changelog tells of what is gone, too."""
+    code = [
+        path for place in ("src", "builders", "benchmarks", "tests") for path in (ROOT / place).rglob("*.py")
+    ]
+    return [*pages(), ROOT / "dev.py", ROOT / "NOTICE", *sorted(code)]
+
+
+def relative(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@cache
+def commands() -> frozenset[tuple[str, ...]]:
+    """Every command and group of the command line."""
+    import typer.main
+
+    from piga.cli.main import app
+
+    found: set[tuple[str, ...]] = set()
+
+    def walk(command: object, words: tuple[str, ...]) -> None:
+        found.add(words)
+        for name, inner in getattr(command, "commands", {}).items():
+            walk(inner, (*words, name))
+
+    walk(typer.main.get_command(app), ())
+    return frozenset(found)
+
+
+def resolves(dotted: str) -> bool:
+    """True for a module of piga or something in one."""
+    parts = dotted.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[count:]:
+            fields = getattr(found, "__dataclass_fields__", {})
+            if (
+                not hasattr(found, name)
+                and name not in fields
+                and name not in getattr(found, "__annotations__", {})
+            ):
+                return False
+            found = getattr(found, name, None)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("path", sources(), ids=relative)
+def test_what_is_named_is_there(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    missing = [
+        name
+        for name in set(_PATH.findall(text))
+        if not list(ROOT.glob(name)) and not (ROOT / f"{name}.md").exists()
+    ]
+    for name in set(_PAGE.findall(text)):
+        made = name.startswith("reference/generated/")
+        if not made and not any(
+            (folder / name).is_file() for folder in (path.parent, DOCS, ROOT, *DOCS.iterdir())
+        ):
+            missing.append(name)
+    missing += [name for name in set(_DOTTED.findall(text)) - _KEYS if not resolves(name)]
+    for found in _COMMAND.findall(text):
+        words = tuple(found.split())
+        inner = len(words) > 1 and words[:1] in groups()
+        if words[: 1 + inner] not in commands():
+            missing.append(f"piga {found}")
+    assert not missing, f"{relative(path)} names what is not there: {sorted(missing)}"
+
+
+@cache
+def groups() -> frozenset[tuple[str, ...]]:
+    """Commands that have commands."""
+    return frozenset(words[:-1] for words in commands() if len(words) > 1)
+
+
+def test_the_mutation_builder_names_files_that_are_there() -> None:
+    sources = [ROOT / "src" / "piga" / name for name in mutate.TESTS]
+    tests = [ROOT / name for names in mutate.TESTS.values() for name in names]
+    assert not [relative(path) for path in (*sources, *tests) if not path.exists()]
+
+
+def test_it_can_fail() -> None:
+    assert not resolves("piga.calibration.nothing_of_that_name")
+    assert resolves("piga.Calibration.from_json")
+    assert ("records", "trend") in commands()
+    assert _PAGE.findall("see ``nowhere" + ".md`` eq. 4") == ["nowhere" + ".md"]
+    assert _PATH.findall("run `python builders/mutate.py`") == ["builders/mutate.py"]
+    assert _COMMAND.findall("`piga calibrate RUN.toml`, `piga records trend --store`") == [
+        "calibrate",
+        "records trend",
+    ]
+    assert _DOTTED.findall("`piga.truth/1` and `piga.calibrate`") == ["piga.calibrate"]
