@@ -67,7 +67,6 @@ COMPENSATED = tests_of(
     "compensation",
     "compensate",
     "record_facts",
-    "lean",
     "set_corners",
     "term_uncertainty",
     "near",
@@ -124,9 +123,9 @@ PLATFORM_ROOM = {
     "chain triad output": TRIADS,
 }
 KERNELS = {
-    "compensate compensate_layout compensate_lean compensate_lean_angle compensate_near compensate_record "
-    "compensate_terms compensate_uncertainty sine_cosine": [*COMPENSATED, *SETS],
-    "compensate_set compensate_set_record compensate_triad": SETS,
+    "compensate compensate_bow compensate_layout compensate_near compensate_record compensate_terms "
+    "compensate_uncertainty sine_cosine smooth": [*COMPENSATED, *SETS],
+    "compensate_set compensate_set_record": SETS,
     "counting": COUNTED,
     "published": FIT,
     "double_double regressors square_root statistics whitening": SUMS,
