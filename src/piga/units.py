@@ -96,8 +96,14 @@ _ALIASES = {
     "seconds": "s", "degree": "deg", "degrees": "deg", "turn": "rev", "turns": "rev", "r": "rev",
     "dph": "deg/h", "m/s²": "m/s^2", "N·m": "Nm", "N*m": "Nm", "N m": "Nm",
 }  # fmt: skip
-_TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?\d+(?:\.\d+)?)")
-_QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
+_TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?[0-9]+(?:\.[0-9]+)?)")
+_QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$")
+
+
+MOST_LETTERS = 200
+"""Characters of a unit: parentheses are read by recursion."""
+LARGEST = 1e100
+"""Largest number of any quantity: squares of it, and products with units, stay finite."""
 
 
 @dataclass(frozen=True)
@@ -188,8 +194,15 @@ def parse_unit(text: str) -> Unit:
     stripped = _ALIASES.get(text.strip(), text.strip())
     if not stripped:
         raise UnitError("a unit is missing", remedy="write the unit, e.g. 'rad/s', or '1' for a plain number")
+    if len(stripped) > MOST_LETTERS:
+        raise UnitError(f"unit '{stripped[:40]}...' has {len(stripped)} characters", remedy="e.g. 'rad/s/g'")
     parser = _UnitParser(stripped)
-    factor, dimension = parser.expression()
+    try:
+        factor, dimension = parser.expression()
+    except (ArithmeticError, ValueError):
+        factor, dimension = math.nan, _DIMENSIONLESS
+    if not (isinstance(factor, float) and 0.0 < factor < math.inf and all(map(math.isfinite, dimension))):
+        raise UnitError(f"unit '{text}' is too large or too small to compute with", remedy="e.g. 'rad/s/g'")
     if parser.at < len(parser.tokens):
         raise UnitError(f"unit '{text}' cannot be read at '{parser.peek()}'")
     return Unit(stripped, factor, dimension)
@@ -241,13 +254,15 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
         raise UnitError(f"{what}: expected a quantity such as '1 {like}', got {value!r}")
     if not isinstance(value, str):
-        if not math.isfinite(value):
-            raise UnitError(f"{what}: {value!r} is not a finite number")
+        if not abs(value) <= LARGEST:
+            raise UnitError(f"{what}: {str(value)[:40]} is not a finite number, or too large to compute with")
         return float(value)
     match = _QUANTITY.match(value)
     if match is None:
         raise UnitError(f"{what}: '{value}' is not a number with a unit", remedy=f"write e.g. '1 {like}'")
     number, unit_text = float(match.group(1)), match.group(2)
+    if not abs(number) <= LARGEST:
+        raise UnitError(f"{what}: '{value[:40]}' is not a finite number, or too large to compute with")
     if not unit_text:
         if expected.dimension == _DIMENSIONLESS:
             return number
@@ -262,8 +277,8 @@ def to_si(value: str | float, like: str, *, what: str = "quantity") -> float:
             remedy=f"give it in '{like}' or a multiple of it",
         )
     result = number * unit.factor + offset_to_si(unit_text)
-    if not math.isfinite(result):
-        raise UnitError(f"{what}: '{value}' is not a finite number")
+    if not abs(result) <= LARGEST:
+        raise UnitError(f"{what}: '{value[:40]}' is not a finite number, or too large to compute with")
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
@@ -25,6 +26,16 @@ from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, miss
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """The matrices here are small: more threads would only wait for each other, for seconds when the machine is busy."""
+
+_ROOM = "make room on the disk (TMPDIR names the folder for temporary files), then run the command again"
+_RIGHTS = "name a file or folder that you may use"
+_DISK = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _ROOM),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _RIGHTS),
+    errno.EIO: "check the disk, then run the command again",
+    errno.ENAMETOOLONG: "use a shorter name",
+}
+"""What the disk can refuse wherever a command writes, and what to do."""
 
 app = typer.Typer(
     name="piga",
@@ -94,6 +105,12 @@ def _run() -> None:
         if package not in EXTRAS:
             raise
         note(f"piga: {missing_package(package)}")
+        sys.exit(2)
+    except OSError as error:
+        if error.errno not in _DISK:
+            raise
+        name = f"{error.filename}: " if error.filename else ""
+        note(f"piga: {name}{error.strerror or error}\n  remedy: {_DISK[error.errno]}")
         sys.exit(2)
     except (KeyboardInterrupt, MemoryError) as error:
         note(f"piga: stopped ({type(error).__name__})")

@@ -25,6 +25,7 @@ from piga.compensation.step import (
 from piga.compensation.validity import Limits, age_flag
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
+from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run
 
 Array = NDArray[np.float64]
@@ -32,8 +33,6 @@ Array = NDArray[np.float64]
 GAP = 1.5
 """An interval longer than this many nominal ones is a gap: no increment is formed across it."""
 KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
-LARGEST = 1e30
-"""Largest size of a sample in SI: anything beyond is damage, and squares of it stay finite."""
 
 
 class Compensator:
@@ -207,7 +206,7 @@ def _check_finite(samples: Chunk) -> None:
     }
     named |= {"base_rate": samples.base_rate, "temperature": samples.temperature, "angle": samples.angle}
     for name, values in named.items():
-        fits = np.abs(values) <= LARGEST
+        fits = np.abs(values) <= LARGEST_SAMPLE
         if not fits.all():
             index = int(np.argwhere(~fits)[0][0])
             what = "too large" if np.isfinite(values[index]).all() else "not finite"

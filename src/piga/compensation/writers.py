@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -125,7 +126,12 @@ class TableWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if error is None:
+            self.close()
+        elif self._writer is not None:
+            with suppress(Exception):  # the error that ended the writing is the one to be told
+                self._writer.close()
+            self._writer = self._held = None
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray], kind: str) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.limits import CPU_BASE, CPU_PER_MIB, MEMORY_LIMIT
+from piga.records.limits import CPU_BASE, CPU_PER_MIB, FULL, MEMORY_LIMIT
 from piga.records.spool import mapped, trim
 from piga.records.stream import CHUNK_ROWS, Chunk
 from piga.records.table import RawTable
@@ -108,6 +108,11 @@ def _run(path: Path, request: dict[str, Any], seconds: float) -> None:
         raise _too_long(path, seconds) from None
     if (Path(request["folder"]) / "answer.json").exists() and done.returncode == 0:
         return
+    if done.returncode == FULL:
+        raise DataError(
+            f"{path}: cannot be read: the temporary folder {tempfile.gettempdir()} is full",
+            remedy="make room there, or name another folder in TMPDIR",
+        )
     if done.returncode in (-24, -9):
         raise _too_long(path, request["cpu"])
     if b"MemoryError" in done.stderr:

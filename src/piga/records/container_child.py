@@ -17,7 +17,7 @@ import numpy as np
 
 from piga.errors import DataError
 from piga.records.hdf5_reader import read_hdf5
-from piga.records.limits import MEMORY_LIMIT
+from piga.records.limits import FULL, MEMORY_LIMIT
 from piga.records.mat_reader import read_mat
 from piga.records.parquet_reader import read_labels
 from piga.records.table import RawTable
@@ -86,13 +86,22 @@ def main() -> None:
     request = json.load(sys.stdin)
     folder = Path(request["folder"])
     limit_resources(request["cpu"])
+    table: RawTable | None = None
+    answer: dict[str, Any] = {}
     try:
-        answer = write(read(request), folder)
+        table = read(request)
     except DataError as error:
         answer = {"error": error.message, "remedy": error.remedy}
     except MemoryError:
         answer = {"memory": True}
-    (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
+    try:
+        if table is not None:
+            answer = write(table, folder)
+        (folder / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
+    except MemoryError:
+        (folder / "answer.json").write_text(json.dumps({"memory": True}), encoding="utf-8")
+    except OSError:
+        os._exit(FULL)
     sys.stdout.flush()
     os._exit(0)
 

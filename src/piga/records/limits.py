@@ -23,6 +23,10 @@ CPU_BASE, CPU_PER_MIB = 5.0, 4.0
 """CPU time for reading a container [s], and per MiB of file."""
 
 
+FULL = 4
+"""Exit status of the process that reads a container, when the folder for its answer is full."""
+LARGEST_SAMPLE = 1e30
+"""Largest size of a sample in any unit: anything beyond is damage, and squares of it stay finite."""
 MAX_SEGMENTS = 100_000
 """Different labels in the segment column of a record."""
 MOST_LETTERS = 200

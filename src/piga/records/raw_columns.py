@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.calibration import Event
-from piga.records.limits import MAX_SEGMENTS, open_regular, read_whole
+from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
 from piga.records.run_file import DataTable
 from piga.records.spool import Arrays, arrays_like
-from piga.records.stream import TEXT_SUFFIXES, RecordStream, file_kind, open_stream
+from piga.records.stream import TEXT_SUFFIXES, Chunk, RecordStream, file_kind, open_stream
 from piga.records.visits import Visits
 
 Array = NDArray[np.float64]
@@ -82,6 +82,7 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> Ra
     for chunk in stream.chunks():
         room = stream.expected_rows
         for name in names:
+            _check_size(path, name, chunk)
             numbers[name].append(chunk.numbers[name], room)
         rows.append(chunk.rows, room)
         if chunk.codes is None:
@@ -105,6 +106,18 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> Ra
         [*stream.events(), *visits.events],
         arrays_like(file_rows),
     )
+
+
+def _check_size(path: Path, name: str, chunk: Chunk) -> None:
+    """Refuse numbers that no instrument gives and whose squares overflow; what is not finite is counted elsewhere."""
+    size = np.abs(chunk.numbers[name])
+    bad = (size > LARGEST_SAMPLE) & (size < np.inf)
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise DataError(
+            f"{path}: row {chunk.rows[at]}, column '{name}': {chunk.numbers[name][at]:g} is too large to compute with",
+            remedy="correct it in the file",
+        )
 
 
 class SteadyFile:

@@ -7,7 +7,7 @@ data: keys, types, units, term names, and options that contradict each other.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 
@@ -18,6 +18,9 @@ from piga.records.toml_file import read_toml
 from piga.units import conversion_factor, to_si
 
 Quantity = str | float | int
+
+LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
+"""Counts in a revolution that an output can have."""
 
 Phase = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
@@ -128,7 +131,7 @@ class DataTable(Table, frozen=True):
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
     sheet: str | None = None
-    missing: tuple[str, ...] = ()
+    missing: Annotated[tuple[str, ...], msgspec.Meta(max_length=100)] = ()
     damaged_rows: Literal["refuse", "mask"] = "refuse"
     range: dict[str, tuple[float, float]] | None = None
     sequence: SequenceColumn | None = None
@@ -310,8 +313,11 @@ def _check_output(run_file: RunFile) -> None:
             raise RunFileError(
                 "[instrument] counts_per_revolution is missing, but [data] output is in counts", remedy="add it"
             )
-        if not instrument.counts_per_revolution > 0.0:
-            raise RunFileError("[instrument] counts_per_revolution: must be positive", remedy="correct it")
+        if not LEAST_COUNTS <= instrument.counts_per_revolution <= MOST_COUNTS:
+            raise RunFileError(
+                f"[instrument] counts_per_revolution: must be positive, {LEAST_COUNTS:g} to {MOST_COUNTS:g}",
+                remedy="correct it",
+            )
         if output.unit not in (None, "count", "counts", "1"):
             raise RunFileError(
                 f"[data] output: unit '{output.unit}' does not go with kind 'counts'",

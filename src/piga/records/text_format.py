@@ -39,15 +39,28 @@ class TextFormat:
     units: dict[str, str]
 
 
+ENCODINGS = (
+    "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-le", "utf-32-be", "ascii",
+    "gb18030", "gbk", "gb2312", "hz", "big5", "big5hkscs", "cp950", "shift_jis", "cp932", "euc_jp", "euc_kr", "cp949",
+    "iso8859-1", "iso8859-2", "iso8859-5", "iso8859-7", "iso8859-9", "iso8859-15", "koi8-r", "koi8-u", "mac-roman",
+    "cp437", "cp850", "cp852", "cp855", "cp866", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257",
+)  # fmt: skip
+"""Encodings that a text file may be declared to have, by the names Python gives them; Python knows many that are no text."""
+
+
 def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
     """Encoding by byte-order mark, else strict UTF-8, else GB18030, else as declared."""
     if declared is not None:
         try:
-            return codecs.lookup(declared).name
-        except LookupError:
-            raise DataError(
-                f"{path}: [data] encoding '{declared}' is not known", remedy="e.g. 'utf-8'"
-            ) from None
+            name = codecs.lookup(declared).name
+        except (LookupError, ValueError):
+            name = ""
+        if name in ENCODINGS:
+            return name
+        raise DataError(
+            f"{path}: [data] encoding '{declared[:40]}' is not one that text files are read in",
+            remedy=f"one of: {', '.join(ENCODINGS)}",
+        )
     for mark, name in (
         (codecs.BOM_UTF8, "utf-8-sig"),
         (codecs.BOM_UTF16_LE, "utf-16"),

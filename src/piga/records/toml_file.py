@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -12,6 +13,7 @@ import msgspec
 
 from piga.errors import RunFileError
 from piga.records.limits import read_whole
+from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -32,6 +34,9 @@ MOST_PARTS = 16
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_PARTS},}}")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+MOST_NAME = 240
+"""Bytes of a file name; 255 on most file systems, less the ending of a file beside it."""
+_FILE_KEYS = ("file", "run", "calibration", "before")
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
 _MISSING = re.compile(r"missing required field `([^`]*)`")
 _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
@@ -92,6 +97,17 @@ def _check_values(path: Path, value: object, where: str) -> None:
         raise RunFileError(
             f"{path}: [{where}]: {value[:40]!r} holds a control character",
             remedy="use letters, digits and signs",
+        )
+    elif isinstance(value, str) and where.rpartition(".")[2] in _FILE_KEYS:
+        long = next((part for part in re.split(r"[/\\]", value) if len(part.encode()) > MOST_NAME), None)
+        if long is not None:
+            raise RunFileError(
+                f"{path}: [{where}]: a file name of {len(long)} characters",
+                remedy="give the file a shorter name",
+            )
+    elif isinstance(value, float) and LARGEST < abs(value) < math.inf:
+        raise RunFileError(
+            f"{path}: [{where}]: {value:g} is too large to compute with", remedy="correct the value"
         )
     elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         raise RunFileError(f"{path}: [{where}]: an integer of more than 64 bits", remedy="correct the value")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from piga.errors import DataError
 from piga.records.calibration import Calibration
 from piga.records.certificate_file import CertificateFile
 from piga.records.dcc_reader import DCC, SI
@@ -14,6 +15,8 @@ from piga.reports.dcc_results import measurement_result
 if TYPE_CHECKING:
     from lxml import etree
 
+MOST_TEXT = 9_900_000
+"""Characters of one text in the XML; libxml2 refuses more than 10 million, and so do programs built on it."""
 VERSION = "3.3.0"
 _SCHEMA = "http://www.w3.org/2001/XMLSchema-instance"
 
@@ -21,7 +24,13 @@ _SCHEMA = "http://www.w3.org/2001/XMLSchema-instance"
 def dcc_document(
     data: CertificateFile, calibration: Calibration, before: Calibration | None = None
 ) -> etree._Element:
-    """The certificate as XML; ``data`` must be complete (:func:`piga.records.certificate_file.missing_items`)."""
+    """The certificate as XML; ``data`` must be complete (:func:`piga.records.certificate_file.missing_items`).
+
+    Raises
+    ------
+    DataError
+        If a text holds what XML cannot, or the attached record is longer than readers of XML take.
+    """
     from lxml import etree
 
     root = etree.Element(
@@ -30,7 +39,20 @@ def dcc_document(
         schemaVersion=VERSION,
     )
     root.set(f"{{{_SCHEMA}}}schemaLocation", f"{DCC} {DCC}/v{VERSION}/dcc.xsd")
-    root.append(administrative_data(data, calibration))
-    root.append(dcc("measurementResults", [measurement_result(data, calibration, before)]))
+    try:
+        root.append(administrative_data(data, calibration))
+        root.append(dcc("measurementResults", [measurement_result(data, calibration, before)]))
+    except ValueError as error:
+        raise DataError(
+            f"certificate: a text of the data or of the calibration cannot stand in XML: {error}",
+            remedy="write it with letters, digits and signs",
+        ) from None
+    longest = max(len(node.text or "") for node in root.iter())
+    if longest > MOST_TEXT:
+        raise DataError(
+            f"certificate: the attached calibration has {longest} characters with its {len(calibration.coefficients)} "
+            f"coefficients; readers of XML take {MOST_TEXT}",
+            remedy="calibrate with phase = 'shared', or with fewer segments",
+        )
     etree.indent(root)
     return root

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from piga.errors import StoreError
@@ -34,21 +36,28 @@ def safe_name(name: str) -> PurePosixPath:
 
 
 def write_new(path: Path, parts: Iterator[bytes]) -> None:
-    """Write a file that must not be there yet.
+    """Write a file that must not be there yet; it appears under its name when it is whole, or not at all.
 
     Raises
     ------
     StoreError
-        If it is, or cannot be written.
+        If it is there, or cannot be written.
     """
+    partial = path.with_name(f".{path.name[:200]}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("xb") as stream:
+        if path.exists():
+            raise StoreError(f"{path}: exists already", remedy="extract into an empty folder")
+        with partial.open("wb") as stream:
             for part in parts:
                 stream.write(part)
-    except FileExistsError:
-        raise StoreError(f"{path}: exists already", remedy="extract into an empty folder") from None
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.rename(path)
     except OSError as error:
         raise StoreError(
             f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
         ) from None
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)

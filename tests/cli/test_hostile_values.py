@@ -1,0 +1,166 @@
+"""Values that no lab writes and every program meets: each ends in exit 2 and one message, at once."""
+
+from __future__ import annotations
+
+import errno
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piga.compensation.writers import TableWriter
+from piga.errors import DataError, StoreError
+from piga.records import container
+from piga.records.limits import FULL
+from piga.records.store.file_names import write_new
+from piga.reports import dcc
+from piga.units import parse_unit, to_si
+from tests.cli.runner import exit_code
+from tests.records.containers import WRITERS, columns
+from tests.records.files import lines, write_log, write_run
+from tests.reports.certificate_data import budgeted, changed, complete
+from tests.reports.example import calibration
+
+FILE = 'file = "run.csv"'
+HOSTILE = {
+    "NUL in a file name": ('"run.csv"', '"run\\u0000.csv"', "control character"),
+    "300 letters in a file name": ('"run.csv"', f'"{"r" * 300}.csv"', "a file name of 304 characters"),
+    "NUL in the serial": ('"T-1"', '"T\\u0000"', "control character"),
+    "integer of 5000 digits": ("72000", "9" * 5000, "not valid TOML"),
+    "integer of 300 digits": ("72000", "9" * 300, "more than 64 bits"),
+    "float beyond use": ("72000", "1e308", "too large to compute with"),
+    "tiny counts": ("72000", "1e-308", "counts_per_revolution: must be positive"),
+    "parentheses": ('unit = "s"', f'unit = "{"(" * 20000}"', "has 20000 characters"),
+    "power": ("0.8884 rad/s/g", "1 km^99999", "too large or too small"),
+    "power of nothing": ("0.8884 rad/s/g", "1 rad/s/(mm^9999)", "too large or too small"),
+    "huge quantity": ("0.8884 rad/s/g", "1e308 rad/s/g", "too large to compute with"),
+    "full-width digits": ("0.8884 rad/s/g", "１.0 rad/s/g", "is not a number with a unit"),
+    "34 000 words": (FILE, FILE + "\nmissing = [" + ",".join(f'"w{i}"' for i in range(34000)) + "]", "missing"),
+    "dotted key": (
+        "[model]",
+        ".".join(["a"] * 50000) + " = 1\n[model]",
+        "line 12: a key of more than 16 parts",
+    ),
+    "dotted table": ("[model]", "[" + ".".join(["a"] * 50000) + "]\n[model]", "a key of more than 16 parts"),
+    **{
+        f"encoding {name}": (FILE, f'{FILE}\nencoding = "{name}"', "is not one that text files are read in")
+        for name in ("zlib_codec", "rot13", "punycode", "undefined", "idna", "hex", "unicode_escape", "x" * 300)
+    },
+}
+
+
+@pytest.mark.parametrize("case", list(HOSTILE))
+def test_values_of_a_run_file(tmp_path: Path, case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    old, new, message = HOSTILE[case]
+    write_log(tmp_path, lines())
+    path = write_run(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    began = time.monotonic()
+    assert exit_code("check", path) == 2
+    assert time.monotonic() - began < 5.0
+    err = capsys.readouterr().err
+    assert message in err
+    assert "remedy: " in err
+    assert len(err) < 2000
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e308", "9" * 400])
+@pytest.mark.parametrize("column", [0, 1, 2])
+def test_values_of_a_log(tmp_path: Path, value: str, column: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Too large to be squared: named with row and column, or masked where the reader takes it for infinite."""
+    rows = [row.split(",") for row in lines()]
+    rows[7][column] = value
+    write_log(tmp_path, [",".join(row) for row in rows])
+    code = exit_code("check", write_run(tmp_path))
+    err = capsys.readouterr().err
+    assert code in (0, 2)
+    assert code == 0 or "row 9" in err
+    assert code == 2 or value.startswith("9")
+
+
+def test_units_beyond_use() -> None:
+    assert parse_unit("rad/s/g").factor > 0.0
+    with pytest.raises(Exception, match="not a finite number, or too large"):
+        to_si(10**400, "m")
+
+
+def test_control_characters_in_a_certificate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the TOML file, and what only XML refuses."""
+    data = tmp_path / "certificate.toml"
+    text = Path("examples/certificate.toml").read_text(encoding="utf-8")
+    data.write_text(text.replace('name = "', 'name = "a\\u0001', 1), encoding="utf-8")
+    cal = budgeted(calibration(with_residuals=False))
+    cal.to_json(tmp_path / "calibration.json")
+    assert (
+        exit_code("certificate", tmp_path / "calibration.json", "--data", data, "--out", tmp_path / "out") == 2
+    )
+    assert "holds a control character" in capsys.readouterr().err
+    with pytest.raises(DataError, match="cannot stand in XML"):
+        dcc.dcc_document(changed(complete(), customer={"name": "a\ufffe"}), cal)
+
+
+def test_a_certificate_that_no_reader_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven hundred phases make a record that the parsers of XML refuse: said before it is signed."""
+    monkeypatch.setattr(dcc, "MOST_TEXT", 1000)
+    with pytest.raises(DataError, match=r"with its 6 coefficients; readers of XML take 1000"):
+        dcc.dcc_document(complete(), budgeted(calibration(with_residuals=False)))
+
+
+def test_a_full_disk_leaves_no_cut_file(tmp_path: Path) -> None:
+    def parts() -> Iterator[bytes]:
+        yield b"half"
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_new(tmp_path / "a.csv", parts())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_is_what_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closing a file that could not be written does not hide the reason."""
+
+    class Full:
+        closed = False
+
+        def write_table(self, *_: object) -> None:
+            raise ValueError("Operation on closed file") if self.closed else OSError(errno.ENOSPC, "full")
+
+        def close(self) -> None:
+            raise ValueError("Operation on closed file")
+
+    def write() -> None:
+        with TableWriter(tmp_path / "a.parquet") as writer:
+            writer.write({"t": np.arange(3.0)})
+            writer._writer = Full()
+            writer.write({"t": np.arange(1e6)})
+
+    with pytest.raises(OSError, match="full"):
+        write()
+
+
+def test_a_full_temporary_folder_is_no_damaged_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    WRITERS["run.mat"](tmp_path / "run.mat", columns(8))
+    done = subprocess.CompletedProcess([], FULL, b"", b"")
+    monkeypatch.setattr(container.subprocess, "run", lambda *_, **__: done)
+    with pytest.raises(DataError, match=r"the temporary folder .* is full"):
+        container.read_container(tmp_path / "run.mat", ".mat", ("t",), None)
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENAMETOOLONG])
+def test_what_the_disk_refuses_is_no_internal_error(
+    tmp_path: Path, number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(number, "the disk says no", "somewhere")
+
+    monkeypatch.setattr("piga.stand.read_run", full)
+    write_log(tmp_path, lines())
+    assert exit_code("check", write_run(tmp_path)) == 2
+    err = capsys.readouterr().err
+    assert "piga: somewhere: the disk says no" in err
+    assert "Traceback" not in err
