@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from piga.calibration.design import Design
 from piga.calibration.fit import Fit
 from piga.calibration.noise import Noise
-from piga.calibration.slow_bases import DriftBasis, SegmentBasis, SlowBasis
+from piga.calibration.slow_bases import BesideStated, Columns, DriftBasis, SegmentBasis, SlowBasis
 from piga.calibration.weighting import reduce_segments
 from piga.calibration.whitened_rows import whitened_rows
 
@@ -86,12 +86,24 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
 
 
 def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
-    """``X'W B`` (m, count) of every segment for a unit of slow noise."""
-    m = len(design.names)
-    found = [np.zeros((m, basis.count)) for _ in design.run.labels]
-    for segment, columns in whitened_rows(fit, design, fit.weights, basis):
-        found[segment] += basis.placed(columns[:m] @ columns[m:-1].T, segment)
-    return [np.sqrt(basis.unit()) * part for part in found]
+    """``X'W B`` (m, count) of every segment for a unit of slow noise.
+
+    Where the weights know of a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
+    """
+    m, stated = len(design.names), fit.weights.stated if fit.counted is None else ()
+    wide: Columns = BesideStated(SegmentBasis.of(design.run), basis) if stated else basis
+    products = [np.zeros((m + wide.size, wide.size)) for _ in design.run.labels]
+    for segment, columns in whitened_rows(fit, design, fit.weights, wide):
+        products[segment] += columns[:-1] @ columns[m:-1].T
+    found = []
+    for segment, product in enumerate(products):
+        if stated:
+            own = product[:, 0] / (1.0 / max(stated[segment], 1e-300) + product[m, 0])
+            weighted = product[:m, 1:] - np.outer(own[:m], product[m, 1:])
+        else:
+            weighted = product[:m]
+        found.append(np.sqrt(basis.unit()) * basis.placed(weighted, segment))
+    return found
 
 
 def _walk_scores(

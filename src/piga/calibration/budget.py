@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,43 +12,116 @@ from numpy.typing import NDArray
 
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.degrees_of_freedom import welch_satterthwaite
+from piga.calibration.reduction import Reduction
 from piga.calibration.solution import solve
-from piga.calibration.uncertainty import contributions
+from piga.calibration.uncertainty import Source, contributions
 from piga.calibration.weighting import reduce_segments
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 
 if TYPE_CHECKING:
     from piga.calibration.fit import Fit
+    from piga.calibration.joint import Source as JointSource
 
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Budget:
+    """Rows of the budget, Type A first, and the sources of Type B behind them.
+
+    ``changes``: per source what each of its draws does to the coefficients (draws, n), in file units; ``in_fit``:
+    whether the weights of the fit know of it, so that the covariance of the fit holds it already.
+    """
+
+    rows: tuple[dict[str, Any], ...]
+    changes: tuple[Array, ...]
+    in_fit: tuple[bool, ...]
+
+    def with_row(self, row: dict[str, Any]) -> Budget:
+        """With one more source, of one draw, that the weights do not know of."""
+        change = np.array(list(row["contributions"].values()))[None]
+        return Budget((*self.rows, row), (*self.changes, change), (*self.in_fit, False))
+
+    def covariances(self, covariance: Array) -> tuple[Array, Array]:
+        """Covariances of Type A and of both types, from that of the fit."""
+        each = [change.T @ change for change in self.changes]
+        nothing = np.zeros_like(covariance)
+        held = sum((part for part, stated in zip(each, self.in_fit, strict=True) if stated), start=nothing)
+        type_a = positive_part(covariance - held) if any(self.in_fit) else covariance
+        return type_a, type_a + sum(each, start=nothing)
+
+
+def positive_part(covariance: Array) -> Array:
+    """The matrix without what rounding leaves below zero: correlations of negative eigenvalue are taken out."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    positive: Array = root @ root.T
+    return positive
+
+
+def share_of_type_a(type_a: Array, covariance: Array) -> Array:
+    """What the degrees of freedom of the fit's covariance become for its part of Type A: the share, squared.
+
+    What is stated has no part in how well the noise is known (JCGM 100, eq. G.2b).
+    """
+    share: Array = (np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300)) ** 2
+    return share
+
+
 def make_budget(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...], type_a: Array
-) -> tuple[tuple[dict[str, Any], ...], Array]:
-    """Budget rows (one per source, contribution to every coefficient) and the covariance of Type B."""
+    fit: Fit,
+    groups: tuple[int, ...],
+    per_segment: bool,
+    coefficients: tuple[Coefficient, ...],
+    covariance: Array,
+) -> Budget:
+    """The budget of a fit with ``covariance`` (n, n) of its coefficients: one row per source."""
     base = np.array([coefficient.value for coefficient in coefficients])
     turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
 
-    def estimate(run: Run) -> Array:
+    def reduced(run: Run) -> list[Reduction]:
         design = fit.design.of(run)
-        summaries = (
-            fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
-        )
-        solution = solve(design, summaries, groups)
-        named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
+        return fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
+
+    def solved(summaries: list[Reduction]) -> Array:
+        solution = solve(fit.design, summaries, groups)
+        named, _ = name_coefficients(fit.design, solution, solution.covariance, per_segment)
         values = np.array([coefficient.value for coefficient in named])
         return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
 
-    rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, type_a)]
-    covariance = np.zeros((base.size, base.size))
-    for source, change in contributions(fit.design.run, base, estimate):
-        covariance += np.outer(change, change)
+    def one_by_one(run: Run) -> Iterator[Array]:
+        moved, plain = reduced(run), reduced(fit.design.run)
+        for s in range(len(plain)):
+            yield solved([*plain[:s], moved[s], *plain[s + 1 :]])
+
+    found = list(contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one))
+    stated = fit.counted is None and bool(fit.weights.stated)
+    in_fit = tuple(stated and source.draw == "segment" for source, _ in found)
+    changes = tuple(change for _, change in found)
+    type_a = Budget((), changes, in_fit).covariances(covariance)[0]
+    rows = budget_rows(coefficients, type_a, found)
+    return Budget(rows, changes, in_fit)
+
+
+def budget_rows(
+    coefficients: tuple[Coefficient, ...], type_a: Array, found: Iterable[tuple[Source | JointSource, Array]]
+) -> tuple[dict[str, Any], ...]:
+    """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
+    std = np.sqrt(np.diag(type_a))
+    rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std)]
+    for source, change in found:
         degrees = source.degrees_of_freedom if math.isfinite(source.degrees_of_freedom) else None
         shape, size, unit = source.distribution, source.value, source.unit
-        rows.append(budget_row(source.name, "B", shape, size, unit, coefficients, change, degrees))
-    return tuple(rows), covariance
+        rows.append(budget_row(source.name, "B", shape, size, unit, coefficients, together(change), degrees))
+    return tuple(rows)
+
+
+def together(changes: Array) -> Array:
+    """Standard uncertainty (n,) by all draws (draws, n) of a source; the change itself where there is one."""
+    return changes[0] if len(changes) == 1 else np.sqrt(np.sum(changes**2, axis=0))
 
 
 def propagate(sensitivities: Array, covariance: Array) -> Array:

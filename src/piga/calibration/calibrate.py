@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.advice import advise, with_advice
-from piga.calibration.budget import budget_row, combined, make_budget
+from piga.calibration.budget import Budget, budget_row, budget_rows, combined, make_budget, share_of_type_a
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.cubic import cubic_doubt, other_meaning
@@ -45,10 +44,10 @@ from piga.calibration.revolutions import (
     revolutions_degrees,
     revolutions_result,
 )
-from piga.calibration.slow_noise import include_slow_noise
+from piga.calibration.slow_noise import include_slow_noise, include_stated_scatter
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
-from piga.calibration.uncertainty import contributions
+from piga.calibration.uncertainty import contributions, stated_scatter
 from piga.calibration.weighting import weighting_mode
 from piga.calibration.workers import beside
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
@@ -128,20 +127,22 @@ def _calibration(
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
     try:
-        fit = include_slow_noise(refine_counted(fit_run(run, request, groups, per_segment), groups), groups)
-        fit = include_faint_walk(fit, groups)
+        fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
+        fit = include_stated_scatter(fit, groups, stated_scatter(fit.design.run))
+        fit = include_faint_walk(include_slow_noise(fit, groups), groups)
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
         spread = 0.0 if run.temperature is None else _range(run.temperature)
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
-    type_a = np.sqrt(np.diag(covariance))
-    budget, type_b = make_budget(fit, groups, per_segment, coefficients, type_a)
-    covariance = covariance + type_b
+    budget = make_budget(fit, groups, per_segment, coefficients, covariance)
     doubt = cubic_doubt(without_slow(fit, groups), groups, per_segment, coefficients)
     if doubt is not None:
-        budget, covariance = (*budget, doubt.row(coefficients)), covariance + doubt.covariance
-    coefficients = combined(coefficients, covariance, budget, type_a_degrees(fit, groups, per_segment))
+        budget = budget.with_row(doubt.row(coefficients))
+    type_a, whole = budget.covariances(covariance)
+    degrees = type_a_degrees(fit, groups, per_segment) * share_of_type_a(type_a, covariance)
+    covariance = whole
+    coefficients = combined(coefficients, covariance, budget.rows, degrees)
     coefficients, tested = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
     with beside(run.size) as other:
         remarks = other.submit(find_remarks, fit, groups, per_segment, coefficients)
@@ -149,7 +150,7 @@ def _calibration(
         history = _history(fit, groups) if request.method == "recursive" else None
         scatter = segment_scatter(fit.design, residuals, fit.noise)
         notes = other_meaning(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
-        result = _assemble(run, request, fit, coefficients, covariance, budget, residuals, notes, history)
+        result = _assemble(run, request, fit, coefficients, covariance, budget.rows, residuals, notes, history)
     result = replace(result, remarks=remarks_in_words(coefficients, request.phase))
     result = with_remarks(result, fit, remarks.result(), doubt)
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
@@ -250,16 +251,11 @@ def _joint_calibration(
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
     fit = fit_jointly(items, terms, phase, per_run)
-    covariance = fit.covariance.copy()
-    type_a = np.sqrt(np.diag(covariance))
-    found = fit.coefficients
-    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", found, type_a)]
-    for source, change in joint_contributions(fit):
-        covariance += np.outer(change, change)
-        shape, degrees = source.distribution, source.degrees_of_freedom
-        known = degrees if math.isfinite(degrees) else None
-        budget.append(budget_row(source.name, "B", shape, source.value, source.unit, found, change, known))
-    return joint_result(fit, covariance, tuple(budget), joint_degrees(fit))
+    found = list(joint_contributions(fit))
+    changes = tuple(change for _, change in found)
+    type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in found)).covariances(fit.covariance)
+    degrees = joint_degrees(fit) * share_of_type_a(type_a, fit.covariance)
+    return joint_result(fit, whole, budget_rows(fit.coefficients, type_a, found), degrees)
 
 
 def _revolutions_calibration(run: Run, request: Request) -> Calibration:
@@ -269,19 +265,13 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     coefficients, covariance, note = name_revolutions(fit, request)
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
-    type_a = np.sqrt(np.diag(covariance))
-    budget = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, type_a)]
-    for source, change in contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)):
-        covariance = covariance + np.outer(change, change)
-        shape, degrees = source.distribution, source.degrees_of_freedom
-        known = degrees if math.isfinite(degrees) else None
-        budget.append(
-            budget_row(source.name, "B", shape, source.value, source.unit, coefficients, change, known)
-        )
-    coefficients = combined(coefficients, covariance, tuple(budget), revolutions_degrees(fit, request))
+    found = list(contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)))
+    budget = budget_rows(coefficients, covariance, found)
+    covariance = covariance + sum((change.T @ change for _, change in found), start=np.zeros_like(covariance))
+    coefficients = combined(coefficients, covariance, budget, revolutions_degrees(fit, request))
     notes = notes_in_words(coefficients, covariance, {})
     notes = (*notes, note) if note else notes
-    result = revolutions_result(run, cleaned, request, fit, coefficients, covariance, tuple(budget), notes)
+    result = revolutions_result(run, cleaned, request, fit, coefficients, covariance, budget, notes)
     return replace(result, remarks=remarks_in_words(coefficients, "shared"))
 
 

@@ -28,7 +28,7 @@ from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.saw_tooth import HARMONICS, LOOKED, SawTooth, counting_covariances, follow, looks_white
-from piga.calibration.slow_bases import SlowBasis
+from piga.calibration.slow_bases import Columns
 from piga.calibration.solution import Solution, solve
 from piga.calibration.stretches import (
     Stretch,
@@ -176,7 +176,7 @@ class Counted:
             summaries[segment].absorb(columns)
         return summaries
 
-    def whitened(self, design: Design, basis: SlowBasis | None = None) -> Iterator[tuple[int, Array]]:
+    def whitened(self, design: Design, basis: Columns | None = None) -> Iterator[tuple[int, Array]]:
         """Segment and whitened columns (m + 1, K) of every stretch; those of a slow noise come before the last."""
         held = self.stretches
         parts, rows = held.parts, held.rows

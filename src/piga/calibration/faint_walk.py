@@ -21,7 +21,7 @@ from piga._kernels.whitening import LANES
 from piga.calibration.fit import SMALL, FaintWalk, Fit, log_determinant
 from piga.calibration.noise import Noise, deviance_sums, least_on_grid
 from piga.calibration.solution import Solution, solve
-from piga.calibration.weighting import reduce_segments
+from piga.calibration.weighting import Whitener, reduce_segments
 
 Array = NDArray[np.float64]
 
@@ -45,8 +45,9 @@ ENOUGH = 3.0
 def include_faint_walk(fit: Fit, groups: tuple[int, ...]) -> Fit:
     """The same fit with a random walk that is not clear in its covariance; unchanged where it is clear.
 
-    Left out beside a slow noise, with coarse counts, given noise levels and methods other than whitened least squares in
-    one go, in records of more than ``fit.SMALL`` increments, and where the coefficients leave no slow values.
+    Left out beside a slow noise, with coarse counts, given noise levels and methods other than
+    whitened least squares in one go, in records of more than ``fit.SMALL`` increments, and
+    where the coefficients leave no slow values.
     """
     request, noise = fit.design.request, fit.noise
     able = fit.mode == "increments" and request.method == "information" and fit.counted is None
@@ -86,7 +87,7 @@ def _likely_share(fit: Fit, groups: tuple[int, ...]) -> float:
     best = 0.0
     for _ in range(PASSES):
         grid = np.linspace(low, high, LANES)
-        log, square = deviance_sums(fit.d, fit.h, unit * np.expm1(grid))
+        log, square = _sums(fit, unit * np.expm1(grid))
         best = least_on_grid(grid, _freedom(fit) * np.log(np.maximum(square, 1e-300)) + log + information(grid))
         spacing = (high - low) / (LANES - 1)
         low, high = max(best - spacing, math.log(LEAST)), min(best + spacing, math.log(MOST))
@@ -101,7 +102,7 @@ def _walk_information(fit: Fit, groups: tuple[int, ...], share: float) -> Array:
     """
     ratio, at = slowest(fit) * share, math.log1p(share)
     grid = at + TWIST * np.linspace(-1.0, 1.0, 3)
-    log = deviance_sums(fit.d, fit.h, slowest(fit) * np.expm1(np.resize(grid, LANES)))[0][:3]
+    log = _sums(fit, slowest(fit) * np.expm1(np.resize(grid, LANES)))[0][:3]
     below, here, above = log + _logarithms(fit, groups, grid)
     first, second = (above - below) / (2.0 * TWIST), (above - 2.0 * here + below) / TWIST**2
     scale = slowest(fit) * math.exp(at)
@@ -113,7 +114,29 @@ def _walk_information(fit: Fit, groups: tuple[int, ...], share: float) -> Array:
 def _logarithms(fit: Fit, groups: tuple[int, ...], grid: Array) -> Array:
     """``log|X' V^-1 X|`` for unit white noise at logarithms of the variance of the slowest value."""
     walks = slowest(fit) * np.expm1(grid)
-    return np.array([-log_determinant(_weighted(fit, groups, Noise(1.0, float(walk)))) for walk in walks])
+    stated = tuple(variance / fit.noise.white for variance in fit.noise.stated)
+    levels = [Noise(1.0, float(walk), stated=stated) for walk in walks]
+    return np.array([-log_determinant(_weighted(fit, groups, noise)) for noise in levels])
+
+
+def _sums(fit: Fit, walks: Array) -> tuple[Array, Array]:
+    """Sums of the likelihood for unit white noise at these walks, beside a stated scatter of the segments if there is one.
+
+    With ``V`` of white noise and walk, ``b`` the intervals of a segment and ``v`` its stated variance: ``log(1 + v b'V^-1 b)``
+    more, and ``v (b'V^-1 d)^2/(1 + v b'V^-1 b)`` less of the squares.
+    """
+    log, square = deviance_sums(fit.d, fit.h, walks)
+    if not fit.noise.stated:
+        return log, square
+    segment, variance = fit.design.run.segment, np.array(fit.noise.stated) / fit.noise.white
+    columns = np.stack([fit.h, fit.d])
+    for k, walk in enumerate(walks):
+        b, d = Whitener("increments", Noise(1.0, float(walk)), 2).apply_columns(columns, fit.h)
+        own, cross = (np.bincount(segment, b * other, minlength=variance.size) for other in (b, d))
+        grown = 1.0 + variance * own
+        log[k] += np.log(grown).sum()
+        square[k] -= np.sum(variance * cross**2 / grown)
+    return log, square
 
 
 def _freedom(fit: Fit) -> int:

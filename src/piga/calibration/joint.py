@@ -219,8 +219,12 @@ def _parts(
     summaries: Sequence[RunSummary],
     state: ServoState | None,
     source: Source | None = None,
+    segment: int | None = None,
 ) -> list[Reduction]:
-    """Summaries of all phase groups, those that a source moves in their moved form; with a state, at it."""
+    """Summaries of all phase groups, those that a source moves in their moved form; with a state, at it.
+
+    ``segment``: the one that is moved; all of them unless given.
+    """
     local = layout.columns[: layout.local]
     parts: list[Reduction] = []
     for index, summary in enumerate(summaries):
@@ -228,6 +232,9 @@ def _parts(
         if source is not None and index in source.moved:
             moved = summary.sources[source.moved[index]]
             chosen = moved.parts
+            if segment is not None:
+                group, part = moved.segments[segment]
+                chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
             known = _known_servo(
                 replace(summary, known_servo=moved.known_servo or summary.known_servo), shared[index]
             )
@@ -359,7 +366,10 @@ def _scale_factor(fit: JointFit) -> float:
 
 @dataclass(frozen=True)
 class Source:
-    """A source of Type B: name with its runs, standard uncertainty, and which source of which run it moves."""
+    """A source of Type B: name with its runs, standard uncertainty, and which source of which run it moves.
+
+    ``segments``: how many draws it has in its run, 0 where it has one in all.
+    """
 
     name: str
     value: float
@@ -367,20 +377,24 @@ class Source:
     moved: dict[int, int]
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
+    segments: int = 0
+    in_fit: bool = False
 
 
 def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
     """Sources of all runs; one that runs share moves all of them at once.
 
     Runs share a source when it has the same name and value, on the same kind of stand, with the same
-    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand.
+    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand. What is drawn for each run or each of its
+    segments is not shared.
     """
-    found: dict[tuple[str, str | None, str | None, float], Source] = {}
+    found: dict[tuple[str, str | None, str | None, float, int], Source] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
             of_site = source.name in COMMON_TO_ALL_STANDS
-            key = (source.name, None if of_site else summary.stand, summary.reference_id, source.value)
-            shape = (source.distribution, source.degrees_of_freedom)
+            own = -1 if source.draw == "reference" else index
+            key = (source.name, None if of_site else summary.stand, summary.reference_id, source.value, own)
+            shape = (source.distribution, source.degrees_of_freedom, len(source.segments), source.in_fit)
             first = found.get(key, Source(source.name, source.value, source.unit, {}, *shape))
             found[key] = replace(first, moved=first.moved | {index: number})
     for shared in found.values():
@@ -389,15 +403,20 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
 
 
 def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
-    """Change of the coefficients (file units) that each source makes by its standard uncertainty."""
+    """Changes of the coefficients (draws, n; file units) that each source makes by its standard uncertainty."""
     layout, shared = _layout(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
     turns = np.array([c.name == "phi" for c in fit.coefficients])
-    for source in joint_sources(fit.summaries):
-        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source))
+
+    def change(source: Source, segment: int | None) -> Array:
+        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source, segment))
         named, _ = _named(fit.wish, fit.summaries, layout, estimate)
-        change = np.array([c.value for c in named]) - base
-        yield source, np.where(turns, np.angle(np.exp(1j * change)), change)
+        moved = np.array([c.value for c in named]) - base
+        return np.where(turns, np.angle(np.exp(1j * moved)), moved)
+
+    for source in joint_sources(fit.summaries):
+        draws = range(source.segments) if source.segments else (None,)
+        yield source, np.array([change(source, segment) for segment in draws])
 
 
 def joint_degrees(fit: JointFit) -> Array:

@@ -26,7 +26,10 @@ SEED = 101
 
 @dataclass(frozen=True)
 class Contribution:
-    """A source of Type B: change of the linear parameters per standard uncertainty, distribution, dof."""
+    """A source of Type B: change of the linear parameters per standard uncertainty, distribution, dof.
+
+    ``change`` (draws, n): each row is drawn by itself; the draws share what is known of the standard uncertainty.
+    """
 
     change: Array
     distribution: str = "normal"
@@ -61,6 +64,15 @@ def standard_draws(distribution: str, degrees: float, size: int, rng: np.random.
     if distribution == "t":
         return rng.standard_t(degrees, size)
     return rng.standard_normal(size)
+
+
+def source_draws(source: Contribution, size: int, rng: np.random.Generator) -> Array:
+    """Trials (size, draws) of a source; of a t distribution all draws of a trial have one estimate of the scale."""
+    shape, count = source.distribution, len(np.atleast_2d(source.change))
+    if shape == "t" and count > 1:
+        degrees = source.degrees_of_freedom
+        return rng.standard_normal((size, count)) * np.sqrt(degrees / rng.chisquare(degrees, size))[:, None]
+    return np.column_stack([standard_draws(shape, source.degrees_of_freedom, size, rng) for _ in range(count)])
 
 
 def tolerance(u: Array) -> Array:
@@ -131,8 +143,7 @@ def _blocks(base: Array, covariance: Array, degrees: float, sources: list[Contri
         if math.isfinite(degrees):
             drawn *= np.sqrt(degrees / rng.chisquare(degrees, BLOCK))[:, None]
         for source in sources:
-            unit = standard_draws(source.distribution, source.degrees_of_freedom, BLOCK, rng)
-            drawn += unit[:, None] * source.change
+            drawn += source_draws(source, BLOCK, rng) @ np.atleast_2d(source.change)
         yield base + drawn
 
 

@@ -36,13 +36,20 @@ class Noise:
     """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s].
 
     Besides them one of two slow noises: a bias ``drift`` [rad^2/s^3], a random walk of the rate; ``scatter``
-    [rad^2/s^2] of the rate from segment to segment.
+    [rad^2/s^2] of the rate from segment to segment. ``stated`` [rad^2/s^2] is the variance of the rate of each segment
+    that the run file states (what is set anew at each position); empty where it states none.
     """
 
     white: float
     walk: float
     drift: float = 0.0
     scatter: float = 0.0
+    stated: tuple[float, ...] = ()
+
+    @property
+    def scattered(self) -> Array | None:
+        """Variance of the rate of each segment, stated and found [rad^2/s^2]; None where it is ``scatter`` or none."""
+        return np.array(self.stated) + self.scatter if self.stated else None
 
     @property
     def angle_rms(self) -> float:
@@ -74,7 +81,7 @@ class Noise:
         return replace(self, drift=factor * self.drift, scatter=factor * self.scatter)
 
     def without_slow(self) -> Noise:
-        """White noise and random walk alone."""
+        """White noise and random walk, and what is stated."""
         return replace(self, drift=0.0, scatter=0.0)
 
     def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:

@@ -121,7 +121,7 @@ def predict(
     squares = np.zeros(base.size)
     if type_b:
         for _, change in contributions(run, base, estimate):
-            squares += change**2
+            squares += np.sum(change**2, axis=0)
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
 
 

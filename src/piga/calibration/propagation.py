@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.budget import Budget
 from piga.calibration.fit import Fit
 from piga.calibration.monte_carlo import Contribution, propagate_distributions
 from piga.records.calibration import Coefficient
@@ -22,7 +23,7 @@ DOUBTFUL = 6.0
 
 
 def put_to_the_test(
-    fit: Fit, coefficients: tuple[Coefficient, ...], budget: tuple[dict[str, Any], ...], wanted: str
+    fit: Fit, coefficients: tuple[Coefficient, ...], budget: Budget, wanted: str
 ) -> tuple[tuple[Coefficient, ...], dict[str, Any]]:
     """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
 
@@ -38,9 +39,20 @@ def put_to_the_test(
     jacobian = fit.solution.jacobians[0]
     base = fit.solution.values[0]
     type_a = jacobian @ fit.covariance @ jacobian.T
-    derivative = _derivative(results, base, np.sqrt(np.diag(type_a)))
     std = np.sqrt(np.diag(type_a))
-    sources = [_contribution(row, coefficients, derivative, std) for row in budget[1:]]
+    derivative = _derivative(results, base, std)
+    sources = [
+        _contribution(row, change, derivative, std)
+        for row, change in zip(budget.rows[1:], budget.changes, strict=True)
+    ]
+    type_a = type_a - sum(
+        (
+            source.change.T @ source.change
+            for source, stated in zip(sources, budget.in_fit, strict=True)
+            if stated
+        ),
+        start=np.zeros_like(type_a),
+    )
     degrees = min(c.degrees_of_freedom for c in coefficients)
     limits = np.array(
         [(c.value - c.coverage_factor * c.std, c.value + c.coverage_factor * c.std) for c in coefficients]
@@ -109,14 +121,11 @@ def _derivative(results: Callable[[Array], Array], base: Array, std: Array) -> A
     return (moved / (2.0 * np.diag(steps))[:, None]).T
 
 
-def _contribution(
-    row: dict[str, Any], coefficients: tuple[Coefficient, ...], derivative: Array, std: Array
-) -> Contribution:
-    """A row of the budget as a change of the column coefficients."""
-    change = np.array([row["contributions"][c.key] for c in coefficients])
+def _contribution(row: dict[str, Any], changes: Array, derivative: Array, std: Array) -> Contribution:
+    """A row of the budget, which changes the results by ``changes`` (draws, n), as changes of the column coefficients."""
     degrees = row["degrees_of_freedom"]
     return Contribution(
-        std * np.linalg.lstsq(derivative * std, change, rcond=None)[0],
+        (std[:, None] * np.linalg.lstsq(derivative * std, changes.T, rcond=None)[0]).T,
         row["distribution"],
         math.inf if degrees is None else float(degrees),
     )

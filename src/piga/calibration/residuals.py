@@ -139,12 +139,13 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
 
     The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
     random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it); a bias
-    drift adds its variance since the middle of the record, a scatter of the segments its own.
+    drift adds its variance since the middle of the record, a scatter of the segments, stated or found, its own.
     ``segment_scatter_ratio`` is the root mean square of slope over expected, ``segment_scatter_g`` the root
     mean square slope as specific force [g]; where a slow noise was found, ``segment_scatter_ratio_without_it``
     is the ratio to what the noise of the angle explains.
     """
     slopes, expected, slow = [], [], []
+    stated = noise.stated or (0.0,) * len(design.run.labels)
     centre = 0.5 * float(residuals.t[0] + residuals.t[-1])
     for left, right in pairwise(design.run.segment_edges()):
         first, last = extent(residuals.t[left:right])
@@ -152,7 +153,10 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
         if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
             continue
         slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
-        slow.append(noise.scatter + noise.drift * abs(float(residuals.t[left:right].mean()) - centre))
+        own = int(design.run.segment[left])
+        slow.append(
+            stated[own] + noise.scatter + noise.drift * abs(float(residuals.t[left:right].mean()) - centre)
+        )
         expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
         return {}

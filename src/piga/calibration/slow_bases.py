@@ -25,8 +25,8 @@ FEWEST, MOST_SEGMENTS = 4, 128
 """Segments from which on and up to which a scatter of their rates is looked for."""
 
 
-class SlowBasis(Protocol):
-    """Columns of a slow noise: independent numbers of one variance move the rate."""
+class Columns(Protocol):
+    """Columns of slow noises: independent numbers move the rate."""
 
     @property
     def size(self) -> int:
@@ -44,6 +44,10 @@ class SlowBasis(Protocol):
 
     def placed(self, factor: Array, segment: int) -> Array:
         """A segment's factor ``[noise | rest]`` of ``size`` columns and more, with ``count`` columns in place of them."""
+
+
+class SlowBasis(Columns, Protocol):
+    """Columns of a slow noise: its numbers are of one variance."""
 
     def noise(self, other: Noise, variance: float) -> Noise:
         """The levels ``other`` with this noise, numbers of ``variance`` [rad^2/s^2]."""
@@ -139,6 +143,40 @@ class SegmentBasis:
     def unit(self) -> float:
         """The level is the variance."""
         return 1.0
+
+
+@dataclass(frozen=True)
+class BesideStated:
+    """Columns of another slow noise, if any, behind those of rates that scatter from segment to segment."""
+
+    segments: SegmentBasis
+    other: SlowBasis | None
+
+    @property
+    def size(self) -> int:
+        """Columns beside those of a segment's rows."""
+        return 1 + (0 if self.other is None else self.other.size)
+
+    @property
+    def count(self) -> int:
+        """One number for each segment, and those of the other noise."""
+        return self.segments.count + (0 if self.other is None else self.other.count)
+
+    def angle(self, t: Array) -> Array:
+        """Angle (size, n) that numbers of one add up to the times ``t`` (n,)."""
+        own = self.segments.angle(t)
+        return own if self.other is None else np.vstack([own, self.other.angle(t)])
+
+    def increments(self, t: Array, h: Array) -> Array:
+        """Columns (size, n) of the increments that end at ``t`` and last ``h``."""
+        own = self.segments.increments(t, h)
+        return own if self.other is None else np.vstack([own, self.other.increments(t, h)])
+
+    def placed(self, factor: Array, segment: int) -> Array:
+        """A column for every segment, then those of the other noise, then the rest."""
+        own = self.segments.placed(factor[:, :1], segment)
+        rest = factor[:, 1:] if self.other is None else self.other.placed(factor[:, 1:], segment)
+        return np.hstack([own, rest])
 
 
 def slow_bases(run: Run) -> tuple[SlowBasis, ...]:

@@ -22,9 +22,18 @@ from piga._kernels.whitening import LANES
 from piga.calibration.fit import SMALL, Fit
 from piga.calibration.noise import Noise, deviance_sums, least_on_grid
 from piga.calibration.reduction import solve_upper
-from piga.calibration.slow_bases import KNOTS, DriftBasis, SlowBasis, slow_bases
+from piga.calibration.slow_bases import (
+    KNOTS,
+    MOST_SEGMENTS,
+    BesideStated,
+    Columns,
+    DriftBasis,
+    SegmentBasis,
+    SlowBasis,
+    slow_bases,
+)
 from piga.calibration.solution import solve
-from piga.calibration.weighting import reduce_segments
+from piga.calibration.weighting import reduce_segments, residual_increments
 from piga.calibration.whitened_rows import whitened_rows
 
 Array = NDArray[np.float64]
@@ -43,6 +52,11 @@ UNDETERMINED = 1e-9
 """Part of a column that the others leave, below which nothing is said of it."""
 ENOUGH = 3
 """Independent values of a slow noise that the coefficients must leave."""
+LOST = 0.2
+"""Largest variance of a mean rate by a stated scatter, over that by the noise, up to which it makes no difference to levels
+and weights."""
+LOWEST = 4.0
+"""Decades below the random walk found without it in which it is looked for beside a stated scatter."""
 BINS, MOST_BINS = 16, 2048
 """Bins of a stretch at the quick look, and of all stretches together."""
 
@@ -63,6 +77,32 @@ class _Candidate:
     basis: SlowBasis
     noise: Noise
     gain: float
+
+
+def include_stated_scatter(fit: Fit, groups: tuple[int, ...], variance: Array) -> Fit:
+    """The same fit that knows the stated variance (m,) [rad^2/s^2] of the rate of each segment: in levels and weights.
+
+    What is stated is then not taken for noise that the record shows. Unchanged where it is lost in the noise of the mean
+    rates (below ``LOST`` of it), and where the levels of the noise are not looked for; coarse counts keep their weights.
+    """
+    request, count = fit.design.request, len(fit.design.run.labels)
+    able = fit.mode == "increments" and request.method == "information" and request.angle_rms is None
+    if not able or not variance.any() or count > MOST_SEGMENTS:
+        return fit
+    basis = SegmentBasis.of(fit.design.run)
+    factor = slow_factor(fit, groups, fit.noise, basis)
+    factor[:, : basis.count] *= np.sqrt(variance)
+    values = projected(factor, basis)[0]
+    if values.size == 0 or values[0] < LOST:
+        return fit
+    noise = replace(fit.noise, stated=tuple(variance.tolist()))
+    if fit.counted is not None:
+        return replace(fit, noise=noise)
+    for below in (LOWEST, BELOW):
+        noise = _levels_beside_stated(fit, groups, noise, below)
+    found = _solved(fit, groups, noise)
+    d, h = residual_increments(fit.design, found.solution.values)
+    return replace(found, d=d, h=h)
 
 
 def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) -> Fit:
@@ -128,19 +168,32 @@ def _beside_counts(fit: Fit, groups: tuple[int, ...], basis: SlowBasis) -> _Cand
 def slow_factor(fit: Fit, groups: tuple[int, ...], noise: Noise, basis: SlowBasis) -> Array:
     """Triangular factor of the weighted rows ``[slow noise | model | y]``, the noise left free.
 
-    The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual.
+    The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual. A stated
+    scatter of the segments is in the weights.
     """
+    return _factor_and_size(fit, groups, noise, basis)[0]
+
+
+def _factor_and_size(fit: Fit, groups: tuple[int, ...], noise: Noise, basis: SlowBasis) -> tuple[Array, float]:
+    """The factor, and the logarithm of the determinant of what a stated scatter adds to the covariance of its rows."""
     solution, m = fit.solution, len(fit.design.names)
+    segments = SegmentBasis.of(fit.design.run)
+    wide: Columns = BesideStated(segments, basis) if noise.stated else basis
     parts = []
-    for segment, columns in whitened_rows(fit, fit.design, noise, basis):
+    for segment, columns in whitened_rows(fit, fit.design, noise, wide):
         model, slow = columns[:m], columns[m:-1]
         y = columns[-1] - solution.values[segment] @ model
         turned = solution.jacobians[groups[segment]].T @ model
-        parts.append(basis.placed(_triangle(np.vstack([slow, turned, y]).T), segment))
-    factor = _triangle(np.vstack(parts))
+        parts.append(wide.placed(_triangle(np.vstack([slow, turned, y]).T), segment))
+    factor, size = _triangle(np.vstack(parts)), 0.0
+    if noise.stated:
+        stated = factor[:, : segments.count] * np.sqrt(np.array(noise.stated))
+        lower = np.linalg.cholesky(np.eye(len(factor)) + stated @ stated.T)
+        factor = _triangle(np.asarray(np.linalg.solve(lower, factor[:, segments.count :]), dtype=np.float64))
+        size = 2.0 * float(np.log(np.diag(lower)).sum())
     kept = np.ones(factor.shape[1], dtype=bool)
     kept[basis.count : -1] = factor[:, basis.count : -1].any(axis=0)
-    return factor[:, kept]
+    return factor[:, kept], size
 
 
 def _triangle(rows: Array) -> Array:
@@ -164,25 +217,58 @@ def _levels_together(fit: Fit, groups: tuple[int, ...], basis: SlowBasis) -> tup
 
     On a grid of ``log10(q h/r)``, concentrated over the scale, the slow noise at its best for each.
     """
+    table = _deviances(fit, groups, basis, fit.noise, BELOW)
+    return table.levels(fit.noise, table.best), float(table.without.min() - table.best.min())
+
+
+def _levels_beside_stated(fit: Fit, groups: tuple[int, ...], noise: Noise, below: float) -> Noise:
+    """White noise and random walk beside a stated scatter alone, looked for ``below`` decades under ``noise``."""
+    table = _deviances(fit, groups, SegmentBasis.of(fit.design.run), noise, below)
+    return table.levels(noise, table.without)
+
+
+@dataclass(frozen=True)
+class _Deviances:
+    """Deviance on a ``grid`` of ``log10(q h/r)``: without a slow noise and with the best, and the squares left by both.
+
+    ``step`` h [s], ``freedom`` degrees of freedom.
+    """
+
+    grid: Array
+    without: Array
+    best: Array
+    squares: dict[bool, Array]
+    step: float
+    freedom: int
+
+    def levels(self, noise: Noise, deviance: Array) -> Noise:
+        """White noise and random walk at the least ``deviance``, with what ``noise`` states."""
+        ratio = least_on_grid(self.grid, deviance)
+        white = float(np.interp(ratio, self.grid, self.squares[deviance is self.best])) / self.freedom
+        return Noise(white, white * 10.0**ratio / self.step, stated=noise.stated)
+
+
+def _deviances(fit: Fit, groups: tuple[int, ...], basis: SlowBasis, noise: Noise, below: float) -> _Deviances:
     step = fit.design.run.median_step
     freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
-    centre = math.log10(max(fit.noise.walk * step / fit.noise.white, 1e-9))
-    grid = np.linspace(centre - BELOW, centre + ABOVE, LANES)
+    centre = math.log10(max(noise.walk * step / noise.white, 1e-9))
+    grid = np.linspace(centre - below, centre + ABOVE, LANES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
+    stated = tuple(variance / noise.white for variance in noise.stated)
     table = []
     for ratio, logarithm in zip(grid, logarithms, strict=True):
-        factor = slow_factor(fit, groups, Noise(1.0, 10.0**ratio / step), basis)
+        factor, stated_size = _factor_and_size(
+            fit, groups, Noise(1.0, 10.0**ratio / step, stated=stated), basis
+        )
         values, square, rest, model = projected(factor, basis)
-        levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0])
+        levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / max(values[0], 1e-300))
         size = 1.0 + levels[:, None] * values
         total = rest + (square / size).sum(axis=1)
-        deviance = freedom * np.log(total) + logarithm + model + np.log(size).sum(axis=1)
+        deviance = freedom * np.log(total) + logarithm + model + np.log(size).sum(axis=1) + stated_size
         at = int(np.argmin(deviance))
-        table.append((float(deviance[0]), float(deviance[at]), float(total[at])))
-    without, best, total = np.array(table).T
-    ratio = least_on_grid(grid, best)
-    white = float(np.interp(ratio, grid, total)) / freedom
-    return Noise(white, white * 10.0**ratio / step), float(without.min() - best.min())
+        table.append((float(deviance[0]), float(deviance[at]), float(total[0]), float(total[at])))
+    without, best, plain, left = np.array(table).T
+    return _Deviances(grid, without, best, {False: plain, True: left}, step, freedom)
 
 
 def quick_look(fit: Fit, basis: SlowBasis) -> Level:

@@ -24,13 +24,14 @@ from piga.calibration.request import Request, make_request
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.servo_columns import given_servo
 from piga.calibration.slow_bases import DRIFT_NAMES
-from piga.calibration.slow_noise import include_slow_noise
+from piga.calibration.slow_noise import include_slow_noise, include_stated_scatter
 from piga.calibration.solution import drift_columns, merged
-from piga.calibration.uncertainty import Source, sources
+from piga.calibration.uncertainty import Source, sources, stated_scatter
 from piga.calibration.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
+from piga.records.run_file import Draw
 from piga.records.signal_checks import largest_size
 from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, harmonic
@@ -48,7 +49,11 @@ LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 
 @dataclass(frozen=True)
 class SourceSummary:
-    """One source of Type B: the summaries of the record moved by its standard uncertainty."""
+    """One source of Type B: the summaries of the record moved by its standard uncertainty.
+
+    A source that is drawn for each segment has no ``parts``: ``segments`` holds, for each, the phase group that changes
+    when that segment is moved, and its summary then; ``in_fit``: the weights know of it. ``draw`` as in the run file.
+    """
 
     name: str
     value: float
@@ -57,6 +62,9 @@ class SourceSummary:
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
     known_servo: tuple[tuple[str, float], ...] = ()
+    draw: Draw = "reference"
+    segments: tuple[tuple[int, Reduction], ...] = ()
+    in_fit: bool = False
 
 
 @dataclass(frozen=True)
@@ -223,6 +231,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         groups, per_segment = phase_groups(run, wish)
         try:
             fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
+            fit = include_stated_scatter(fit, groups, stated_scatter(fit.design.run))
             fit = (
                 include_slow_noise(fit, groups, clear=math.inf)
                 if per_segment
@@ -265,8 +274,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     groups, per_segment = phase_groups(run, wish)
     uncertainty = run.uncertainty
 
-    def parts_of(moved: Run) -> tuple[Reduction, ...]:
-        return reduce_groups(Design(moved, wish, inner), fit, groups)
+    plain = reduce_rows(Design(run, wish, inner), fit)
 
     own_groups, own_per_segment = phase_groups(run, fit.design.request)
     degrees = float(type_a_degrees(_as_weighted(fit), own_groups, own_per_segment).min())
@@ -285,8 +293,8 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         inner_scale_factor=inner,
         turning=run.base_rate is not None,
         labels=run.labels if per_segment else (None,),
-        parts=parts_of(run),
-        sources=tuple(_source(s, parts_of(s.moved)) for s in sources(run)),
+        parts=group_rows(plain, fit, groups),
+        sources=tuple(_source(s, plain, Design(s.moved, wish, inner), fit, groups) for s in sources(run)),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=uncertainty.reference_id,
         undetermined=live.undetermined,
@@ -313,29 +321,42 @@ def _as_weighted(fit: Fit) -> Fit:
     )
 
 
-def _source(source: Source, parts: tuple[Reduction, ...]) -> SourceSummary:
-    return SourceSummary(
+def _source(
+    source: Source, plain: list[Reduction], moved: Design, fit: Fit, groups: tuple[int, ...]
+) -> SourceSummary:
+    summary = SourceSummary(
         source.name,
         source.value,
         source.unit,
-        parts,
+        (),
         source.distribution,
         source.degrees_of_freedom,
         tuple(given_servo(source.moved).items()),
+        source.draw,
     )
+    rows = reduce_rows(moved, fit)
+    if source.draw != "segment":
+        return replace(summary, parts=group_rows(rows, fit, groups))
+    alone = ([*plain[:s], rows[s], *plain[s + 1 :]] for s in range(len(plain)))
+    segments = [(own, _group(mixed, fit, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
+    return replace(summary, segments=tuple(segments), in_fit=fit.counted is None and bool(fit.weights.stated))
 
 
-def reduce_groups(design: Design, fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
-    """One summary per phase group, of rows of unit variance."""
-    summaries = fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
-    parts = [
-        merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(max(groups) + 1)
-    ]
-    if drift_columns(parts[0]):
-        parts = [part.without(DRIFT_NAMES) for part in parts]
-    if fit.mode == "samples":
-        return tuple(part.scaled(1.0 / fit.sample_variance) for part in parts)
-    return tuple(parts)
+def reduce_rows(design: Design, fit: Fit) -> list[Reduction]:
+    """One summary per segment, weighted as the fit is."""
+    return fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
+
+
+def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
+    """One summary per phase group, of rows of unit variance, from those per segment."""
+    return tuple(_group(summaries, fit, groups, group) for group in range(max(groups) + 1))
+
+
+def _group(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...], group: int) -> Reduction:
+    part = merged(summaries, [s for s, own in enumerate(groups) if own == group])
+    if drift_columns(part):
+        part = part.without(DRIFT_NAMES)
+    return part.scaled(1.0 / fit.sample_variance) if fit.mode == "samples" else part
 
 
 def _described(fit: Fit) -> dict[str, Any]:

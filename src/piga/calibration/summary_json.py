@@ -18,10 +18,11 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
 from piga.records.json_file import JsonError, decode_json, schema_of
 from piga.records.limits import read_whole
+from piga.records.run_file import Draw
 from piga.records.terms import check_name
 
 if TYPE_CHECKING:
-    from piga.calibration.summary import RunSummary
+    from piga.calibration.summary import RunSummary, SourceSummary
 
 SCHEMA = "piga.run-summary/1"
 MAX_BYTES = 256 << 20
@@ -55,6 +56,9 @@ class _Source(msgspec.Struct, frozen=True):
     distribution: str = "normal"
     degrees_of_freedom: float | None = None
     known_servo: tuple[tuple[str, float], ...] = ()
+    draw: Draw = "reference"
+    segments: tuple[tuple[int, _Reduction], ...] = ()
+    in_fit: bool = False
 
 
 class _Summary(msgspec.Struct, frozen=True):
@@ -106,6 +110,9 @@ def write_summary(summary: RunSummary, path: Path) -> None:
                 "distribution": s.distribution,
                 "degrees_of_freedom": _finite(s.degrees_of_freedom),
                 "known_servo": s.known_servo,
+                "draw": s.draw,
+                "segments": [(group, _plain(part)) for group, part in s.segments],
+                "in_fit": s.in_fit,
             }
             for s in summary.sources
         ],
@@ -153,26 +160,15 @@ def read_summary(path: Path) -> RunSummary:
     CalibrationError
         If the file is missing, damaged, or of another schema.
     """
-    from piga.calibration.summary import RunSummary, SourceSummary
+    from piga.calibration.summary import RunSummary
 
     found = _decode(path)
     fields = {name: getattr(found, name) for name in _PLAIN}
     return RunSummary(
         **fields,
-        noise=Noise(*found.noise),
+        noise=_noise(found.noise),
         parts=_reductions(path, found.parts, len(found.labels)),
-        sources=tuple(
-            SourceSummary(
-                s.name,
-                s.value,
-                s.unit,
-                _reductions(path, s.parts, len(found.labels)),
-                s.distribution,
-                _degrees(s.degrees_of_freedom),
-                s.known_servo,
-            )
-            for s in found.sources
-        ),
+        sources=tuple(_source(path, s, len(found.labels)) for s in found.sources),
         degrees_of_freedom=_degrees(found.degrees_of_freedom),
         added=tuple(_added(path, noise, found) for noise in found.added),
         quality=Quality(
@@ -184,6 +180,27 @@ def read_summary(path: Path) -> RunSummary:
         segments=found.segments,
         outliers=found.outliers,
     )
+
+
+def _noise(written: tuple[float, ...]) -> Noise:
+    """Levels as written; summaries of older versions lack the last ones."""
+    white, walk, drift, scatter = (*written, 0.0, 0.0)[:4]
+    return Noise(white, walk, drift, scatter)
+
+
+def _source(path: Path, s: _Source, groups: int) -> SourceSummary:
+    """A source; one that is drawn for each segment has the changed group of each in place of all groups."""
+    from piga.calibration.summary import SourceSummary
+
+    parts = _reductions(path, s.parts, 0 if s.draw == "segment" else groups)
+    segments = _reductions(path, tuple(part for _, part in s.segments), len(s.segments))
+    own = [group for group, _ in s.segments]
+    if bool(own) != (s.draw == "segment") or any(not 0 <= group < groups for group in own):
+        raise CalibrationError(f"{path}: its sources are damaged", remedy="summarise the run again")
+    return SourceSummary(
+        s.name, s.value, s.unit, parts, s.distribution, _degrees(s.degrees_of_freedom), s.known_servo, s.draw,
+        tuple(zip(own, segments, strict=True)), s.in_fit,
+    )  # fmt: skip
 
 
 def _decode(path: Path) -> _Summary:

@@ -1,13 +1,14 @@
 """Uncertainty of Type B: what the reference, the clock and the thermometer do to the coefficients.
 
 First order (JCGM 100, 5.1): each source is moved by its standard uncertainty in the record and the
-linear estimate is repeated with the same weights; the change is the contribution.
+linear estimate is repeated with the same weights; the change is the contribution. A source that is drawn
+anew for each segment is moved in one segment after the other: one change for each draw.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
-from piga.records.run_file import UNCERTAINTY_UNITS
+from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
 from piga.records.spool import arrays_like, spans
 from piga.stand import stand_changes
 from piga.units import G0, from_si
@@ -26,7 +27,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Source:
-    """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution."""
+    """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution.
+
+    ``draw`` says for what it has a value of its own; ``moved`` has every segment moved.
+    """
 
     name: str
     value: float
@@ -34,6 +38,7 @@ class Source:
     moved: Run
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
+    draw: Draw = "reference"
 
 
 def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
@@ -44,16 +49,17 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
     scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. The
     parameters of the servo move what of the model is known of it; the
     entries of a particular stand (levelling, dividing errors, arm, rate ...) act through its own geometry.
+    A ``..._repeatability`` acts as the error that it repeats.
     """
     for name, like in UNCERTAINTY_UNITS.items():
         given = getattr(run.uncertainty, name)
         standard = 0.0 if given is None else standard_uncertainty(given, like, f"[uncertainty] {name}")
         if standard == 0.0:
             continue
-        value, shape = size * standard, shape_of(given)
+        value, shape = size * standard, (*shape_of(given), drawn_for(name))
         shown, unit = from_si(standard, like), like
-        if name in ("reference_scale", "gravity"):
-            relative = value if name == "reference_scale" else value / G0
+        if name in ("reference_scale", "reference_repeatability", "gravity"):
+            relative = value / G0 if name == "gravity" else value
             yield Source(name, shown, unit, _felt(run, partial(_scaled, run.f, 1.0 + relative)), *shape)
         elif name == "timing":
             moved = replace(run, t=_column(run.t, 1.0 + value, 0.0))
@@ -73,12 +79,12 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
             entries = tuple(replace(p, value=value) if p is parameter else p for p in run.servo)
             name = f"servo {parameter.name.replace('_', ' ')}"
             shown = from_si(parameter.standard, parameter.unit)
-            shape = (parameter.distribution, parameter.degrees_of_freedom)
-            yield Source(name, shown, parameter.unit, replace(run, servo=entries), *shape)
+            known = (parameter.distribution, parameter.degrees_of_freedom)
+            yield Source(name, shown, parameter.unit, replace(run, servo=entries), *known)
     for change in stand_changes(run):
         number, _, written_unit = change.written.partition(" ")
         moved = _felt(run, partial(_added, run.f, size, change.change))
-        shape = (change.distribution, change.degrees_of_freedom)
+        shape = (change.distribution, change.degrees_of_freedom, change.draw)
         yield Source(change.name, float(number), written_unit or "1", moved, *shape)
 
 
@@ -121,15 +127,53 @@ def _turn(f: Array, axis: int, angle: float, part: slice) -> Array:
     return moved
 
 
-def contributions(run: Run, base: Array, estimate: Callable[[Run], Array]) -> list[tuple[Source, Array]]:
-    """Change of the coefficients (file units) that each source makes; ``base`` is the estimate unmoved.
+Estimate = Callable[[Run], Array]
+OneByOne = Callable[[Run], Iterable[Array]]
 
-    The moved records are not kept: each is as large as the record.
+
+def contributions(
+    run: Run, base: Array, estimate: Estimate, one_by_one: OneByOne | None = None
+) -> Iterator[tuple[Source, Array]]:
+    """Changes of the coefficients (draws, n; file units) that each source makes; ``base`` is the estimate unmoved.
+
+    ``estimate`` gives the coefficients of a moved record, ``one_by_one`` those of the record with one of its segments
+    moved after the other (by ``estimate`` unless given). A source has one draw, or one for each segment. The moved
+    records are not kept: each is as large as the record.
     """
-    found = []
     for source in sources(run):
-        change = estimate(source.moved) - base
-        if source.moved.servo is not run.servo and not change.any():
-            continue
-        found.append((replace(source, moved=run), change))
-    return found
+        if source.draw != "segment":
+            moved = [estimate(source.moved)]
+        elif one_by_one is not None:
+            moved = list(one_by_one(source.moved))
+        else:
+            moved = [estimate(_in_segment(run, source.moved, s)) for s in range(len(run.labels))]
+        changes = np.array(moved) - base
+        if source.moved.servo is run.servo or changes.any():
+            yield replace(source, moved=run), changes
+
+
+def _in_segment(run: Run, moved: Run, segment: int) -> Run:
+    """The run with the specific force of ``moved`` in one segment."""
+
+    def force(part: slice) -> Array:
+        own = run.segment[part, None] == segment
+        return np.where(own, moved.f[part], run.f[part])
+
+    return _felt(run, force)
+
+
+def stated_scatter(run: Run) -> Array:
+    """Variance [rad^2/s^2] of the mean rate in every segment (m,) by the sources that are drawn anew for each of them.
+
+    ``K`` times the mean change of the axial specific force, squared and summed over the sources.
+    """
+    variance = np.zeros(len(run.labels))
+    count = np.bincount(run.segment, minlength=variance.size)
+    for source in sources(run):
+        if source.draw == "segment":
+            change = np.zeros(variance.size)
+            for part in spans(run.size):
+                axial = source.moved.f[part, 0] - run.f[part, 0]
+                change += np.bincount(run.segment[part], axial, minlength=variance.size)
+            variance += (run.scale_factor * change / count) ** 2
+    return variance

@@ -13,12 +13,21 @@ from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
 from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
-from piga.calibration.slow_bases import DRIFT_NAMES, KNOTS, DriftBasis, SegmentBasis, SlowBasis
+from piga.calibration.slow_bases import (
+    DRIFT_NAMES,
+    KNOTS,
+    BesideStated,
+    Columns,
+    DriftBasis,
+    SegmentBasis,
+)
 from piga.calibration.workers import workers
 from piga.records.spool import arrays_like
 
 Array = NDArray[np.float64]
 
+FIXED = 1e-12
+"""Variance of the rate of a segment that does not scatter, over that of the one that scatters most."""
 RATE = "rate of the segment"
 """Name of the column of a scatter until it is integrated out."""
 
@@ -60,7 +69,7 @@ def weighting_mode(design: Design, method: str) -> str:
 
 
 def weighted_blocks(
-    design: Design, mode: str, noise: Noise, basis: SlowBasis | None = None
+    design: Design, mode: str, noise: Noise, basis: Columns | None = None
 ) -> Iterator[tuple[Block, Array]]:
     """Blocks with their weighted columns, in order; those of a slow noise come before the last."""
     whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else basis.size) + 1)
@@ -68,7 +77,7 @@ def weighted_blocks(
         yield block, whitener.apply_columns(_with_slow(design, block, basis), block.h)
 
 
-def _with_slow(design: Design, block: Block, basis: SlowBasis | None) -> Array:
+def _with_slow(design: Design, block: Block, basis: Columns | None) -> Array:
     """Columns of the model, of a slow noise if there is one, and of the observation."""
     if basis is None:
         return block.columns
@@ -81,27 +90,38 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
 
     With a bias drift the summaries have its columns behind those of the model, and what is known of its steps
     beforehand is in the first one;
-    :func:`~piga.calibration.solution.solve` integrates it out. A scatter of the segments is integrated out of each.
+    :func:`~piga.calibration.solution.solve` integrates it out. A scatter of the segments, stated or found, is
+    integrated out of each.
     """
-    if noise.scatter > 0.0 and mode == "increments":
-        return _reduce_scattered(design, mode, noise)
-    basis = DriftBasis.of(design.run) if noise.drift > 0.0 and mode == "increments" else None
-    names = design.names if basis is None else (*design.names, *DRIFT_NAMES)
-    summaries = _absorbed(design, names, weighted_blocks(design, mode, noise, basis))
-    if basis is not None:
-        summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * basis.spacing)])
+    if mode != "increments":
+        return _absorbed(design, design.names, weighted_blocks(design, mode, noise))
+    drift = DriftBasis.of(design.run) if noise.drift > 0.0 else None
+    names = design.names if drift is None else (*design.names, *DRIFT_NAMES)
+    if noise.scatter > 0.0 or noise.stated:
+        summaries = _reduce_scattered(design, mode, noise, drift, names)
+    else:
+        summaries = _absorbed(design, names, weighted_blocks(design, mode, noise, drift))
+    if drift is not None:
+        summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * drift.spacing)])
     return summaries
 
 
-def _reduce_scattered(design: Design, mode: str, noise: Noise) -> list[Reduction]:
-    """With rates that scatter: that of each segment, known to be zero with their variance, is integrated out."""
+def _reduce_scattered(
+    design: Design, mode: str, noise: Noise, drift: DriftBasis | None, names: tuple[str, ...]
+) -> list[Reduction]:
+    """With rates that scatter: that of each segment, known to be zero with its variance, is integrated out."""
     m = len(design.names)
-    order = [m, *range(m), m + 1]
-    blocks = weighted_blocks(design, mode, noise, SegmentBasis.of(design.run))
-    summaries = _absorbed(design, (RATE, *design.names), ((b, columns[order]) for b, columns in blocks))
-    known = np.zeros((m + 2, 1))
-    known[0] = 1.0 / noise.segment_scatter
-    for part in summaries:
+    order = [m, *range(m), *range(m + 1, len(names) + 2)]
+    segments = SegmentBasis.of(design.run)
+    basis = segments if drift is None else BesideStated(segments, drift)
+    blocks = weighted_blocks(design, mode, noise, basis)
+    summaries = _absorbed(design, (RATE, *names), ((b, columns[order]) for b, columns in blocks))
+    scattered = noise.scattered
+    variance = np.full(len(summaries), noise.scatter) if scattered is None else scattered
+    variance = np.maximum(variance, FIXED * variance.max())
+    for part, own in zip(summaries, variance, strict=True):
+        known = np.zeros((len(names) + 2, 1))
+        known[0] = 1.0 / math.sqrt(own)
         part.absorb(known, count=0)
     return [part.behind_first() for part in summaries]
 

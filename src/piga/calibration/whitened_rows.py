@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from piga.calibration.design import Design
 from piga.calibration.fit import Fit
 from piga.calibration.noise import Noise
-from piga.calibration.slow_bases import SlowBasis
+from piga.calibration.slow_bases import Columns
 from piga.calibration.weighting import weighted_blocks
 
 Array = NDArray[np.float64]
 
 
-def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: SlowBasis) -> Iterator[tuple[int, Array]]:
+def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: Columns) -> Iterator[tuple[int, Array]]:
     """Segment and whitened columns (m + size + 1, n) of model, slow noise and observation, piece by piece.
 
     ``noise`` is what increments are whitened with; coarse counts have the covariance that was found for them.

@@ -179,7 +179,9 @@ class UncertaintyTable(Table, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
     A string is the standard uncertainty of a normal distribution; :class:`~piga.records.distribution.Spread`
-    says another. Those below ``temperature`` belong to particular stands and need the ``[stand]`` table.
+    says another. Those below ``mounting_repeatability`` belong to particular stands and need the ``[stand]`` table.
+    A ``..._repeatability`` is drawn anew: for each segment (``angle_``, ``rate_``, ``reference_``) or for each run
+    (``mounting_``, ``levelling_``).
     ``reference_id`` names the device that the reference comes from: runs of one device share its errors.
     """
 
@@ -191,6 +193,8 @@ class UncertaintyTable(Table, frozen=True):
     gravity: Quantity | Spread | None = None
     timing: Quantity | Spread | None = None
     temperature: Quantity | Spread | None = None
+    reference_repeatability: Quantity | Spread | None = None
+    mounting_repeatability: Quantity | Spread | None = None
     levelling: Any = None
     angle_error: Any = None
     angle_harmonics: Any = None
@@ -201,6 +205,9 @@ class UncertaintyTable(Table, frozen=True):
     rate_ripple: Any = None
     transverse_motion: Any = None
     rocking: Any = None
+    angle_repeatability: Any = None
+    rate_repeatability: Any = None
+    levelling_repeatability: Any = None
 
     def of_the_stand(self) -> dict[str, Any]:
         """The stand-specific entries that are given."""
@@ -240,8 +247,27 @@ UNCERTAINTY_UNITS = {
     "gravity": "ug",
     "timing": "ppm",
     "temperature": "K",
+    "reference_repeatability": "ppm",
+    "mounting_repeatability": "arcsec",
 }
 """Unit of each Type B entry as reported; ``timing`` is the relative error of the clock's rate."""
+
+Draw = Literal["reference", "run", "segment"]
+"""For what a source of Type B has a value of its own: each reference (runs may share it), each run, each segment."""
+
+REPEATED: dict[str, tuple[str, Draw]] = {
+    "reference_repeatability": ("reference_scale", "segment"),
+    "mounting_repeatability": ("reference_misalignment", "run"),
+    "angle_repeatability": ("angle_error", "segment"),
+    "rate_repeatability": ("rate_error", "segment"),
+    "levelling_repeatability": ("levelling", "run"),
+}
+"""Entries that are drawn anew: the error that each repeats, and for what it is drawn."""
+
+
+def drawn_for(name: str) -> Draw:
+    """For what the entry ``name`` of ``[uncertainty]`` has a value of its own."""
+    return REPEATED[name][1] if name in REPEATED else "reference"
 
 
 def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:

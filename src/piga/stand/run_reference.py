@@ -24,8 +24,9 @@ from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.raw_columns import SteadyFile, file_digest
 from piga.records.read_run import read_record
 from piga.records.run import Run
+from piga.records.run_file import REPEATED, Draw, drawn_for
 from piga.records.spool import arrays_like, spans
-from piga.stand.imperfections import Imperfections, imperfections
+from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario_tables import CompositeTable, SimpleStand
 from piga.units import from_si
@@ -76,6 +77,7 @@ class StandChange:
     change: Callable[[slice], Array]
     distribution: str = "normal"
     degrees_of_freedom: float = math.inf
+    draw: Draw = "reference"
 
 
 def read_run(path: str | Path, *, need_reference: bool = True, held: int | None = None) -> Run:
@@ -186,10 +188,26 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
         for name, written in named.items():
             standard, shape = _standard(name, written)
             for text, errors in _components(name, standard):
+                if name in REPEATED and REPEATED[name][0] not in stand.accepted:
+                    raise ArgumentError(
+                        f"[uncertainty] {name} does not exist on a {stand.kind}", remedy=_repeatable(stand)
+                    )
                 errors.require(stand.accepted, stand.kind)
-                yield StandChange(f"{name}{text[0]}", text[1], partial(_change, stand, t, errors), *shape)
+                change = partial(_change, stand, t, errors)
+                yield StandChange(f"{name}{text[0]}", text[1], change, *shape, drawn_for(name))
     except PigaError as error:
         raise RunFileError(f"{run.source}: {error.message}", remedy=error.remedy) from None
+
+
+def _repeated(name: str) -> str:
+    """The imperfection that an entry is of."""
+    return REPEATED[name][0] if name in REPEATED else name
+
+
+def _repeatable(stand: Stand) -> str:
+    """What is drawn anew on a stand, as the remedy of a refusal."""
+    names = [name for name, (error, _) in REPEATED.items() if error in stand.accepted or error in GENERAL]
+    return f"it has: {', '.join(names)}"
 
 
 def _change(stand: Stand, t: Array, errors: Imperfections, part: slice) -> Array:
@@ -258,7 +276,7 @@ def _standard(name: str, written: Any) -> tuple[Any, tuple[str, float]]:
             f"{where}: {str(error).lower()}",
             remedy="write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }",
         ) from None
-    unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == name)
+    unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == _repeated(name))
     size = from_si(standard_uncertainty(spread, unit, where), unit)
     return f"{size:.9g} {unit}", shape_of(spread)
 
@@ -266,16 +284,17 @@ def _standard(name: str, written: Any) -> tuple[Any, tuple[str, float]]:
 def _components(name: str, written: Any) -> Iterator[tuple[tuple[str, str], Imperfections]]:
     """``((suffix, value as written), imperfections with one component)`` for one entry."""
     where = "[uncertainty]"
-    if name == "angle_harmonics":
+    error = _repeated(name)
+    if error == "angle_harmonics":
         for order, amplitude, *phase in written:
             for at in phase or ("0 deg", "90 deg"):
                 suffix = f" order {order}" + ("" if phase else f" ({'sine' if at == '0 deg' else 'cosine'})")
-                yield (suffix, str(amplitude)), imperfections({name: [[order, amplitude, at]]}, where=where)
-    elif name == "levelling":
+                yield (suffix, str(amplitude)), imperfections({error: [[order, amplitude, at]]}, where=where)
+    elif error == "levelling":
         values = written if isinstance(written, (list, tuple)) else (written, written)
         for axis, value in enumerate(values):
             pair = ["0 rad", "0 rad"]
             pair[axis] = value
-            yield (f" axis {axis + 1}", str(value)), imperfections({name: pair}, where=where)
+            yield (f" axis {axis + 1}", str(value)), imperfections({error: pair}, where=where)
     else:
-        yield ("", str(written)), imperfections({name: written}, where=where)
+        yield ("", str(written)), imperfections({error: written}, where=where)
