@@ -76,7 +76,6 @@ EXTRAS = {
     "h5py": "hdf5",
     "nptdms": "tdms",
     "openpyxl": "xlsx",
-    "pysolid": "tide",
     "sqlalchemy": "records",
     "alembic": "records",
     "psycopg": "postgres",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,7 +29,6 @@ from piga.stand import (
 from piga.stand.imperfections import NONE
 from piga.stand.logged import read_profile
 from piga.stand.run_reference import _followed
-from piga.stand.tide import EarthTide
 from piga.stand.truth import coefficients, predicted_angle_error
 from piga.stand.write_run import run_file_text, toml_table, truth_document
 from piga.units import G0
@@ -161,14 +159,6 @@ def test_bad_steps_and_harmonics() -> None:
     huge = Specimen(INST, harmonics={2: (30.0 * G0, 0.0)})
     with pytest.raises(ArgumentError, match="too large to be simulated"):
         simulate_test(HEAD, huge, COUNTS)
-
-
-def test_earth_tide_needs_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    import datetime as dt
-
-    monkeypatch.setitem(sys.modules, "pysolid", None)
-    with pytest.raises(ArgumentError, match=r"piga\[tide\]"):
-        EarthTide(SITE, dt.datetime(2026, 11, 21, tzinfo=dt.UTC)).gravity(np.array([0.0, 60.0]))
 
 
 def test_first_harmonics_are_told_in_the_zero_of_the_output() -> None:
