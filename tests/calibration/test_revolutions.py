@@ -20,7 +20,7 @@ def test_same_truth_with_larger_uncertainty() -> None:
         z = errors(turns)
         assert all(abs(value) < 4.5 for value in z.values()), z
         most = turns.diagnostics["turns"] - len(turns.segments)
-        assert all(3.0 < c.degrees_of_freedom <= most for c in turns.coefficients)
+        assert all(3.0 <= c.degrees_of_freedom <= most for c in turns.coefficients)
         squares += [value**2 for value in z.values()]
         for name in ("scale_factor", "k0", "k2", "m_Y"):
             assert 1.2 * whole[name].std < turns[name].std < 30.0 * whole[name].std

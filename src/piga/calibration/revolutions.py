@@ -346,7 +346,7 @@ def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
     share = np.array(parts)
     doubt = np.einsum("ik,ij,jk->k", share, scatter.covariance, share)
     degrees: Array = 2.0 * (scatter.levels @ share) ** 2 / np.maximum(doubt, 1e-300)
-    return np.clip(degrees, 1.0, positions.freedom)
+    return np.clip(degrees, LEAST_FREEDOM, positions.freedom)
 
 
 def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
