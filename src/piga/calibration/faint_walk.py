@@ -146,11 +146,20 @@ def _freedom(fit: Fit) -> int:
 def _per_walk(fit: Fit, groups: tuple[int, ...], probe: float) -> Array:
     """What a unit of walk adds to the covariance with the weights of the fit: to first order all weights agree."""
     above, below = (
-        _weighted(fit, groups, replace(fit.noise, walk=fit.noise.walk + moved)).covariance
+        _at_the_fit(fit, _weighted(fit, groups, replace(fit.noise, walk=fit.noise.walk + moved)))
         for moved in (probe, -probe)
     )
     found: Array = (above - below) / (2.0 * probe)
     return found
+
+
+def _at_the_fit(fit: Fit, solution: Solution) -> Array:
+    """Covariance of a solution linearised where the fit is: near tan_beta of zero each has another phase."""
+    if fit.solution.phases.size != 1:
+        return solution.covariance
+    turn = np.linalg.solve(fit.solution.jacobians[0], solution.jacobians[0])
+    moved: Array = turn @ solution.covariance @ turn.T
+    return moved
 
 
 def _weighted(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Solution:

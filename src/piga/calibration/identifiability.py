@@ -240,7 +240,8 @@ def notes_in_words(
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
             notes.append(
-                "tan_beta is not well above its uncertainty: phi is not determined; their intervals are by Monte Carlo"
+                "tan_beta is not well above its uncertainty: phi is hardly determined; the limits of tan_beta are those of "
+                "a size that cannot be negative, 0 where no coupling at all would give this estimate as often"
             )
     loose = _loose(coefficients)
     if loose:

@@ -14,12 +14,16 @@ from piga.calibration.budget import Budget
 from piga.calibration.fit import Fit
 from piga.calibration.monte_carlo import Contribution, propagate_distributions
 from piga.records.calibration import Coefficient
+from piga.records.coverage import coverage_factor
 from piga.records.terms import si_factor
 
 Array = NDArray[np.float64]
 
 DOUBTFUL = 6.0
 """tan_beta below this many of its standard uncertainties: its interval is no longer linear (Rice-like)."""
+
+FAR, HALVINGS = 10.0, 60
+"""Standard uncertainties above the estimate at which the upper limit is looked for, and steps of bisection."""
 
 
 def put_to_the_test(
@@ -76,7 +80,52 @@ def put_to_the_test(
         else replace(c, interval=(float(found.shortest[0, i]), float(found.shortest[1, i])))
         for i, c in enumerate(coefficients)
     )
+    if weak:
+        checked = _weak_coupling(checked)
     return checked, {"monte_carlo": {"trials": found.trials, "coefficients": table}}
+
+
+def _weak_coupling(coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
+    """With the limits of a size that cannot be negative; while they hold zero, any angle may be the phase."""
+    size = next(c for c in coefficients if c.name == "tan_beta")
+    phase = next(c for c in coefficients if c.name == "phi")
+    limits = size_limits(size.value, max(size.std, size.value * phase.std), size.degrees_of_freedom)
+    circle = (phase.value - math.pi, phase.value + math.pi)
+    anywhere = {"tan_beta": limits} | ({"phi": circle} if limits[0] == 0.0 else {})
+    return tuple(replace(c, interval=anywhere.get(c.name, c.interval)) for c in coefficients)
+
+
+def size_limits(value: float, std: float, degrees: float) -> tuple[float, float]:
+    """95 % confidence limits of the size of a plane vector, estimated as ``value`` from two components of ``std`` each.
+
+    The estimate is never zero, so that an interval about it, or one of the trials of a propagation of distributions, never
+    holds a size of zero. ``(value/std)^2`` is noncentral chi-square with 2 degrees of freedom and noncentrality
+    ``(size/std)^2``: the limits are the sizes for which the estimate lies at its quantiles of 97.5 and 2.5 %. The lower is 0
+    where no size puts it there (value below 2.72 std): one-sided then. The upper is at least the value that a size of zero
+    exceeds in 5 %. For few degrees of freedom std is multiplied by Student's factor over that of the normal distribution.
+
+    Parameters
+    ----------
+    value, std:
+        Estimate and standard uncertainty of a component, in the same unit.
+    degrees:
+        Degrees of freedom of ``std``, may be infinite.
+    """
+    from scipy.special import chdtri, chndtr
+
+    unit = std * coverage_factor(degrees) / coverage_factor(math.inf)
+    ratio = value / unit
+
+    def size_at(probability: float) -> float:
+        if chndtr(ratio**2, 2.0, 0.0) <= probability:
+            return 0.0
+        low, high = 0.0, ratio + FAR
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if chndtr(ratio**2, 2.0, middle**2) > probability else (low, middle)
+        return 0.5 * (low + high)
+
+    return size_at(0.975) * unit, max(size_at(0.025), math.sqrt(chdtri(2.0, 0.05))) * unit
 
 
 def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array], Array]:
