@@ -81,6 +81,7 @@ def test_noise_is_what_is_left():
     assert 0.8 < mean[len(WHOLE)] < 1.2
 
 
+@pytest.mark.compiled
 def test_a_set():
     force = np.array([1.0, 2.0, -1.5])
     axes = [np.roll(np.eye(3), -i, axis=0) for i in range(3)]
@@ -97,6 +98,7 @@ def test_a_set():
     assert max(left["with", False], left["with", True]) < 6e-6
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("chunks", [1, 13])
 def test_result_is_the_same_to_the_bit_whatever_the_chunks(chunks):
     columns = {name: record(1.0, 5.0, 0.0)[name] for name in ("t", "output", "f")}

@@ -62,6 +62,7 @@ def left(columns: tuple, **more: object) -> tuple[np.ndarray, np.ndarray]:
     return (found.ax[1:] - mean) / G0, found.u_ax[1:] / G0
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(("rate", "most"), [(50.0, 3e-6), (100.0, 0.4e-6)])
 def test_angles_on_a_swaying_base(rate, most):
     """Between the ends of each interval the mean rate of the base was wrong by 45 and 11 micro-g."""
@@ -137,6 +138,7 @@ def test_the_beginning_of_a_stretch_takes_nothing_from_before():
     assert np.array_equal(whole.u_ax[60:], alone.u_ax, equal_nan=True)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("chunks", [1, 3, 7])
 def test_bows_are_the_same_to_the_bit_whatever_the_chunks(chunks):
     t, psi, f, omega, _ = record(20.0, 3.0, steady, swaying)

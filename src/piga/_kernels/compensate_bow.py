@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from piga._kernels import compensate_layout as at
 from piga._kernels.jit import exact
-from piga._kernels.regressors import half_angle_moments
 from piga._kernels.smooth import bow_of, limited
 
 Array = NDArray[np.float64]
@@ -27,26 +26,37 @@ Array = NDArray[np.float64]
 LIMITED, NEXT_ORDER = 0.5, 0.15
 """Standard uncertainty of a second derivative, as parts of what the limit took and of its last term: oscillations at seven
 samples a period and more come back with mean squares of error over uncertainty of 0.1 to 1.1."""
+SERIES = 9.0
+"""Square of half the angle turned up to which a bow is weighed with the angle."""
 FADING = 0.6
 """Part of a doubt that stands for the next interval: an oscillation's estimate passes through zero, its error not with it."""
 
 
 @exact
-def find_bow(stop: int, row: int, bow: int, left: int, w: Array) -> None:
-    """Mean of an input over every interval less that of both ends, and the standard uncertainty of it."""
-    for j in range(1, stop):
+def find_weights(n: int, w: Array) -> None:
+    """What the second derivatives of all inputs need of the intervals."""
+    for j in range(n + 1):
         h0, h1, h2 = w[at.STEP + j], w[at.STEP + j - 1], w[at.STEP + j - 2]
-        x0, x1, x2, x3 = w[row + j], w[row + j - 1], w[row + j - 2], w[row + j - 3]
         some = (h0 != 0.0) & (h1 != 0.0)
         whole = some & (h2 != 0.0)
-        middle = (x1 - x2) / (h1 if some else 1.0)
-        first = 2.0 * ((x0 - x1) / h0 - middle) / (h0 + h1) if some else 0.0
-        second = 2.0 * (middle - (x2 - x3) / h2) / (h1 + h2) if whole else 0.0
-        value = first + (first - second) * ((h0 + 2.0 * h1) / (2.0 * (h0 + h1 + h2)) if whole else 0.0)
+        w[at.WEIGHT_CURVED + j] = 2.0 / (h0 + h1) if some else 0.0
+        w[at.AHEAD + j] = (h0 + 2.0 * h1) / (2.0 * (h0 + h1 + h2)) if whole else 0.0
+
+
+@exact
+def find_bow(n: int, row: int, bow: int, left: int, w: Array) -> None:
+    """Mean of an input over every interval less that of both ends, and the standard uncertainty of it."""
+    for j in range(n + 1):
+        x0, x1, x2 = w[row + j], w[row + j - 1], w[row + j - 2]
+        change = (x0 - x1) * w[at.INVERSE + j] - (x1 - x2) * w[at.INVERSE + j - 1]
+        w[at.CURVED + j] = change * w[at.WEIGHT_CURVED + j]
+    for j in range(1, n + 1):
+        first, second, h = w[at.CURVED + j], w[at.CURVED + j - 1], w[at.STEP + j]
+        value = first + (first - second) * w[at.AHEAD + j]
         taken = limited(value, first, second)
-        sag = h0 * h0 * (1.0 / 12.0)
-        w[bow + j] = bow_of(h0, taken)
-        w[left + j] = sag * (LIMITED * abs(value - taken) + NEXT_ORDER * abs(first - second))
+        w[bow + j] = bow_of(h, taken)
+        size = LIMITED * abs(value - taken) + NEXT_ORDER * abs(first - second)
+        w[left + j] = h * h * (1.0 / 12.0) * size
 
 
 @exact
@@ -55,10 +65,11 @@ def find_bows(n: int, turning: bool, state: Array, w: Array) -> None:
 
     Keeps the samples that the next block needs.
     """
-    find_bow(n + 1, at.RATE_Y, at.BOW_Y, at.LEFT_Y, w)
-    find_bow(n + 1, at.RATE_Z, at.BOW_Z, at.LEFT_Z, w)
+    find_weights(n, w)
+    find_bow(n, at.RATE_Y, at.BOW_Y, at.LEFT_Y, w)
+    find_bow(n, at.RATE_Z, at.BOW_Z, at.LEFT_Z, w)
     if turning:
-        find_bow(n + 1, at.OMEGA_X, at.BOW_X, at.LEFT_X, w)
+        find_bow(n, at.OMEGA_X, at.BOW_X, at.LEFT_X, w)
     else:
         for j in range(1, n + 1):
             w[at.BOW_X + j] = w[at.LEFT_X + j] = 0.0
@@ -72,16 +83,19 @@ def find_bows(n: int, turning: bool, state: Array, w: Array) -> None:
 def add_bows(n: int, K: float, w: Array) -> None:
     """Take the bows of the transverse input out of the indicated mean force, and add the base rate about X0 to it.
 
-    ``alpha' + Omega_x = K a_x + ...``. A parabola weighs with the angle by the moment of ``1 - v^2``. What the change
-    of ``a_x`` over the interval has of the base rate's is added, too.
+    ``alpha' + Omega_x = K a_x + ...``. A parabola weighs with the angle by ``3 j_1(x)/x``, ``x`` half the angle turned, here
+    by its series (3e-4 at x = 3, where the interval is called coarse). What the change of ``a_x`` over the interval has
+    of the base rate's is added, too.
     """
     inverse = 1.0 / K
     for j in range(1, n + 1):
-        _, _, sag = half_angle_moments(0.5 * (w[at.PSI + j] - w[at.PSI + j - 1]))
+        half = 0.5 * (w[at.PSI + j] - w[at.PSI + j - 1])
+        x = min(half * half, SERIES)
+        share = 1.0 - x * (1 / 10 - x * (1 / 280 - x * (1 / 15120 - x / 1330560)))
         across = w[at.BOW_Y + j] * w[at.SINE + j] - w[at.BOW_Z + j] * w[at.COSINE + j]
         base = 0.5 * (w[at.OMEGA_X + j - 1] + w[at.OMEGA_X + j]) + w[at.BOW_X + j]
         w[at.BASE_X + j] = base
-        w[at.INPUT + j] += (base - 1.5 * sag * across) * inverse
+        w[at.INPUT + j] += (base - share * across) * inverse
         w[at.SLOPE + j] += (w[at.OMEGA_X + j] - w[at.OMEGA_X + j - 1]) * inverse
 
 

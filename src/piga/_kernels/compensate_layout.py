@@ -69,9 +69,12 @@ BOW_X, BOW_Y, BOW_Z = 54 * STRIDE, 55 * STRIDE, 56 * STRIDE
 LEFT_X, LEFT_Y, LEFT_Z = 57 * STRIDE, 58 * STRIDE, 59 * STRIDE
 DOUBT = 60 * STRIDE  # what the samples do not tell of the mean force of the interval [m/s^2]
 OMEGA_Y, OMEGA_Z = 61 * STRIDE, 62 * STRIDE  # base rate across [rad/s]
-REGRESSORS = 63 * STRIDE
+CURVED = 63 * STRIDE  # second derivative of an input by the sample of a row and the two before it
+WEIGHT_CURVED = 64 * STRIDE  # 2 over the time of two intervals [1/s]; 0 where they do not belong together
+AHEAD = 65 * STRIDE  # by how much of the last change a second derivative goes on to the middle of its interval
+REGRESSORS = 66 * STRIDE
 MOST_TERMS = 40
-WORK = (63 + MOST_TERMS) * STRIDE
+WORK = (66 + MOST_TERMS) * STRIDE
 
 P_K = 0
 P_TAN_BETA = 1

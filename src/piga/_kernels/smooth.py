@@ -22,10 +22,10 @@ MOST_GROWTH = 2.0
 @inline
 def limited(value: float, first: float, second: float) -> float:
     """A second derivative made of two others, no larger than both agree on; 0 where their signs differ."""
-    most = MOST_GROWTH * min(abs(first), abs(second))
-    size = min(max(value if first > 0.0 else -value, 0.0), most)
-    agreed = size if first > 0.0 else -size
-    return agreed if first * second > 0.0 else 0.0
+    low, high = min(first, second), max(first, second)
+    return min(max(value, 0.0), MOST_GROWTH * max(low, 0.0)) + max(
+        min(value, 0.0), MOST_GROWTH * min(high, 0.0)
+    )
 
 
 @exact
