@@ -13,8 +13,10 @@ import pytest
 import piga
 from piga.calibration import RunSummary
 from piga.calibration.monte_carlo import Contribution, source_draws
+from piga.calibration.planning import plan_test
 from piga.errors import CalibrationError, RunFileError
 from piga.records.run_file import EstimationTable, UncertaintyTable
+from tests.calibration.planning_cases import request
 from tests.calibration.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.scenarios import SCENARIOS, Array, Scenario
 
@@ -231,6 +233,20 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     told = replace(run, uncertainty=UncertaintyTable(reference_repeatability="20 ppm"))
     found = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
     assert found["contributions"]["scale_factor"] == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.only_compiled
+def test_planning_knows_that_each_visit_is_set_anew(tmp_path: Path) -> None:
+    """At 45 deg from the vertical ``K da`` is ``g sin 45 deg`` times the angle; k0 is the mean of N visits."""
+    wish = request(
+        tmp_path, rate=1, positions="45:405:90 deg", duration=150, terms='"scale_factor", "k0"',
+        more='[uncertainty]\nangle_repeatability = "1 arcsec"',
+    )  # fmt: skip
+    plan = plan_test(wish)
+    visits = len(plan.best.visits)
+    assert visits >= 2
+    type_b = np.sqrt(plan.best.combined("k0") ** 2 - plan.best.std("k0") ** 2)
+    assert type_b == pytest.approx(ARCSEC * np.sqrt(0.5 / visits), rel=0.05)
 
 
 def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
