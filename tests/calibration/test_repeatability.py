@@ -236,6 +236,16 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
 
 
 @pytest.mark.only_compiled
+def test_what_is_stated_raises_no_doubts() -> None:
+    """Levels of a centrifuge off by seventeen times the noise: the residuals are white, no term is missing."""
+    case = CASES["centrifuge"]()
+    found = case.scenario.calibrate(case.record(np.random.default_rng([1, 1906])))
+    assert found.diagnostics["ljung_box_probability"] > 1e-4
+    assert found.diagnostics["segment_scatter_ratio"] < 2.0
+    assert not found.notes
+
+
+@pytest.mark.only_compiled
 def test_planning_knows_that_each_visit_is_set_anew(tmp_path: Path) -> None:
     """At 45 deg from the vertical ``K da`` is ``g sin 45 deg`` times the angle; k0 is the mean of N visits."""
     wish = request(

@@ -24,7 +24,7 @@ from piga.calibration.reduction import solve_upper
 from piga.calibration.segment_parts import has_phases, parameter_rows
 from piga.calibration.solution import layout_of
 from piga.calibration.thinning import smooth_step
-from piga.calibration.weighting import Whitener
+from piga.calibration.weighting import Whitener, rate_share
 from piga.records.calibration import Coefficient
 from piga.records.spool import gathered
 from piga.records.terms import si_factor, unit_of
@@ -162,16 +162,29 @@ def pieces_of(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list
         collected[segment].append(weighted)
     pieces = []
     for segment, chunks in enumerate(collected):
-        split = np.array_split(np.concatenate(chunks), parts) if chunks else []
-        pieces += [parameter_rows(layout, fit.solution, groups, segment, rows) for rows in split]
+        rows = np.concatenate(chunks) if chunks else np.zeros((0, 0))
+        if chunks and _stated(fit):
+            own, rows = rows[:, 0], rows[:, 1:]
+            rows = rows - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rows)
+        split = np.array_split(rows, parts) if chunks else []
+        pieces += [parameter_rows(layout, fit.solution, groups, segment, piece) for piece in split]
     return pieces, total
 
 
+def _stated(fit: Fit) -> bool:
+    """Whether the weights know of a stated scatter of the segments."""
+    return bool(fit.noise.stated) and fit.counted is None and fit.mode == "increments"
+
+
 def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
-    """Segment, weighted rows ``[columns | extra | residual]`` and number of those formed, block by block."""
+    """Segment, weighted rows ``[columns | extra | residual]`` and number of those formed, block by block.
+
+    Beside a stated scatter of the segments the intervals come first.
+    """
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
     count, step = _joined(fit), smooth_step(design.run, SMOOTH)
-    whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1)
+    stated = _stated(fit)
+    whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1 + stated)
     for block in design.blocks():
         values = fit.solution.values[block.segment]
         starts, h = block.joins(count)
@@ -180,6 +193,8 @@ def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
         columns = np.vstack([model[:-1], others, model[-1] - values @ model[:-1]])
         if mode == "samples":
             columns = columns / np.sqrt(np.maximum(h, 1.0))
+        if stated:
+            columns = np.vstack([h, columns])
         weighted = whitener.apply_columns(np.ascontiguousarray(columns), h)
         kept = h > 0.0
         yield block.segment, np.ascontiguousarray(weighted[:, kept].T), int(np.count_nonzero(kept))

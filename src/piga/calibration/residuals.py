@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from piga._kernels.statistics import lagged_products
 from piga.calibration.design import Design
 from piga.calibration.noise import Noise
-from piga.calibration.weighting import Whitener, residual_increments
+from piga.calibration.weighting import Whitener, rate_share, residual_increments
 from piga.records.calibration import Residuals, SegmentSummary
 from piga.records.signal_checks import largest_size
 from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
@@ -33,6 +33,8 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     d, h = residual_increments(design, values)
     before = _nominal_increments(design)
     whitened = _whitened(d, h, noise, mode)
+    if noise.stated and mode == "increments":
+        _take_stated_rates(whitened, _whitened(h, h, noise, mode), run.segment, noise)
     if mode != "samples":
         _stretch_angle(d, run.begins)
         _stretch_angle(before, run.begins)
@@ -48,6 +50,18 @@ def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:
         for part in spans(d.size):
             whitened[part] /= size
     return whitened
+
+
+def _take_stated_rates(whitened: Array, own: Array, segment: NDArray[np.int32], noise: Noise) -> None:
+    """Make residuals white that are so but for the stated scatter of the segments; ``own`` are whitened intervals. In place."""
+    size = len(noise.stated)
+    square, product = np.zeros(size), np.zeros(size)
+    for part in spans(whitened.size):
+        square += np.bincount(segment[part], own[part] ** 2, minlength=size)
+        product += np.bincount(segment[part], own[part] * whitened[part], minlength=size)
+    taken = rate_share(noise.stated, square) * product
+    for part in spans(whitened.size):
+        whitened[part] -= taken[segment[part]] * own[part]
 
 
 def _nominal_increments(design: Design) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.design import Block, Design
@@ -83,6 +83,17 @@ def _with_slow(design: Design, block: Block, basis: Columns | None) -> Array:
         return block.columns
     slow = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
     return np.vstack([block.columns[:-1], slow, block.columns[-1:]])
+
+
+def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
+    """Share c by which ``x - c b (b'x)`` makes rows white that are so but for a rate of ``variance`` along b, ``b'b = square``.
+
+    ``(I + v b b')^-1/2 = I - c b b'``, ``c = (1 - (1 + v b'b)^-1/2)/b'b``.
+    """
+    size = np.asarray(square, dtype=float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (1.0 - 1.0 / np.sqrt(1.0 + np.asarray(variance) * size)) / size
+    return np.where(size > 0.0, share, 0.0)
 
 
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
