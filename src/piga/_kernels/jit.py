@@ -8,17 +8,60 @@ results do not depend on how a record is split.
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
 from numba import types
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+class _SoundCacheFile(IndexDataCacheFile):
+    """Files of compiled kernels that hold what was written, or are compiled again.
+
+    A power cut leaves files that are empty, short or full of zeros. Numba reads them as they are: the command ends
+    in its exceptions. Here every data file begins with the SHA-256 of the rest, and a damaged one is removed.
+    """
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except OSError:
+            raise
+        except Exception:  # whatever unpickling damaged bytes provokes
+            self._remove(self._index_path)
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        path = self._data_path(name)  # type: ignore[no-untyped-call]
+        raw = Path(path).read_bytes()
+        if hashlib.sha256(raw[32:]).digest() != raw[:32]:
+            self._remove(path)
+            raise FileNotFoundError(path)
+        return pickle.loads(raw[32:])  # noqa: S301 - compiled code of this package, as Numba keeps it
+
+    def _save_data(self, name: str, data: Any) -> None:
+        packed = self._dump(data)  # type: ignore[no-untyped-call]
+        with self._open_for_write(self._data_path(name)) as stream:  # type: ignore[no-untyped-call]
+            stream.write(hashlib.sha256(packed).digest() + packed)
+
+    @staticmethod
+    def _remove(path: str) -> None:
+        with suppress(OSError):
+            Path(path).unlink()
+
+
 def _compiled(function: F, fastmath: bool | set[str]) -> F:
     made = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    cache = getattr(made, "_cache", None)
+    if isinstance(cache, FunctionCache):
+        cache._cache_file.__class__ = _SoundCacheFile
     return cast("F", made)
 
 

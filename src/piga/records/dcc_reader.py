@@ -32,6 +32,7 @@ JOINT = "piga_jointResult"
 """``refType`` of the quantity that holds all coefficients with their covariance."""
 RECORD = "piga_calibrationRecord"
 """``refType`` of the attached calibration.json."""
+AGAIN = "do not use the file; get it again from the issuer"
 MOST_COEFFICIENTS = 4096
 _NAMES = {"dcc": DCC, "si": SI}
 _SAFE = "[]_.,:;+-=()/*"
@@ -108,7 +109,9 @@ def _joint(root: etree._Element, path: Path) -> tuple[tuple[Coefficient, ...], n
     stds = _converted(spread.split(), [(unit,) for unit in units], path)
     columns = base.findall(".//si:columnXMLList", _NAMES)
     if len(columns) != len(keys):
-        raise DataError(f"{path}: {len(columns)} columns of covariance for {len(keys)} coefficients")
+        raise DataError(
+            f"{path}: {len(columns)} columns of covariance for {len(keys)} coefficients", remedy=AGAIN
+        )
     matrix = [
         _numbers(
             column,
@@ -133,7 +136,9 @@ def _numbers(
     given = element.findtext(units, "", _NAMES).split()
     wanted = [dsi_unit(*product) for product in expected]
     if given != wanted:
-        raise DataError(f"{path}: units {' '.join(given)[:80]} where {' '.join(wanted)[:80]} are needed")
+        raise DataError(
+            f"{path}: units {' '.join(given)[:80]} where {' '.join(wanted)[:80]} are needed", remedy=AGAIN
+        )
     return _converted(element.findtext(values, "", _NAMES).split(), expected, path)
 
 
@@ -165,7 +170,9 @@ def _compare(
                 remedy="do not use the file; ask the issuer",
             )
     if not np.array_equal(covariance, record.covariance):
-        raise DataError(f"{path}: contradicts itself: the covariance differs from the attached record's")
+        raise DataError(
+            f"{path}: contradicts itself: the covariance differs from the attached record's", remedy=AGAIN
+        )
 
 
 def _compare_coverage(path: Path, root: etree._Element, record: Calibration) -> None:

@@ -1,0 +1,152 @@
+"""Mutated files and streams at the doors that take records of others: used, or refused in words; nothing else.
+
+The default run is 200 cases a door; ``PIGA_FUZZ=500`` makes it 100 000.
+"""
+
+from __future__ import annotations
+
+import io
+import random
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import piga
+from piga.compensation.live import compensate_arrow, compensate_lines
+from piga.compensation.model import make_model
+from piga.records.calibration_json import calibration_from_bytes, calibration_to_bytes
+from piga.records.run_file import read_run_file
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
+from tests.records.files import write_run
+from tests.records.test_fuzz import SCALE, mutated, outcome, seeded
+from tests.reports.certificate_data import budgeted, complete
+from tests.reports.example import calibration
+
+CASES = 200 * SCALE
+TOKENS = [b"-", b"0", b"1e308", b"1e-320", b"null", b"true", b"[]", b"{}", b'""', b'"phi"', b"9" * 30, b"\\u0000",
+          b"scale_factor", b'"run": "b", ', b"per-segment", b"NaN", b"e99", b".", b",", b"\xff"]  # fmt: skip
+
+
+def altered(source: bytes, draw: random.Random) -> bytes:
+    """Bytes changed, or a token put over or between others."""
+    if draw.random() < 0.5:
+        return mutated(source, draw)
+    at, token = draw.randrange(len(source)), draw.choice(TOKENS)
+    return source[:at] + token + source[at + draw.choice((0, 1, len(token))) :]
+
+
+def test_calibrations() -> None:
+    """What is read is also what compensation can use."""
+    draw = seeded(21)
+    source = calibration_to_bytes(budgeted(calibration(with_residuals=False)))
+
+    def use(raw: bytes) -> None:
+        read = calibration_from_bytes(raw, Path("calibration.json"))
+        assert np.linalg.eigvalsh(read.covariance / np.abs(read.covariance).max()).min() > -1e-6
+        make_model(read)
+
+    with np.errstate(all="ignore"):
+        kept = sum(outcome(lambda: use(altered(source, draw))) for _ in range(CASES))
+    assert 0 < kept < CASES
+
+
+def test_run_files(tmp_path: Path) -> None:
+    draw = seeded(22)
+    path = write_run(tmp_path, instrument="counter_bits = 16", data='range = { n = [0, 1] }\nmissing = ["x"]')
+    source = path.read_bytes()
+    for _ in range(CASES):
+        path.write_bytes(altered(source, draw))
+        outcome(lambda: read_run_file(path))
+
+
+def _live(name: str) -> tuple[bytes, Callable[[bytes, piga.Calibration], object]]:
+    rows = [[0.01 * i, 0.1 * i, 9.8, 1.0, 0.0] for i in range(4)]
+    header = ("t", "output", "fx", "fy", "fz")
+    if name == "lines":
+        text = "\n".join([",".join(header), *(",".join(map(repr, row)) for row in rows), ""])
+        return text.encode(), lambda raw, cal: compensate_lines(
+            io.TextIOWrapper(io.BytesIO(raw), "utf-8-sig", errors="replace"),
+            io.StringIO(),
+            piga.Compensator(cal),
+        )
+    sent = io.BytesIO()
+    table = pa.table({column: [row[i] for row in rows] for i, column in enumerate(header)})
+    options = pa.ipc.IpcWriteOptions(compression="zstd" if name == "packed" else None)
+    with pa.ipc.new_stream(sent, table.schema, options=options) as writer:
+        writer.write_table(table, 2)
+    return sent.getvalue(), lambda raw, cal: compensate_arrow(
+        io.BytesIO(raw), io.BytesIO(), piga.Compensator(cal)
+    )
+
+
+@pytest.mark.parametrize("kind", ["lines", "arrow", "packed"])
+def test_live_streams(kind: str) -> None:
+    draw = seeded(23)
+    source, work = _live(kind)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3}, {"scale_factor": 1e-6})
+    with np.errstate(all="ignore"):
+        for _ in range(CASES if kind == "lines" else CASES // 2):
+            cut = altered(source, draw)
+            case = cut[: draw.randrange(len(cut) + 1)] if draw.random() < 0.2 else cut
+            outcome(lambda case=case: work(case, cal))
+
+
+def test_certificates() -> None:
+    etree = pytest.importorskip("lxml.etree")
+    from piga.records.dcc_reader import calibration_of as calibration_in
+    from piga.records.xml_file import parse_xml
+    from piga.reports.dcc import dcc_document
+
+    draw = seeded(24)
+    cal = budgeted(calibration(serial="G-0417", with_residuals=False))
+    source = etree.tostring(dcc_document(complete(), cal))
+    path = Path("certificate.xml")
+    for _ in range(CASES):
+        case = altered(source, draw)
+        outcome(lambda case=case: calibration_in(parse_xml(case, path), path))
+
+
+def test_imports(tmp_path: Path) -> None:
+    """Exports of which members were changed and sealed again, so that more than the seal is tried."""
+    pytest.importorskip("sqlalchemy")
+    import hashlib
+    import zipfile
+
+    from piga.records.store import open_store
+    from piga.records.store.export import SEAL
+    from piga.records.store.transfer import import_records
+
+    draw = seeded(25)
+    source = Path(__file__).parents[1] / "records" / "corpus" / "0.1.0" / "export.zip"
+    with zipfile.ZipFile(source) as export:
+        members = {name: export.read(name) for name in export.namelist() if not name.endswith("SUMS")}
+    small = [name for name in members if len(members[name]) < 20_000]
+    target = tmp_path / "export.zip"
+
+    def put() -> None:
+        changed = dict(members)
+        name = draw.choice(small)
+        data = altered(changed.pop(name), draw)
+        renamed = draw.random() < 0.8 and name.startswith("files/")
+        changed[f"files/{hashlib.sha256(data).hexdigest()}" if renamed else name] = data
+        sums = {n: hashlib.sha256(data).hexdigest() for n, data in changed.items()}
+        changed["SHA256SUMS"] = "".join(f"{sums[n]}  {n}\n" for n in sorted(sums)).encode()
+        with zipfile.ZipFile(target, "w") as out:
+            for n, data in changed.items():
+                out.writestr(n, data)
+            out.comment = SEAL + b"0" * 64
+        whole = target.read_bytes()[: -len(SEAL) - 64]
+        target.write_bytes(whole + SEAL + hashlib.sha256(whole).hexdigest().encode())
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for index in range(max(CASES // 20, 10)):
+            put()
+            lab = tmp_path / f"{index % 50}.sqlite"
+            lab.unlink(missing_ok=True)
+            with open_store(lab, create=True) as store:
+                outcome(lambda store=store: import_records(store, target, "A", "B"))
