@@ -55,7 +55,7 @@ def record(
         steps = np.diff(t[part], prepend=t[part][0])
         path = path + walk * np.cumsum(np.sqrt(steps) * rng.standard_normal(path.size))
         output[part] = path - PHI
-        alpha = float(path[-1]) + (2.0 * np.pi * rng.uniform() if per_segment else 1.0)
+        alpha = float(path[-1]) + 1.0
     output = output + white * rng.standard_normal(t.size)
     if count_angle:
         output = np.round(output / count_angle) * count_angle
