@@ -64,6 +64,20 @@ def test_shared_type_b_is_not_averaged_away_and_cancels_in_drift():
     assert 2.5e-6 < part.model.coefficient_at(2.4).std < 3.5e-6
 
 
+def test_what_is_set_anew_in_each_test_is_a_records_own():
+    rng = np.random.default_rng(3)
+    t = np.arange(25) * 0.2
+    y = rng.normal(0, 5e-6, 25)
+    std = math.hypot(1e-6, 5e-6)
+    for source in ("angle_repeatability", "levelling_repeatability axis 1"):
+        entries = history(t, y, std, common={source: {"k0": 5e-6}})
+        trend = find_trend(entries)["k0"]
+        assert trend.points[0].own == pytest.approx(std)
+        assert trend.model.coefficient_at(2.4).std < 3e-6
+        named = find_trend(entries, common={source: 1.0})["k0"]
+        assert named.points[0].own == pytest.approx(1e-6)
+
+
 def test_a_shared_error_that_grows_is_part_of_the_drift():
     entries = [
         (

@@ -29,6 +29,7 @@ from piga.calibration.trend_line import (
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration, CalibrationFigures, Coefficient, TypeB
 from piga.records.coverage import Coverage, coverage_factor
+from piga.records.run_file import drawn_for
 
 Array = NDArray[np.float64]
 
@@ -149,7 +150,8 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
     history:
         Records of one instrument, in any order. They are taken one by one: a generator need not hold them all.
     common:
-        Part of the Type B variance that the records share (default: all of it).
+        Part of the Type B variance that the records share (default: all of it). What is drawn anew in each test
+        (``..._repeatability``) is shared by none, unless it is named.
 
     Raises
     ------
@@ -306,8 +308,15 @@ def _own_half_width(c: Coefficient, type_b: tuple[TypeB, ...], own: float, commo
 
 
 def _shared_part(common: Common, source: str) -> float:
-    """Part of the variance of a source of Type B that all records share."""
-    return float(common.get(source, 1.0) if isinstance(common, Mapping) else common)
+    """Part of the variance of a source of Type B that all records share.
+
+    What is drawn anew in each test is never shared, unless it is named.
+    """
+    if isinstance(common, Mapping) and source in common:
+        return float(common[source])
+    if drawn_for(source.split(" ", maxsplit=1)[0]) != "reference":
+        return 0.0
+    return 1.0 if isinstance(common, Mapping) else float(common)
 
 
 def common_contributions(key: str, figures: Sequence[CalibrationFigures], common: Common) -> Array:
