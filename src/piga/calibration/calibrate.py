@@ -126,9 +126,10 @@ def _calibration(
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
     groups, per_segment = phase_groups(run, request)
+    stated = stated_scatter(run)
     try:
         fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
-        fit = include_stated_scatter(fit, groups, stated_scatter(fit.design.run))
+        fit = include_stated_scatter(fit, groups, stated)
         fit = include_faint_walk(include_slow_noise(fit, groups), groups)
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
         spread = 0.0 if run.temperature is None else _range(run.temperature)

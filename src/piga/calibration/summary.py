@@ -225,13 +225,13 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
     A bias drift ties the segments together: where each has a summary of its own it is not weighted by, however clear.
     """
     undetermined: list[str] = []
-    terms = request.terms
+    terms, stated = request.terms, stated_scatter(run)
     while True:
         wish = replace(request, terms=terms)
         groups, per_segment = phase_groups(run, wish)
         try:
             fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
-            fit = include_stated_scatter(fit, groups, stated_scatter(fit.design.run))
+            fit = include_stated_scatter(fit, groups, stated)
             fit = (
                 include_slow_noise(fit, groups, clear=math.inf)
                 if per_segment
