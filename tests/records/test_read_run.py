@@ -195,6 +195,36 @@ def test_angle_that_folds(tmp_path: Path) -> None:
     assert run.phase_group == (0,)
 
 
+@pytest.mark.parametrize(("span", "kept"), [("1080 deg", True), ("1100 deg", False)])
+def test_an_angle_in_mrad_keeps_its_phase_over_whole_turns(tmp_path: Path, span: str, kept: bool) -> None:
+    """1080 deg are three turns; in mrad the division leaves a rounding error. Kept across the gap of two segments."""
+    fold = np.radians(float(span.split(maxsplit=1)[0])) * 1e3
+    turned = np.radians(25.4 * np.arange(120)) * 1e3 % fold
+    rows = [f"{i / 20 + 60 * (i >= 60)},{a:.9f},1.0,0.1,0.0,{i >= 60:d}" for i, a in enumerate(turned)]
+    write_log(tmp_path, rows, header="t,n,fx,fy,fz,p")
+    path = write_run(tmp_path, data='segment = "p"')
+    text = path.read_text().replace(
+        'kind = "counts" }', f'kind = "angle", unit = "mrad", wraps_at = "{span}" }}'
+    )
+    path.write_text(text)
+    assert (len(set(piga.read_run(path).phase_group)) == 1) == kept
+
+
+def test_an_output_that_is_locked_in_one_position_is_not_called_saturated(tmp_path: Path) -> None:
+    """It rests at its largest value there, and runs away from it in the position before and after."""
+    moving = np.concatenate([np.arange(400) * 20, np.full(400, 7990), 7980 - 20 * np.arange(400)])
+    locked = slice(400, 800)
+    moving[locked] += np.random.default_rng(1).choice([0, -1], 400, p=[0.9, 0.1])
+    position = np.repeat([0, 1, 2], 400)
+    force = np.array([1.0, 0.0, -1.0])[position]
+    rows = [
+        f"{i / 20:.2f},{n},{0.04 * f:.4f},1.0,0.0,{p}"
+        for i, (n, f, p) in enumerate(zip(moving, force, position, strict=True))
+    ]
+    found = events(read(tmp_path, rows, header="t,n,fx,fy,fz,p", data='segment = "p"'))
+    assert "stuck-value" not in found
+
+
 def test_rate_and_temperature_and_base_rate(tmp_path: Path) -> None:
     rows = [f"{i / 20},50.9,1.0,0.1,0.0,25.0,15.0,0,0" for i in range(30)]
     write_log(tmp_path, rows, header="t,n,fx,fy,fz,T,wx,wy,wz")

@@ -161,6 +161,13 @@ def test_each_doubt(change, words, level):
     assert words in found.doubts[0].what
 
 
+def test_a_source_of_the_model_is_not_the_reference():
+    """What the servo may do to the scale factor is Type B, and says nothing of the reference."""
+    base = replace(calibration(with_residuals=False), notes=())
+    row = {"source": "meaning of the cubic signature: servo or k3", "type": "B", "contributions": {}}
+    assert verdict(replace(base, budget=(row,))).doubts[0].what == TYPE_A_ONLY
+
+
 def test_rows_that_were_not_used():
     base = replace(calibration(with_residuals=False), notes=())
     few = replace(base.quality, used=int(0.9 * base.quality.rows))

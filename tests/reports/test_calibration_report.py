@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from piga.records.calibration import Outlier, RunRecord
+from piga.records.calibration import Coefficient, Outlier, RunRecord
 from piga.reports.calibration import (
     calibration_figures,
     calibration_page,
@@ -19,7 +19,7 @@ from piga.reports.calibration_figures import (
     residual_figure,
     scale_factor,
 )
-from piga.reports.calibration_tables import residual_quantity
+from piga.reports.calibration_tables import residual_quantity, scalars, shown_unit
 from piga.reports.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker
@@ -299,3 +299,20 @@ def test_joint_and_contaminated_runs_have_their_sections(cal):
     quality = next(section for section in page.sections if section.anchor == "quality")
     assert [row[1] for row in quality.blocks[-1].rows] == ["jump", "spike"]
     assert "noise of run spun" in calibration_text(joint)
+
+
+def test_one_unit_for_one_coefficient(cal):
+    """A phase is in rad whatever its size, and the terminal's budget has the units of the coefficients."""
+    small = Coefficient("phi", 0.0031, 1e-5, "rad", "0")
+    assert shown_unit(small) == shown_unit(dataclasses.replace(small, value=3.1)) == (1.0, "rad")
+    text = calibration_text(cal)
+    assert "k0 [ug]" in text
+    assert "k0 [g]" not in text
+
+
+def test_diagnostics_have_words_and_no_digits_that_say_nothing():
+    rows = dict(
+        scalars({"segment_scatter_ratio_without_it": 3.25, "range": {"a_x": [-9.801660000002705, 9.8]}})
+    )
+    assert rows["Range of the axial specific force"] == "−9.802 to 9.800 m/s²"
+    assert "Scatter of the segments over what the noise of the angle explains" in rows

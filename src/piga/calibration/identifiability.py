@@ -200,7 +200,8 @@ def refuse_useless(
             bad.append((coefficient, share))
     if bad:
         listed = "; ".join(
-            f"{c.key} = {c.value:.3g} with standard uncertainty {c.std:.2g} {c.unit}" for c, _ in bad
+            f"{c.key} = {c.value:.3g} with standard uncertainty {c.std:.2g}{'' if c.unit == '1' else ' ' + c.unit}"
+            for c, _ in bad
         )
         raise IdentifiabilityError(
             f"this record does not determine {', '.join(c.key for c, _ in bad)}: {listed}",

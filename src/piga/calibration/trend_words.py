@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.trend_line import DOUBT
-from piga.records.coverage import TYPE_A_ONLY
+from piga.records.coverage import TYPE_A_ONLY, is_of_reference
 
 if TYPE_CHECKING:
     from piga.calibration.trend import CoefficientTrend
@@ -76,7 +76,9 @@ def remarks_in_words(
             "The records were calibrated with different terms: a coefficient may have taken over what another "
             "record left to a term of its own."
         )
-    alone = sum(not calibration.type_b for calibration in calibrations)
+    alone = sum(
+        not any(is_of_reference(row.source) for row in calibration.type_b) for calibration in calibrations
+    )
     if alone:
         found.append(f"{alone} of {len(calibrations)} records: {TYPE_A_ONLY}.")
     without = sum(not calibration.has_budget for calibration in calibrations)

@@ -45,6 +45,16 @@ StandReference = Callable[
 """Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
 
 
+WHOLE = 1e-9
+"""Distance from a whole number of turns [rev] up to which a roll-over is one: units such as mrad make it inexact."""
+
+
+def _whole_turns(span: float, revolution: float) -> bool:
+    """True when a reading that rolls over at ``span`` keeps the phase: the span is a whole number of turns."""
+    turns = span / revolution
+    return abs(turns - round(turns)) <= WHOLE
+
+
 @dataclass
 class Assembly:
     """The columns of one data file on their way to a run; ``rows_read`` of it, ``events`` so far."""
@@ -121,7 +131,13 @@ class Assembly:
             self._check_masked(usable)
             declared = [limits.get(name, (-np.inf, np.inf)) for name in raw.numbers]
             stuck = pool.map(
-                stuck_extremes, raw.numbers, raw.numbers.values(), extremes, repeat(raw.rows), declared
+                stuck_extremes,
+                raw.numbers,
+                raw.numbers.values(),
+                extremes,
+                repeat(raw.rows),
+                repeat(raw.segment),
+                declared,
             )
             self.events += chain.from_iterable(stuck)
         if limits:
@@ -228,10 +244,12 @@ class Assembly:
         if output.kind == "angle":
             factor = conversion_factor(self._unit(output.column, str(output.unit)), "rad")
             span = None if output.wraps_at is None else to_si(output.wraps_at, "rad") / factor
-            return Scale(factor, span, span is None or span % (2.0 * np.pi / factor) == 0.0)
+            return Scale(factor, span, span is None or _whole_turns(span, 2.0 * np.pi / factor))
         revolution = float(instrument.counts_per_revolution or 0.0)
         span = None if instrument.counter_bits is None else 2.0**instrument.counter_bits
-        return Scale(2.0 * np.pi / revolution, span, span is None or span % revolution == 0.0, counts=True)
+        return Scale(
+            2.0 * np.pi / revolution, span, span is None or _whole_turns(span, revolution), counts=True
+        )
 
     def _output(self, base: TimeBase, scale: Scale, largest: float) -> tuple[Array, NDArray[np.bool_]]:
         """Output in SI, and the samples where the whole turns were lost."""

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from piga.records.coverage import Coverage, coverage
+from piga.records.coverage import Coverage, coverage, is_of_reference
 from piga.records.verdict import Verdict, verdict
 
 Array = NDArray[np.float64]
@@ -57,6 +57,13 @@ class Coefficient:
     def key(self) -> str:
         """``name`` or ``name[owner]``: the name used in the covariance."""
         return self.name if self.owner is None else f"{self.name}[{self.owner}]"
+
+    @property
+    def value_si(self) -> float:
+        """Value in SI: ``cal["scale_factor"].value_si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)]."""
+        from piga.records.terms import si_factor
+
+        return self.value * si_factor(self.name)
 
     @property
     def coverage(self) -> Coverage:
@@ -268,8 +275,8 @@ class Calibration:
 
     @property
     def type_a_only(self) -> bool:
-        """True when the budget has no source of Type B: the reference then counts as exact."""
-        return not any(row.get("type") == "B" for row in self.budget)
+        """True when the budget has no source of Type B of the reference: it then counts as exact."""
+        return not any(row.get("type") == "B" and is_of_reference(str(row["source"])) for row in self.budget)
 
     @property
     def verdict(self) -> Verdict:

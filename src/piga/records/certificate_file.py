@@ -333,7 +333,7 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
             yield f"calibration (7.8.4.1 a): too few degrees of freedom for an expanded uncertainty of {c.key}"
     if not all(c.std > 0.0 and math.isfinite(c.std) for c in calibration.coefficients):
         yield "calibration (7.8.4.1 a): a coefficient has no uncertainty"
-    if not any(row.get("type") == "B" for row in calibration.budget):
+    if calibration.type_a_only:
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
         return
     yield from _budget_sums(calibration)

@@ -19,6 +19,8 @@ PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
 TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
 """What stands beside every uncertainty of a calibration whose budget has no source of Type B."""
+OF_THE_MODEL = ("servo ", "meaning of ")
+"""Beginnings of the names of sources of Type B that are of the model: they say nothing of the reference."""
 ALMOST_KNOWN = 1e9
 """Degrees of freedom from which F(n, nu) is that of infinitely many, to every digit that is printed."""
 
@@ -37,6 +39,11 @@ class Coverage:
     low: float
     high: float
     monte_carlo: bool
+
+
+def is_of_reference(source: str) -> bool:
+    """True for a source of Type B that describes the reference, the clock, the thermometer or the stand."""
+    return not source.startswith(OF_THE_MODEL)
 
 
 def coverage_factor(degrees_of_freedom: float, probability: float = PROBABILITY) -> float:

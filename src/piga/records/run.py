@@ -27,7 +27,8 @@ class Run:
     Attributes
     ----------
     serial, scale_factor:
-        Instrument and its nominal K [(rad/s)/(m/s^2)].
+        Instrument and its nominal K [(rad/s)/(m/s^2)], SI as everything here. A calibration's
+        ``cal["scale_factor"].value`` is in rad/s/g, the unit of calibration.json; its ``value_si`` compares with this.
     t:
         Time [s]; increasing inside a stretch.
     output:

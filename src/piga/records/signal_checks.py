@@ -120,7 +120,12 @@ class Extremes:
 
 
 def stuck_extremes(
-    name: str, values: Array, found: Extremes, rows: NDArray[np.int64], declared: tuple[float, float]
+    name: str,
+    values: Array,
+    found: Extremes,
+    rows: NDArray[np.int64],
+    segment: NDArray[np.int32],
+    declared: tuple[float, float],
 ) -> list[Event]:
     """Runs of the largest or smallest value of a column that otherwise moves all the time.
 
@@ -137,21 +142,26 @@ def stuck_extremes(
         for part, bound in zip(spans(values.size), bounds, strict=True):
             if bound == extreme:
                 run.see(values[part] == extreme, part.start)
-        if run.length >= STUCK and cut_off(values, run.start, run.length, extreme) > RESTING:
+        if run.length >= STUCK and cut_off(values, segment, run.start, run.length, extreme) > RESTING:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             events.append(Event("stuck-value", run.length, int(rows[run.start]), detail))
     return events
 
 
-def cut_off(values: Array, start: int, length: int, extreme: float) -> float:
+def cut_off(values: Array, segment: NDArray[np.int32], start: int, length: int, extreme: float) -> float:
     """How far a reading would have gone on beyond a run of its extreme value, in its own smallest steps.
 
     A parabola through the two ends of the run and the neighbourhood: where it has fallen by ``s`` at the
     distance ``d`` from a run of half width ``w``, its top is ``s / ((1 + d/w)^2 - 1)`` above the run. A run of
-    a reading that is only rounded hides no more than one step.
+    a reading that is only rounded hides no more than one step. The neighbourhood ends with the ``segment``: how fast
+    the reading moves in the next position says nothing of an output that is locked in this one.
     """
-    reach = min(length, SHOULDER)
-    sides = values[max(start - reach, 0) : start][::-1], values[start + length : start + length + reach]
+    reach, last = min(length, SHOULDER), start + length - 1
+    left, right = slice(max(start - reach, 0), start), slice(last + 1, last + 1 + reach)
+    sides = (
+        values[left][::-1][np.logical_and.accumulate(segment[left][::-1] == segment[start])],
+        values[right][np.logical_and.accumulate(segment[right] == segment[last])],
+    )
     moves = np.abs(np.diff(np.concatenate((sides[0][::-1], [extreme], sides[1]))))
     step = float(np.min(moves, where=moves > 0.0, initial=np.inf))
     if not np.isfinite(step):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
+from piga.records.terms import meaning_of
 from piga.records.verdict import THRESHOLDS, whitened_rms
 from piga.reports.calibration_budget import budget_table, sensitivity_table
 from piga.reports.calibration_diagnostics import (
@@ -25,7 +26,6 @@ from piga.reports.calibration_tables import (
     facts_table,
     freedom,
     judgement,
-    meaning,
     outlier_table,
     quality_table,
     residual_quantity,
@@ -184,7 +184,7 @@ def _data_tile(cal: Calibration) -> Tile:
 
 
 def _tested(cal: Calibration) -> Section:
-    terms = ", ".join(f"{term} ({meaning(term)})" for term in cal.terms)
+    terms = ", ".join(f"{term} ({meaning_of(term)})" for term in cal.terms)
     shared, seen = cal.phase == "shared", cal.quality
     phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
     if cal.runs:

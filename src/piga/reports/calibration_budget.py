@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 from piga.records.calibration import Calibration, Coefficient
-from piga.reports.calibration_tables import SHOWN_NAMES, common_coefficients
-from piga.reports.numbers import friendly, pretty_unit, printed, short
+from piga.reports.calibration_tables import SHOWN_NAMES, common_coefficients, shown_unit
+from piga.reports.numbers import pretty_unit, printed, short
 from piga.reports.page import Cell, Column, Table
 
-NOTHING = 1e-9
-"""Contribution, in standard uncertainties of the coefficient, that is rounding of the arithmetic."""
+NOTHING = 1e-3
+"""Contribution, in standard uncertainties of the coefficient, below which it says nothing: 0.0001 % of the variance."""
 SLIGHT = 0.01
 """Share of the variance below which a source is left out on the terminal."""
 
@@ -47,7 +47,7 @@ def budget_table(cal: Calibration) -> Table:
 
 
 def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
-    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+    scale, unit = shown_unit(coefficient)
     return unit, scale
 
 
@@ -122,7 +122,7 @@ def budget_text(cal: Calibration) -> list[str]:
     width = [max(len(row[i]) for _, rows in blocks for row in rows) for i in range(6)]
     lines = [f"  uncertainty budget (sources below {100 * SLIGHT:.0f} % of a variance left out)"]
     for coefficient, rows in blocks:
-        lines.append(f"  {coefficient.key} [{coefficient.unit}]")
+        lines.append(f"  {coefficient.key} [{shown_unit(coefficient)[1]}]")
         for source, kind, u, sensitivity, part, share in rows:
             lines.append(
                 f"    {source:<{width[0]}} {kind} {u:>{width[2]}}  {sensitivity:<{width[3]}}  "
@@ -134,7 +134,7 @@ def budget_text(cal: Calibration) -> list[str]:
 def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ...]]:
     """Source, type, standard uncertainty, sensitivity, contribution and share of a coefficient's budget."""
     whole = math.hypot(*(_contribution(row, coefficient) for row in cal.budget))
-    rows = []
+    scale, rows = shown_unit(coefficient)[0], []
     for row in cal.budget:
         part = abs(_contribution(row, coefficient))
         share = (part / whole) ** 2 if whole else 0.0
@@ -142,13 +142,13 @@ def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ..
             continue
         given, found = row.get("standard_uncertainty"), row.get("sensitivities", {}).get(coefficient.key)
         entered = f"{short(given['value'])} {given['unit']}" if given else ""
-        sensitivity = f"{short(found['value'], 3)} per {given['unit']}" if given and found else ""
+        sensitivity = f"{short(found['value'] * scale, 3)} per {given['unit']}" if given and found else ""
         shown = (
             str(row["source"]),
             str(row["type"]),
             entered,
             sensitivity,
-            short(part, 2),
+            short(part * scale, 2),
             f"{100 * share:.0f} %",
         )
         rows.append(tuple(text.replace("–", "-").replace("\u202f", "") for text in shown))

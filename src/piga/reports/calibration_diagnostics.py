@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from piga.records.calibration import Calibration
-from piga.reports.calibration_tables import common_coefficients
-from piga.reports.numbers import friendly, pretty_unit, printed, short
+from piga.reports.calibration_tables import common_coefficients, shown_unit
+from piga.reports.numbers import pretty_unit, printed, short
 from piga.reports.page import Cell, Column, Table
 
 OWN_TABLES = frozenset({"leverage", "monte_carlo", "missing_terms", "advice", "model_comparison"})
@@ -74,7 +74,7 @@ def comparison_table(cal: Calibration) -> Table | None:
         row = found["coefficients"].get(c.key)
         if row is None:
             continue
-        _, scale, unit = friendly(c.value, 1.0, c.unit)
+        scale, unit = shown_unit(c)
         intervals = (_interval(row[name], scale) for name in ("first_order", "symmetric", "shortest"))
         verdict = Cell("yes", "good") if row["validated"] else Cell("no: Monte Carlo holds", "doubtful")
         rows.append(

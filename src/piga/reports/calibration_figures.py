@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from piga.records.calibration import Calibration, Residuals
 from piga.reports.allan import allan_figure
 from piga.reports.calibration_rotation_figures import ripple_figure, spectrum_figure
-from piga.reports.calibration_tables import residual_quantity
+from piga.reports.calibration_tables import residual_quantity, shown_unit
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.long_record import leading_part, outline
-from piga.reports.numbers import friendly, pretty_unit
+from piga.reports.numbers import pretty_unit
 from piga.reports.orders import order_spectrum, ripple, segment_slices
 from piga.units import ARCSEC, G0, conversion_factor
 
@@ -79,7 +79,7 @@ def convergence_figure(cal: Calibration) -> Figure:
         values = history.get(coefficient.key)
         if values is None:
             continue
-        _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+        scale, unit = shown_unit(coefficient)
         quantity = coefficient.name
         if coefficient.name == "scale_factor":
             quantity, unit, scale = "scale_factor, from the result", "ppm", 1e6 / coefficient.value

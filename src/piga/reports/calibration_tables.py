@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -23,28 +22,6 @@ from piga.reports.numbers import (
 from piga.reports.page import Cell, Column, Judgement, Table
 from piga.units import ARCSEC, G0
 
-_MEANING = {
-    "scale_factor": "scale factor ml/H",
-    "tan_beta": "cross-coupling, tilt β of the rotor axis",
-    "phi": "phase of the output zero",
-    "k0": "bias",
-    "k1": "scale-factor error",
-    "k2": "second-order nonlinearity",
-    "k3": "third-order nonlinearity",
-    "k2o": "odd second-order nonlinearity (a_x |a_x|)",
-    "m_Y": "misalignment towards Y0",
-    "m_Z": "misalignment towards Z0",
-    "k_XY": "cross term a_x a_Y",
-    "k_XZ": "cross term a_x a_Z",
-    "k_YY": "cross term a_Y²",
-    "k_ZZ": "cross term a_Z²",
-    "k_YZ": "cross term a_Y a_Z",
-    "k0_t": "bias drift with time",
-    "k0_T": "bias with temperature",
-    "k1_T": "scale factor with temperature",
-    "servo": "stiffness of the servo (a_x a_t²)",
-    "servo_damping": "float damping under the servo (a_x² a_t)",
-}
 _SHOWN_SEGMENTS = 60
 SHOWN_NAMES = 14
 """Coefficients that a table has columns for."""
@@ -53,14 +30,6 @@ _SHOWN_OUTLIERS = 30
 
 MANY = 1_000_000
 """Degrees of freedom beyond which the number tells nothing more."""
-
-
-def meaning(name: str) -> str:
-    """A coefficient's meaning in words."""
-    harmonic = re.fullmatch(r"([sc])(\d+)", name)
-    if harmonic:
-        return f"{'sine' if harmonic[1] == 's' else 'cosine'} harmonic of the output, order {harmonic[2]}"
-    return _MEANING.get(name, name)
 
 
 def judgement(cal: Calibration, subject: str = "") -> Judgement:
@@ -73,6 +42,14 @@ def judgement(cal: Calibration, subject: str = "") -> Judgement:
 def sentence(text: str) -> str:
     """Text with a capital letter."""
     return f"{text[:1].upper()}{text[1:]}"
+
+
+def shown_unit(coefficient: Coefficient) -> tuple[float, str]:
+    """Factor and unit in which a coefficient is shown everywhere: micro-units where it is small, a phase in rad."""
+    if coefficient.name == "phi":
+        return 1.0, coefficient.unit
+    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+    return scale, unit
 
 
 def common_coefficients(cal: Calibration) -> list[Coefficient]:
@@ -115,7 +92,7 @@ def factor(coefficient: Coefficient) -> str:
 def monte_carlo_interval(coefficient: Coefficient) -> str:
     """Limits of the interval that holds, rounded by their width, with their unit: ``299.1 to 300.7 µg``."""
     covered = coefficient.coverage
-    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
+    scale, unit = shown_unit(coefficient)
     ends = [rounded(end * scale, covered.half_width * scale).value for end in (covered.low, covered.high)]
     return f"{printed(ends[0])} to {printed(ends[1])} {pretty_unit(unit)}".rstrip()
 
@@ -124,8 +101,8 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     if not coefficient.determined:
         unit = pretty_unit(coefficient.unit)
         return coefficient.key, Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
-    value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
-    scale = std / coefficient.std if coefficient.std else 1.0
+    scale, unit = shown_unit(coefficient)
+    value, std = coefficient.value * scale, coefficient.std * scale
     number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
     small = std > abs(value)
     return (
@@ -325,12 +302,49 @@ def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
     return Table((Column("Item", align="text"), Column("Value", align="text")), tuple(rows), code=code)
 
 
+LABELS = {
+    "residual_kind": "Residuals are those of the",
+    "samples": "Whitened residuals",
+    "variance": "Variance of the whitened residuals",
+    "lag1_correlation": "Correlation of neighbours",
+    "ljung_box": "Ljung-Box statistic",
+    "ljung_box_lags": "Lags of the Ljung-Box test",
+    "ljung_box_probability": "Probability of the Ljung-Box test",
+    "skewness": "Skewness",
+    "excess_kurtosis": "Excess kurtosis",
+    "verdict": "Whitened residuals are",
+    "segment_scatter_ratio": "Scatter of the segments over what all noise explains",
+    "segment_scatter_ratio_without_it": "Scatter of the segments over what the noise of the angle explains",
+    "segment_scatter_g": "Scatter of the segments, g",
+    "turns": "Whole turns of the output",
+    "scatter_of_a_turn": "Scatter of a turn, rad",
+    "noise_given": "noise levels given",
+    "per_run": "terms of single runs",
+}
+"""Entries of diagnostics and options in words."""
+_RANGES = {
+    "a_x": ("axial specific force", "m/s²"),
+    "a_t": ("transverse specific force", "m/s²"),
+    "temperature": ("temperature", "K"),
+}
+
+
+def _range_row(name: str, ends: Any) -> tuple[str, str]:
+    """A range in which the calibration holds."""
+    words, unit = _RANGES.get(name, (name, ""))
+    low, high = (printed(short(float(end), 4)) for end in ends)
+    return f"Range of the {words}", f"{low} to {high} {unit}".rstrip()
+
+
 def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
     """Plain entries of a free-form dictionary, for a facts table; nested entries get dotted names."""
     rows: list[tuple[str, str]] = []
-    for key, value in document.items():
-        if isinstance(value, dict):
-            rows += [(f"{key}.{name}", text) for name, text in scalars(value)]
+    for name, value in document.items():
+        key = LABELS.get(name, name)
+        if name == "range" and isinstance(value, dict):
+            rows += [_range_row(what, ends) for what, ends in value.items()]
+        elif isinstance(value, dict):
+            rows += [(f"{key}.{inner}", text) for inner, text in scalars(value)]
         elif isinstance(value, float):
             rows.append((key, printed(short(value, 4))))
         elif isinstance(value, (str, int)):

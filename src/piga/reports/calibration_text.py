@@ -7,8 +7,8 @@ import textwrap
 from piga.records.calibration import Calibration
 from piga.reports.calibration_budget import budget_text
 from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
-from piga.reports.calibration_tables import factor, freedom, residual_quantity
-from piga.reports.numbers import friendly, printed, rounded, short
+from piga.reports.calibration_tables import factor, freedom, residual_quantity, shown_unit
+from piga.reports.numbers import printed, rounded, short
 from piga.units import ARCSEC, G0
 
 
@@ -64,8 +64,8 @@ def _text_table(cal: Calibration) -> list[str]:
         if not coefficient.determined:
             lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
             continue
-        value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
-        scale = std / coefficient.std if coefficient.std else 1.0
+        scale, unit = shown_unit(coefficient)
+        value, std = coefficient.value * scale, coefficient.std * scale
         number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
         line = (
             number.value,

@@ -13,13 +13,13 @@ from typing import Any
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.certificate_file import CertificateFile, missing_items
+from piga.records.terms import meaning_of
 from piga.reports.calibration_budget import budget_table
 from piga.reports.calibration_tables import (
     common_coefficients,
     correlation_table,
     factor,
     freedom,
-    meaning,
     monte_carlo_interval,
     sentence,
 )
@@ -38,7 +38,7 @@ _COARSE = 100.0
 """Expanded uncertainty from which a coefficient is not shown in micro-units: the last digits would be zeros."""
 
 
-_ACROSS = 7
+_ACROSS = 5
 """Coefficients side by side in a table of the certificate."""
 
 
@@ -199,7 +199,7 @@ def _results(calibration: Calibration, before: Calibration | None) -> _Part:
         paragraphs.append(
             "Phases of single segments hold for one power-up of the readout each and are not listed."
         )
-    tables += _split(budget_table(calibration), 3, "Standard uncertainty of each coefficient by source")
+    tables += _split(budget_table(calibration), 5, "Standard uncertainty of each coefficient by source")
     correlation = correlation_table(calibration)
     if correlation is not None:
         tables += _split(correlation, 1, "Correlation coefficients of the results")
@@ -245,7 +245,7 @@ def _monte_carlo(calibration: Calibration) -> list[str]:
 
 def _result_row(c: Coefficient) -> tuple[str, ...]:
     if not c.determined:
-        return c.name, meaning(c.name), "not determined", "–", pretty_unit(c.unit), "–", "–", "–"
+        return c.name, meaning_of(c.name), "not determined", "–", pretty_unit(c.unit), "–", "–", "–"
     half = c.expanded
     value, wide, unit = friendly(c.value, half, c.unit)
     if wide >= _COARSE:
@@ -254,7 +254,7 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
     share = relative(value, wide)
     return (
         c.name,
-        meaning(c.name),
+        meaning_of(c.name),
         printed(number.value),
         printed(number.uncertainty),
         pretty_unit(unit) or "1",

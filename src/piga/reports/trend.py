@@ -11,7 +11,7 @@ from typing import Any
 from piga._version import __version__
 from piga.calibration.trend import CoefficientTrend, Trend
 from piga.calibration.trend_line import Forecast
-from piga.reports.calibration_tables import meaning
+from piga.records.terms import meaning_of
 from piga.reports.numbers import fixed, friendly, pretty_unit, printed, rounded, short
 from piga.reports.page import (
     Block,
@@ -144,7 +144,7 @@ def _spread(value: float) -> str:
 
 def _section(found: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
     figure = FigureBlock(trend_figure(found, trend, ahead))
-    lead = Text(f"{meaning(trend.key)[:1].upper()}{meaning(trend.key)[1:]}.", lead=True)
+    lead = Text(f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}.", lead=True)
     anchor = f"coefficient-{trend.key.replace('_', '-')}"
     return Section(trend.key, anchor, (lead, figure, record_table(found, trend)))
 
