@@ -7,6 +7,7 @@ import pytest
 
 import piga
 from piga.units import G0
+from tests.calibration.independent import Bench, head
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble
 from tests.calibration.synthetic_terms import TERMS, around, with_term
 
@@ -101,3 +102,32 @@ def test_a_right_model_gets_no_suggestion(name):
     scenario = SCENARIOS[name]
     found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
     assert "missing_terms" not in found.diagnostics
+
+
+WARMING = Bench(
+    forces=head(16), seconds=20.0, rate=10.0, warmth=lambda t: 3.0 * (1.0 - np.exp(-t / 160.0)), k0_T=8e-6
+)
+"""A bench that warms up by 3 K, and a bias that follows it."""
+
+
+@pytest.mark.only_compiled
+def test_a_bias_that_follows_the_temperature_is_suggested():
+    """Of temperature and time, which explain much the same here, the one that was recorded for it comes first."""
+    for warmth in (WARMING.warmth, lambda t: 3.0 * t / 400.0):
+        run = replace(WARMING, warmth=warmth, k0_T=2e-5).record(1)
+        first = piga.calibrate(run, TERMS).diagnostics["missing_terms"][0]
+        assert first["terms"] == ["k0_T"]
+        assert first["estimate"][0] == pytest.approx(2e-5, abs=5.0 * first["standard_uncertainty"][0])
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+def test_a_temperature_that_does_nothing_is_not_suggested():
+    """200 sound records with a temperature: at most 1 %; 40 in which the bias follows it: at least 95 %."""
+
+    def suggested(bench, seed):
+        found = piga.calibrate(bench.record(seed), TERMS).diagnostics.get("missing_terms", ())
+        return any("k0_T" in (*entry["terms"], *entry["alike"]) for entry in found)
+
+    assert sum(suggested(replace(WARMING, k0_T=0.0), seed) for seed in range(200)) <= 2
+    assert sum(suggested(WARMING, seed) for seed in range(40)) >= 38

@@ -34,6 +34,8 @@ Names = tuple[str, ...]
 
 FALSE_ALARMS = 0.002
 """Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
+THERMAL = 0.005
+"""The same for the bias following a recorded temperature: one candidate, expected before the record is looked at."""
 ROWS = 4096
 """Rows that the test looks at: neighbouring increments of longer records are joined."""
 WIDEST = 0.3
@@ -101,7 +103,12 @@ def suggest_terms(
     limit = FALSE_ALARMS / len(left)
     square = constant_squares(fit.design.run)[0]
     for _ in range(SUGGESTIONS):
-        tests = [t for names in left if (t := tested(pieces, order, names, rows)) and t.probability < limit]
+        tests = [
+            t
+            for names in left
+            if (t := tested(pieces, order, names, rows))
+            and t.probability < (THERMAL if names == ("k0_T",) else limit)
+        ]
         shifts = [_largest_shift(fit, per_segment, coefficients, t, has_phases(layout, groups)) for t in tests]
         worth = [
             (test, shift)
@@ -111,6 +118,9 @@ def suggest_terms(
         if not worth:
             break
         best, shift = max(worth, key=lambda item: item[0].fall)
+        if best.names == ("k0_t",):
+            warm = [item for item in worth if item[0].names == ("k0_T",) and item[0].fall > ALIKE * best.fall]
+            best, shift = (warm or [(best, shift)])[0]
         best, shift = _servo_first(best, shift, worth, square)
         alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > ALIKE * best.fall]
         entry = _as_dict(best, shift, alike, fit.design.scale_factor)
