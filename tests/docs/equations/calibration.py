@@ -16,6 +16,7 @@ from piga.calibration.leverage import all_but_one, leverages
 from piga.calibration.missing_terms import tested
 from piga.calibration.noise import find_noise
 from piga.calibration.reduction import Reduction
+from piga.calibration.revolutions import _amplification
 from piga.calibration.slow_bases import KNOTS, DriftBasis
 from piga.calibration.slow_noise import projected
 from piga.instrument.parameters import ErrorModel
@@ -184,3 +185,17 @@ def _likelihood() -> Iterator[Pair]:
         information=lambda grid: np.array([information(float(g)) for g in grid]),
     )
     yield literal, np.log10(found.walk * h / found.white), 2e-2
+
+
+@equation("calibration-pulled")
+def _pulled() -> Iterator[Pair]:
+    """Amplification of a walk over a turn: the printed integral, its closed form, and what the times of a turn give."""
+    a, b = 1.0, 0.5
+    x = np.linspace(0.0, 2.0 * np.pi, 20001)
+    rate = a + b * np.sin(x)
+    w = np.sqrt(a**2 - b**2)
+    literal = w**3 / (2.0 * np.pi) * np.trapezoid(rate**-3, x)
+    rho = b / a
+    yield literal, (1.0 + 0.5 * rho**2) / (1.0 - rho**2), 1e-10
+    t = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / rate[1:] + 1.0 / rate[:-1]) * np.diff(x))])
+    yield literal, _amplification(x, t, 1)[0], 0.02 * literal
