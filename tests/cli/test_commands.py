@@ -195,7 +195,7 @@ def test_a_live_stream_takes_the_method(
     calibration.to_json(tmp_path / "calibration.json")
     run = run_of(t, f, phi=0.3)
     rows = np.column_stack([run.t, run.output, run.f])
-    text = "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+    text = "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()) + "\n"
     monkeypatch.setattr(sys, "stdin", io.StringIO(text))
     words = ["compensate", "-", "--calibration", str(tmp_path / "calibration.json"), "--method", method]
     get_command(app).main(words, standalone_mode=False)

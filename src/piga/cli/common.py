@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,31 +23,82 @@ def clean(text: str) -> str:
     return _CONTROL.sub("?", text)
 
 
+class _Nowhere(io.TextIOBase):
+    """In the place of a standard output that takes nothing."""
+
+    def write(self, text: str, /) -> int:
+        """Take the text and drop it."""
+        return len(text)
+
+
+LOST = 1
+"""Exit code when a JSON document could not be written on stdout."""
+
+
+def prepare_output() -> None:
+    """Make stdout and stderr take any text: characters that the terminal or the pipe lacks are replaced."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by who started the command
+            setattr(sys, name, _Nowhere())
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def write_out(text: str, *, needed: bool) -> None:
+    """Write on stdout; where it is full or closed, what the command did stays done and is not reported as failed.
+
+    ``needed``: the text is the result itself (JSON), and a full disk behind stdout ends with exit code 1.
+    A reader that went away is no error.
+    """
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except OSError as error:
+        sys.stdout = _Nowhere()  # nor at the end of the process
+        if isinstance(error, BrokenPipeError):
+            return
+        note(f"piga: standard output cannot be written ({error.strerror}); what the command did is done")
+        if needed:
+            raise SystemExit(LOST) from None
+
+
+def as_json(document: Any) -> str:
+    """Indented JSON; with escapes where stdout takes no UTF-8, so that nothing is replaced in it."""
+    plain = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") not in (
+        "utf8",
+        "utf8sig",
+    )
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=plain)
+
+
 def print_json(document: Any) -> None:
     """Write one JSON document on stdout and nothing else."""
-    sys.stdout.write(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+    write_out(as_json(document) + "\n", needed=True)
 
 
 def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
     """Write ``document`` with a last entry ``name``, the list of ``items``, one by one as they come."""
-    start = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False).removesuffix("\n}")
-    sys.stdout.write(f"{start},\n {json.dumps(name)}: [")
+    start = as_json(document).removesuffix("\n}")
+    write_out(f"{start},\n {json.dumps(name)}: [", needed=True)
     between = "\n"
     for item in items:
-        text = json.dumps(item, indent=1, allow_nan=False, ensure_ascii=False)
-        sys.stdout.write(between + "\n".join(f"  {line}" for line in text.split("\n")))
+        text = as_json(item)
+        write_out(between + "\n".join(f"  {line}" for line in text.split("\n")), needed=True)
         between = ",\n"
-    sys.stdout.write("\n ]\n}\n" if between != "\n" else "]\n}\n")
+    write_out("\n ]\n}\n" if between != "\n" else "]\n}\n", needed=True)
 
 
 def say(text: str) -> None:
     """A line for people on stdout."""
-    sys.stdout.write(clean(text) + "\n")
+    write_out(clean(text) + "\n", needed=False)
 
 
 def note(text: str) -> None:
     """A line for people on stderr (warnings, progress summaries)."""
-    sys.stderr.write(clean(text) + "\n")
+    with suppress(OSError):  # nobody is left to be told
+        sys.stderr.write(clean(text) + "\n")
+        sys.stderr.flush()
 
 
 def output_directory(path: Path, option: str = "--out") -> Path:

@@ -15,7 +15,7 @@ from piga._version import __version__
 from piga.cli import certificate, platform, records, trend
 from piga.cli.calibrate import calibrate
 from piga.cli.check import check, convert
-from piga.cli.common import note
+from piga.cli.common import note, prepare_output
 from piga.cli.compensate import compensate
 from piga.cli.demo import demo
 from piga.cli.groups import Group
@@ -93,6 +93,7 @@ def main() -> None:
 
 def _run() -> None:
     """Run the command line; errors end the process with an exit code."""
+    prepare_output()
     try:
         app(standalone_mode=True)
     except PigaError as error:

@@ -1,0 +1,70 @@
+"""Terminals that lack characters, and a standard output that is full, closed or read by nobody."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from piga.cli import common
+from tests.records.files import lines, write_log, write_run
+
+
+def command(
+    arguments: list[object], encoding: str = "utf-8", shell: str = "", **environment: str
+) -> subprocess.CompletedProcess[bytes]:
+    words = [sys.executable, "-m", "piga", *map(str, arguments)]
+    return subprocess.run(
+        ["sh", "-c", f'"$@" {shell}', "sh", *words],
+        capture_output=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": encoding, "NUMBA_DISABLE_JIT": "1"} | environment,
+    )
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run whose serial no Western code page has."""
+    write_log(tmp_path, lines())
+    path = write_run(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace('"T-1"', '"陀螺-\u03b2\u2714"'), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["gbk", "cp1252", "cp437", "ascii"])
+def test_characters_that_the_terminal_lacks(run: Path, encoding: str) -> None:
+    done = command(["check", run], encoding)
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
+    assert "rows" in done.stdout.decode(encoding)
+    document = json.loads(command(["check", run, "--json"], encoding).stdout.decode(encoding))
+    assert document["serial"] == "陀螺-\u03b2\u2714"  # escaped, not replaced
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="redirections of a POSIX shell")
+@pytest.mark.parametrize(
+    ("shell", "text", "json_code"),
+    [(">&-", 0, 0), ("> /dev/full", 0, 1), ("| true", 0, 0), (">&- 2>&-", 0, 0), ("2> /dev/full", 0, 0)],
+)
+def test_an_output_that_takes_nothing(run: Path, shell: str, text: int, json_code: int) -> None:
+    """What was done is never reported as failed; a JSON document that is lost on a full disk is."""
+    done = command(["check", run], shell=shell)
+    assert done.returncode == text, done.stderr
+    assert b"Traceback" not in done.stderr
+    assert command(["check", run, "--json"], shell=shell).returncode == json_code
+
+
+def test_the_reader_is_told_once(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full:
+        encoding = "utf-8"
+
+        def write(self, _text: str) -> None:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sys, "stdout", Full())
+    common.say("first")
+    common.say("second")
+    assert capsys.readouterr().err.count("what the command did is done") == 1
