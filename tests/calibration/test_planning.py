@@ -357,7 +357,11 @@ def test_command(tmp_path):
     result = CliRunner().invoke(app, ["plan", str(path), "--out", str(tmp_path / "out"), "--json"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["schema"] == "piga.plan/1"
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["plan.json", "report.html", "scenario.toml"]
+    assert sorted(p.name for p in (tmp_path / "out").glob("[!.]*")) == [
+        "plan.json",
+        "report.html",
+        "scenario.toml",
+    ]
     assert read_scenario(tmp_path / "out" / "scenario.toml").stand.segments()
 
 

@@ -29,7 +29,7 @@ def test_issue_verify_read(lab, tmp_path):
         "--certificate", "lab-cert.pem", cwd=lab,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
+    assert sorted(path.name for path in tmp_path.glob("[!.]*")) == [
         "certificate.html",
         "certificate.xml",
         "working-copy.html",

@@ -125,7 +125,7 @@ def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed
 def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monkeypatch, capsys):
     run, out = write(tmp_path, rows=1000), tmp_path / "out.parquet"
     small_chunks(monkeypatch, 100)
-    words = (run, "--calibration", tmp_path / "run.json", "--out", out)
+    words = (run, "--calibration", tmp_path / "run.json", "--out", out, "--force")
     out.write_bytes(b"older")
     step, calls = KERNEL.run_kernel, []
 
@@ -150,7 +150,7 @@ def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch
         monkeypatch, capsys, run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.csv"
     )
     assert code == 2
-    assert "--force" in text
+    assert "--other-serial" in text
     assert not (tmp_path / "o.csv").exists()
     calibration_of({"tan_beta": TAN_BETA, "phi[7]": 0.1}, serial="A").to_json(tmp_path / "p.json")
     code, _, text = command(

@@ -70,7 +70,7 @@ def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
     monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
     small_chunks(monkeypatch, 211)
-    compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz")
+    compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz", "--force")
     whole, streamed = watched[0][0], watched[1][0]
     for name, values in whole.outline.rows.items():
         np.testing.assert_allclose(streamed.outline.rows[name], values, rtol=1e-9, atol=1e-12, err_msg=name)

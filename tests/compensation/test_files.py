@@ -57,17 +57,86 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys, 
     assert not list(tmp_path.glob(".o*"))
 
 
-def test_parts_of_another_calibration_are_refused(tmp_path, monkeypatch, capsys, streamed):
-    run = write(tmp_path, rows=500)
-    other = calibration_of({**CAL, "k0": 2e-3}, serial="A")
-    other.to_json(tmp_path / "other.json")
-    made = parts.Parts(tmp_path / "o.csv", "another")
-    words = (run, "--calibration", tmp_path / "other.json", "--out", tmp_path / "o.csv", "--resume")
+def stopped(monkeypatch, capsys, at: int, *words) -> None:
+    """Run the command up to so many pieces."""
+    step, calls = KERNEL.run_kernel, []
+
+    def stop(*inputs):
+        calls.append(1)
+        if len(calls) == at:
+            raise KeyboardInterrupt
+        step(*inputs)
+
+    monkeypatch.setattr(KERNEL, "run_kernel", stop)
+    assert command(monkeypatch, capsys, *words)[0] != 0
+    monkeypatch.setattr(KERNEL, "run_kernel", step)
+
+
+def on_a_profile(folder, turn: float):
+    """A run without reference columns, on a stand whose motion is logged in a file of its own."""
+    run = write(folder, rows=1050)
+    lines = [line for line in run.read_text().splitlines() if not line.startswith("reference")]
+    stand = 'kind = "profile"\nfile = "profile.csv"\ntime = { column = "t", unit = "s" }\n'
+    stand += 'force = { columns = ["x", "y", "z"], unit = "g" }'
+    run.write_text("\n".join([*lines, "[stand]", stand]))
+    log = "".join(f"{k},1,{3.0 + turn * k},1\n" for k in range(12))
+    (folder / "profile.csv").write_text("t,x,y,z\n" + log)
+    return run
+
+
+@pytest.mark.parametrize("what", ["calibration", "profile", "options"])
+def test_parts_of_another_run_are_refused(tmp_path, monkeypatch, capsys, streamed, what):
+    """By what was read: the file of the stand's motion is an input, too."""
+    run = on_a_profile(tmp_path, 0.0)
+    words = [run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet", "--resume"]
+    stopped(monkeypatch, capsys, 8, *words)
+    if what == "calibration":
+        calibration_of({**CAL, "k0": 2e-3}, serial="A").to_json(tmp_path / "run.json")
+    elif what == "profile":
+        on_a_profile(tmp_path, 1e-4)
+    else:
+        words += ["--no-uncertainty"]
     code, _, text = command(monkeypatch, capsys, *words)
     assert code == 2
     assert "parts of another input, calibration or set of options" in text
-    made.remove()
+    code, _, text = command(monkeypatch, capsys, *words, "--force")
+    assert code == 0, text
+    words[4] = tmp_path / "whole.parquet"
     assert command(monkeypatch, capsys, *words)[0] == 0
+    assert (tmp_path / "o.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+
+
+def test_two_processes_do_not_share_parts(tmp_path, monkeypatch, capsys, streamed):
+    run, out = write(tmp_path, rows=500), tmp_path / "o.parquet"
+    other = parts.Parts(out, "another process")
+    words = (run, "--calibration", tmp_path / "run.json", "--out", out, "--resume", "--force")
+    code, _, text = command(monkeypatch, capsys, *words)
+    assert code == 2
+    assert f"another process writes {out}" in text
+    other.close()
+    assert command(monkeypatch, capsys, *words)[0] == 0
+
+
+def test_a_stop_while_parts_are_deleted_does_not_matter(tmp_path, monkeypatch, capsys, streamed):
+    """Before any is deleted, and when some are."""
+    words = (
+        write(tmp_path, rows=1050),
+        "--calibration",
+        tmp_path / "run.json",
+        "--out",
+        tmp_path / "o.parquet",
+    )
+    for delete in (lambda path, **_: None, lambda path, **_: (path / "1.parquet").unlink()):
+        with monkeypatch.context() as patch:
+            patch.setattr(parts.shutil, "rmtree", delete)
+            assert command(monkeypatch, capsys, *words, "--resume")[0] == 0
+        assert list(tmp_path.glob(".o*"))
+        whole = (tmp_path / "o.parquet").read_bytes()
+        code, _, text = command(monkeypatch, capsys, *words, "--resume")
+        assert code == 0, text
+        assert (tmp_path / "o.parquet").read_bytes() == whole
+        assert not list(tmp_path.glob(".o*"))
+        (tmp_path / "o.parquet").unlink()
 
 
 @pytest.mark.slow
@@ -86,11 +155,11 @@ def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
     usual = time.monotonic() - started
     rng = np.random.default_rng(1)
     for _ in range(12):
-        child = subprocess.Popen([*words, str(tmp_path / "o.parquet"), "--resume"])
+        child = subprocess.Popen([*words, str(tmp_path / "o.parquet"), "--resume", "--force"])
         time.sleep(usual * rng.uniform(0.3, 1.1))
         os.kill(child.pid, signal.SIGKILL)
         child.wait()
-    subprocess.run([*words, str(tmp_path / "o.parquet"), "--resume"], check=True)
+    subprocess.run([*words, str(tmp_path / "o.parquet"), "--resume", "--force"], check=True)
     assert (tmp_path / "o.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
 
 

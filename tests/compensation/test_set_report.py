@@ -129,7 +129,15 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     monkeypatch.setattr(
         compensation_set, "set_page", lambda found, facts: seen.append((found, facts)) or real(found, facts)
     )
-    words = (tmp_path / "set.toml", "--out", tmp_path / "o.parquet", "--report", tmp_path / "r.html", "--json")
+    words = (
+        tmp_path / "set.toml",
+        "--out",
+        tmp_path / "o.parquet",
+        "--report",
+        tmp_path / "r.html",
+        "--json",
+        "--force",
+    )
     words += () if method is None else ("--method", method)
     for streamed in (False, True):
         if streamed:

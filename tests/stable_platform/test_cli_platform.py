@@ -61,7 +61,7 @@ def test_a_command_leaves_its_files_and_a_page(capsys, monkeypatch, scenario, tm
     code, streams = _run(capsys, monkeypatch, command, scenario, "--out", tmp_path / "out", "--json")
     assert code == 0
     assert isinstance(json.loads(streams.out), dict)
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {*files, "report.html"}
+    assert {p.name for p in (tmp_path / "out").glob("[!.]*")} == {*files, "report.html"}
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<svg" in page
 

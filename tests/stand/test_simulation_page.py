@@ -55,7 +55,7 @@ def test_command_writes_all_files_and_json(tmp_path):
     result = CliRunner().invoke(app, ["simulate", str(path), "--out", str(tmp_path / "out"), "--json"])
     assert result.exit_code == 0
     assert json.loads(result.stdout)["schema"] == "piga.truth/1"
-    names = {p.name for p in (tmp_path / "out").iterdir()}
+    names = {p.name for p in (tmp_path / "out").glob("[!.]*")}
     assert names == {"run.toml", "run.parquet", "truth.json", "report.html"}
     assert calibrate(read_run(tmp_path / "out" / "run.toml"))["k0"].value == pytest.approx(3e-4, abs=1e-5)
 

@@ -15,6 +15,7 @@ from piga.calibration.noise import Noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.servo_columns import PHASELESS
 from piga.errors import CalibrationError
+from piga.output import settle
 from piga.records.calibration import Event, Outlier, Quality, SegmentSummary
 from piga.records.json_file import JsonError, decode_json, schema_of
 from piga.records.limits import read_whole
@@ -162,6 +163,7 @@ def read_summary(path: Path) -> RunSummary:
     """
     from piga.calibration.summary import RunSummary
 
+    settle(path.parent)
     found = _decode(path)
     fields = {name: getattr(found, name) for name in _PLAIN}
     return RunSummary(

@@ -7,13 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
-from piga.cli.options import JsonOption
+from piga.cli.common import print_json, progress, report_available, say
+from piga.cli.options import ForceOption, JsonOption
+from piga.output import results
+from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.calibration import RunSummary
     from piga.records import Calibration, Run
 
+RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
+"""What the command can leave."""
 RunFilesArgument = Annotated[
     list[Path],
     typer.Argument(metavar="RUN.toml...", help="Run file; several, or summaries of runs (.json), jointly."),
@@ -50,6 +54,7 @@ def calibrate(
         bool, typer.Option("--summary", help="Write a summary of each run, to be merged without its data.")
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Estimate the coefficients of an instrument from its runs.
@@ -58,11 +63,13 @@ def calibrate(
     """
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
-    items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
-    with progress("calibrating"):
-        calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
-    written = write_results(calibration, output_directory(directory), report=report)
-    written += write_summaries(items, directory) if summary else []
+    inputs = [path for run in runs for path in files_named_in(run)]
+    with results(directory, "calibrate", RESULTS, inputs, force=force) as stage:
+        items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
+        with progress("calibrating"):
+            calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
+        written = write_results(calibration, stage, report=report)
+        written += write_summaries(items, stage) if summary else []
     if as_json:
         from piga.records.calibration_json import to_document
 
@@ -76,7 +83,7 @@ def calibrate(
 
         say("\n".join(comparison_text(calibration.diagnostics["model_comparison"])))
     for path in written:
-        say(f"wrote {path}")
+        say(f"wrote {directory / path.name}")
 
 
 def _names(text: str | None) -> list[str] | None:
@@ -143,30 +150,32 @@ def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path
     for item in items:
         if not isinstance(item, RunSummary):
             summary = RunSummary.of(item)
-            written.append(write_by_rename(directory / f"summary-{summary.name}.json", summary.to_json))
+            written.append(directory / f"summary-{summary.name}.json")
+            summary.to_json(written[-1])
     return written
 
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:
-    """Write the results, each by rename; says so when the report extra is not installed.
+    """Write the results; says so when the report extra is not installed.
 
     A calibration of summaries alone has no residuals to write.
     """
     from concurrent.futures import ThreadPoolExecutor
-    from functools import partial
 
     from piga.records.residuals_parquet import write_residuals
 
+    job = None
     with ThreadPoolExecutor(1) as beside:
-        written = [write_by_rename(directory / "calibration.json", calibration.to_json)]
-        residuals = []
+        written = [directory / "calibration.json"]
+        calibration.to_json(written[0])
         if calibration.residuals is not None:
-            work = partial(write_residuals, calibration)
-            residuals = [beside.submit(write_by_rename, directory / "residuals.parquet", work)]
-        pages = []
+            written.append(directory / "residuals.parquet")
+            job = beside.submit(write_residuals, calibration, written[-1])
         if report and report_available():
             from piga.reports.calibration import write_calibration_report
 
-            page = partial(write_calibration_report, calibration)
-            pages = [write_by_rename(directory / "report.html", page)]
-        return [*written, *(job.result() for job in residuals), *pages]
+            written.append(directory / "report.html")
+            write_calibration_report(calibration, written[-1])
+    if job is not None:
+        job.result()
+    return written

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import note, output_directory, print_json, say, write_by_rename
+from piga.cli.common import note, print_json, say, write_by_rename
 from piga.cli.groups import Group
-from piga.cli.options import JsonOption
+from piga.cli.options import ForceOption, JsonOption
 from piga.errors import PigaError
+from piga.output import check_outputs, results
+from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.records.calibration import Calibration
     from piga.records.certificate_file import CertificateFile
+
+
+RESULTS = ("certificate.html", "working-copy.html", "certificate.xml")
+"""What issuing can leave."""
 
 
 class _IssueByDefault(Group):
@@ -61,6 +66,7 @@ def issue(
         Path | None, typer.Option("--key", metavar="PEM", help="Private key: sign the XML with it.")
     ] = None,
     certificate: PemOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write certificate.html (A4), with --dcc certificate.xml.
@@ -83,16 +89,17 @@ def issue(
     before = _before(file, data)
     html = certificate_html(file, found, before, record_sha256=hashlib.sha256(raw).hexdigest())
     xml = _xml(file, found, before, key, certificate) if dcc else None
-    folder = output_directory(out)
     copy = certificate_html(
         file, found, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
     )
-    written = [
-        write_by_rename(folder / "certificate.html", partial(write_certificate, html)),
-        write_by_rename(folder / "working-copy.html", partial(write_certificate, copy)),
-    ]
-    if xml is not None:
-        written.append(write_by_rename(folder / "certificate.xml", lambda path: path.write_bytes(xml)))
+    inputs = [calibration, *files_named_in(data), *(path for path in (key, certificate) if path is not None)]
+    with results(out, "certificate", RESULTS, inputs, force=force) as folder:
+        written = [out / "certificate.html", out / "working-copy.html"]
+        write_certificate(html, folder / "certificate.html")
+        write_certificate(copy, folder / "working-copy.html")
+        if xml is not None:
+            written.append(out / "certificate.xml")
+            (folder / "certificate.xml").write_bytes(xml)
     if as_json:
         cautions = [doubt.words for doubt in found.verdict.doubts]
         print_json(
@@ -192,6 +199,7 @@ def read(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="Where the calibration goes.")],
     certificate: PemOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Read a DCC back into calibration.json.
 
@@ -201,6 +209,7 @@ def read(
     from piga.records.xml_file import read_xml
     from piga.records.xml_signature import verify_signature
 
+    check_outputs([out], [file, *([] if certificate is None else [certificate])], force=force)
     root = read_xml(file)[1] if certificate is None else verify_signature(file, certificate).document
     calibration = calibration_of(root, file)
     write_by_rename(out, calibration.to_json)

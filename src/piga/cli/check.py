@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
-from piga.cli.options import JsonOption, RunFileArgument
+from piga.cli.common import print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import ForceOption, JsonOption, RunFileArgument
 from piga.errors import PigaError
+from piga.output import check_outputs, results
+from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.records import Run
@@ -23,6 +25,7 @@ def check(
     fix_suggestions: Annotated[
         bool, typer.Option("--fix-suggestions", help="Print run-file lines that would settle what is open.")
     ] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what is found in a recorded test; nothing is calibrated."""
@@ -46,14 +49,16 @@ def check(
     if out is not None and report_available():
         from piga.reports.check import write_check
 
-        path = write_by_rename(output_directory(out) / "check.html", lambda path: write_check(record, path))
+        with results(out, "check", ("check.html",), files_named_in(run), force=force) as folder:
+            write_check(record, folder / "check.html")
         if not as_json:
-            say(f"wrote {path}")
+            say(f"wrote {out / 'check.html'}")
 
 
 def convert(
     run: RunFileArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="Where the clean record goes.")],
+    force: ForceOption = False,
 ) -> None:
     """Write a recorded test as clean Parquet in SI.
 
@@ -64,6 +69,7 @@ def convert(
 
     if out.suffix != ".parquet":
         raise PigaError(f"--out {out}: the name must end in .parquet", remedy="e.g. clean.parquet")
+    check_outputs([out], files_named_in(run), force=force)
     with progress("reading"):
         record = read_run(run)
     write_by_rename(out, lambda path: write_run_parquet(record, path))

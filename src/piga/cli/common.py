@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 from piga.errors import PigaError
+from piga.output import write_whole
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -127,26 +126,12 @@ def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "
     PigaError
         If it cannot be written; names the ``option`` that the path comes from.
     """
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise PigaError(
-            f"{path}: cannot be written ({error.strerror})", remedy=f"choose another {option}"
-        ) from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    except OSError as error:
-        raise PigaError(
-            f"{path}: cannot be written ({error.strerror or error})", remedy=f"choose another {option}"
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    return write_whole(path, write, remedy=f"choose another {option}")
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text as UTF-8 with the same line ends everywhere."""
+    path.write_text(text, encoding="utf-8", newline="\n")
     return path
 
 

@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from piga.cli.common import note, print_json, progress, report_available, say, write_by_rename
+from piga.cli.options import ForceOption
 from piga.errors import ArgumentError
+from piga.output import check_outputs
+from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.compensation import Phase
@@ -47,9 +50,10 @@ def compensate(
     max_age: Annotated[
         float | None, typer.Option(help="Flag rows when the calibration is older [days].")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Use the calibration of another serial number.")
+    other_serial: Annotated[
+        bool, typer.Option("--other-serial", help="Use the calibration of another serial number.")
     ] = False,
+    force: ForceOption = False,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: what 'output' is.")] = "angle",
     arrow: Annotated[
         bool, typer.Option("--arrow", help="Live stream: Arrow record batches instead of lines.")
@@ -72,6 +76,7 @@ def compensate(
     Columns t, ax, dv, u_ax, flags of one run; several instruments are solved together.
     """
     from piga.compensation.model import Phase
+    from piga.compensation.parts import was_begun
     from piga.records import Calibration
     from piga.units import to_si
 
@@ -88,11 +93,18 @@ def compensate(
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     page = _page(report, resume)
-    options = _Options(method, given, uncertainty, max_age, force, period)
+    inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
+    begun = resume and was_begun(out)
+    check_outputs(
+        [out, *([] if page is None else [page])], inputs, force=force, ours=lambda path: begun and path == out
+    )
+    options = _Options(method, given, uncertainty, max_age, other_serial, period)
     if several:
         summary = _together(run, calibration or [], calibrations, out, options, page)
     else:
-        summary = _single(run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume, page)
+        summary = _single(
+            run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume, page, force
+        )
     if json:
         print_json({"file": str(out)} | summary | {"calibrations": _verdicts(calibrations)})
         return
@@ -216,12 +228,14 @@ def _single(
     rest: float | None,
     resume: bool,
     page: Path | None,
+    restart: bool,
 ) -> dict[str, Any]:
-    """One recorded run, of any length."""
+    """One recorded run, of any length; with ``restart`` parts of another one go."""
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensate import compensate
     from piga.compensation.file_to_file import HELD_ROWS, FileSummary, compensate_to_file, found_while_reading
     from piga.compensation.parts import Parts, key_of
+    from piga.compensation.validity import age_flag
     from piga.compensation.warm_up import compile_apart
     from piga.compensation.writers import format_of
     from piga.records import read_run_file
@@ -247,7 +261,8 @@ def _single(
             watch = None
     found, parts = FileSummary(), None
     if resume:
-        parts = Parts(out, key_of((*astuple(options), kind), calibration, record))
+        age = age_flag(calibration, options.max_age)
+        parts = Parts(out, key_of((*astuple(options), kind, age), calibration, record), restart)
 
     def write(path: Path) -> None:
         nonlocal found
@@ -257,9 +272,13 @@ def _single(
                 **options.arguments(),
             )  # fmt: skip
 
-    write_by_rename(out, write)
-    if parts is not None:
-        parts.remove()
+    try:
+        write_by_rename(out, write)
+        if parts is not None:
+            parts.remove()
+    finally:
+        if parts is not None:
+            parts.close()
     repairs = found_while_reading(record)
     if report is not None:
         report.write(options.in_words(calibration), repairs)

@@ -9,8 +9,10 @@ from typing import Annotated
 
 import typer
 
-from piga.cli.calibrate import run_calibration, write_results
-from piga.cli.common import output_directory, say, write_by_rename
+from piga.cli.calibrate import RESULTS, run_calibration, write_results
+from piga.cli.common import say
+from piga.cli.options import ForceOption
+from piga.output import results
 
 EXAMPLE = "tumble-a"
 
@@ -19,29 +21,31 @@ def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the results go.")] = Path(
         "piga-demo"
     ),
+    force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
     from piga.compensation import compensate
     from piga.reports.calibration import calibration_text
     from piga.stand import read_run
 
-    run = copy_example(output_directory(out))
-    calibration = run_calibration(run, None, None, None, None)
-    written = write_results(calibration, out)
-    written.append(
-        write_by_rename(out / "compensated.parquet", compensate(read_run(run), calibration).to_parquet)
-    )
+    names = (*RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
+    with results(out, "demo", names, (), force=force) as folder:
+        run = copy_example(folder)
+        calibration = run_calibration(run, None, None, None, None)
+        written = [*write_results(calibration, folder), folder / "compensated.parquet"]
+        compensate(read_run(run), calibration).to_parquet(written[-1])
     say(calibration_text(calibration))
     say("")
+    run = out / run.name
     say(f"The record and its run file are in {out}; change {run.name} and run: piga calibrate {run}")
     for path in written:
-        say(f"wrote {path}")
+        say(f"wrote {out / path.name}")
 
 
 def copy_example(folder: Path) -> Path:
     """Copy the shipped record and its run file into ``folder``; returns the run file."""
     source = files("piga.data")
-    data = gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes())
-    text = source.joinpath(f"{EXAMPLE}.toml").read_bytes()
-    write_by_rename(folder / f"{EXAMPLE}.csv", lambda path: path.write_bytes(data))
-    return write_by_rename(folder / f"{EXAMPLE}.toml", lambda path: path.write_bytes(text))
+    (folder / f"{EXAMPLE}.csv").write_bytes(gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes()))
+    run = folder / f"{EXAMPLE}.toml"
+    run.write_bytes(source.joinpath(f"{EXAMPLE}.toml").read_bytes())
+    return run

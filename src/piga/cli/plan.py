@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
-from piga.cli.options import JsonOption
+from piga.cli.common import print_json, progress, report_available, say, write_text
+from piga.cli.options import ForceOption, JsonOption
+from piga.output import results
+from piga.records.toml_file import files_named_in
+
+RESULTS = ("scenario.toml", "plan.json", "report.html")
+"""What the command can leave."""
 
 
 def plan(
@@ -18,6 +22,7 @@ def plan(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Where the results go [default: PLAN-plan]."),
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a test: which positions, how long, what it will give.
@@ -32,28 +37,24 @@ def plan(
     from piga.calibration.planning import plan_test
     from piga.reports.planning import plan_text, write_plan_report
 
-    request = read_plan(plan_file)
-    with progress("planning"):
-        mounting = plan_mounting(request)
-        found = plan_test(request)
-    document = plan_document(found, mounting)
-    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    folder = output_directory(out or plan_file.with_name(f"{plan_file.stem}-plan"))
-    written = [
-        write_by_rename(folder / "scenario.toml", _writer(scenario_text(found))),
-        write_by_rename(folder / "plan.json", _writer(text)),
-    ]
-    if report_available():
-        written.append(
-            write_by_rename(folder / "report.html", lambda path: write_plan_report(found, mounting, path))
-        )
+    folder = out or plan_file.with_name(f"{plan_file.stem}-plan")
+    with results(folder, "plan", RESULTS, files_named_in(plan_file), force=force) as stage:
+        request = read_plan(plan_file)
+        with progress("planning"):
+            mounting = plan_mounting(request)
+            found = plan_test(request)
+        document = plan_document(found, mounting)
+        text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        written = [
+            write_text(stage / "scenario.toml", scenario_text(found)),
+            write_text(stage / "plan.json", text),
+        ]
+        if report_available():
+            written.append(stage / "report.html")
+            write_plan_report(found, mounting, written[-1])
     if as_json:
         print_json(document)
         return
     say(plan_text(found, mounting))
     for path in written:
-        say(f"wrote {path}")
-
-
-def _writer(text: str) -> Callable[[Path], object]:
-    return lambda path: path.write_text(text, encoding="utf-8", newline="\n")
+        say(f"wrote {folder / path.name}")

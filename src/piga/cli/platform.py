@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import print_json, progress, say, write_text
 from piga.cli.groups import Group
+from piga.cli.options import ForceOption
+from piga.output import results
+from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,7 +37,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @app.command()
-def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
+def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Simulate the readouts, and the truth beside them.
 
     Leaves readouts.parquet, truth.parquet and a page.
@@ -43,10 +46,10 @@ def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
     from piga.stable_platform.output import readouts_table, truth_table
 
     run = _simulated(scenario)
-    folder = output_directory(out)
-    write_by_rename(folder / "readouts.parquet", partial(_parquet, readouts_table(run.readouts)))
-    write_by_rename(folder / "truth.parquet", partial(_parquet, truth_table(run)))
-    _page(folder, simulation_page(run))
+    with _results(out, "simulate", scenario, force, "readouts.parquet", "truth.parquet") as folder:
+        _parquet(readouts_table(run.readouts), folder / "readouts.parquet")
+        _parquet(truth_table(run), folder / "truth.parquet")
+        _page(folder, simulation_page(run))
     document = {
         "rows": len(run.readouts.times),
         "duration_s": run.scenario.duration,
@@ -56,12 +59,12 @@ def simulate(scenario: Scenario, out: Out, json: Json = False) -> None:
     _finish(
         document,
         json,
-        f"{len(run.readouts.times)} rows; wrote {folder}/readouts.parquet, truth.parquet, report.html",
+        f"{len(run.readouts.times)} rows; wrote {out}/readouts.parquet, truth.parquet, report.html",
     )
 
 
 @app.command()
-def align(scenario: Scenario, out: Out, json: Json = False) -> None:
+def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Align on the first stretch of a static base.
 
     Leaves alignment.json and a page.
@@ -85,15 +88,16 @@ def align(scenario: Scenario, out: Out, json: Json = False) -> None:
             stretch = run.readouts.first(run.scenario.calibration_time)
             orders = run.scenario.compensation.orders
             found = align_platform(stretch, run.scenario.place, preparation.knowledge, orders=orders)
-    folder, document = output_directory(out), alignment_document(found)
-    _write_json(folder / "alignment.json", document)
-    _page(folder, alignment_page(run, found))
+    document = alignment_document(found)
+    with _results(out, "align", scenario, force, "alignment.json") as folder:
+        _write_json(folder / "alignment.json", document)
+        _page(folder, alignment_page(run, found))
     worst = float(found.std[:3].max()) * 206264.806
-    _finish(document, json, f"triad attitude to {worst:.2g} arcsec; wrote {folder}/alignment.json, report.html")
+    _finish(document, json, f"triad attitude to {worst:.2g} arcsec; wrote {out}/alignment.json, report.html")
 
 
 @app.command()
-def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
+def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Identify misalignments, phases and harmonics.
 
     Leaves identification.json and a page.
@@ -111,15 +115,16 @@ def identify(scenario: Scenario, out: Out, json: Json = False) -> None:
         stretch = run.readouts.first(s.calibration_time)
         recursive = identify_recursively(stretch, s.place, sources=found.sources, orders=s.compensation.orders)
         sources = observability(stretch, found)
-    folder, document = output_directory(out), identification_document(found, sources)
-    _write_json(folder / "identification.json", document)
-    _page(folder, identification_page(run, found, recursive, sources))
+    document = identification_document(found, sources)
+    with _results(out, "identify", scenario, force, "identification.json") as folder:
+        _write_json(folder / "identification.json", document)
+        _page(folder, identification_page(run, found, recursive, sources))
     lines = [f"{p.name:<36}{p.value:>16.9g} ± {p.std:.2g} {p.unit}" for p in found.parameters]
-    _finish(document, json, "\n".join([*lines, f"wrote {folder}/identification.json, report.html"]))
+    _finish(document, json, "\n".join([*lines, f"wrote {out}/identification.json, report.html"]))
 
 
 @app.command()
-def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
+def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Navigate with every model of the scenario.
 
     Leaves navigation-MODEL.parquet and a page.
@@ -128,23 +133,24 @@ def navigate(scenario: Scenario, out: Out, json: Json = False) -> None:
     from piga.stable_platform.output import navigation_table
 
     comparison = _compared(scenario)
-    folder = output_directory(out)
-    for name, run in comparison.models.items():
-        write_by_rename(folder / f"navigation-{name}.parquet", partial(_parquet, navigation_table(run)))
-    _page(folder, navigation_page(comparison))
+    with _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder:
+        for name, run in comparison.models.items():
+            _parquet(navigation_table(run), folder / f"navigation-{name}.parquet")
+        _page(folder, navigation_page(comparison))
     worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
     document = {
         "models": {m: {"position_error_m": v, "file": f"navigation-{m}.parquet"} for m, v in worst.items()},
         "notes": list(comparison.preparation.notes),
     }
     lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
-    _finish(document, json, "\n".join([*lines, f"wrote {folder}/navigation-*.parquet, report.html"]))
+    _finish(document, json, "\n".join([*lines, f"wrote {out}/navigation-*.parquet, report.html"]))
 
 
 @app.command()
 def compare(
     scenario: Scenario,
     out: Annotated[Path | None, typer.Option(help="Directory for comparison.json and report.html.")] = None,
+    force: ForceOption = False,
     json: Json = False,
     budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
     seeds: Annotated[int, typer.Option(help="Repeat the chain with so many seeds (Monte Carlo).", min=0)] = 0,
@@ -174,12 +180,12 @@ def compare(
         from piga.reports.platform_models import comparison_page
         from piga.stable_platform.capstone import capstone
 
-        folder = output_directory(out)
-        _write_json(folder / "comparison.json", document)
-        _page(folder, comparison_page(comparison, rows, lines, scatter))
-        if s.sensors.piga is not None:
-            with progress("gyro accelerometers"):
-                _page(folder, capstone_page(capstone(s)), "capstone.html")
+        with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder:
+            _write_json(folder / "comparison.json", document)
+            _page(folder, comparison_page(comparison, rows, lines, scatter))
+            if s.sensors.piga is not None:
+                with progress("gyro accelerometers"):
+                    _page(folder, capstone_page(capstone(s)), "capstone.html")
     _finish(document, json, _lines_text(comparison, out))
 
 
@@ -228,21 +234,21 @@ def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:
         say(text)
 
 
+def _results(out: Path, command: str, scenario: Path, force: bool, *names: str) -> AbstractContextManager[Path]:
+    """A folder for the results of a command and its page."""
+    return results(out, f"platform-{command}", (*names, "report.html"), files_named_in(scenario), force=force)
+
+
 def _page(folder: Path, page: Any, name: str = "report.html") -> None:
     from piga.reports.page import page_html
 
-    write_by_rename(folder / name, partial(_text, page_html(page)))
+    write_text(folder / name, page_html(page))
 
 
 def _write_json(path: Path, document: dict[str, Any]) -> None:
     import json
 
-    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
-    write_by_rename(path, partial(_text, text))
-
-
-def _text(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
+    write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def _parquet(table: Any, path: Path) -> None:

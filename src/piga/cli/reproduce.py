@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import print_json, progress, say
+from piga.cli.options import ForceOption
+from piga.output import results
 
 if TYPE_CHECKING:
     from piga.reports.reproduction import Reproduction
@@ -24,6 +25,7 @@ def reproduce(
     only: Annotated[
         str | None, typer.Option("--only", metavar="ID", help="Run one chapter, e.g. ten-days.")
     ] = None,
+    force: ForceOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the cases as JSON.")] = False,
 ) -> None:
     """Reproduce every published case, and judge it.
@@ -34,7 +36,6 @@ def reproduce(
     from piga.reports.reproduction.page import summary
 
     names = chosen(only)
-    folder = None if out is None else output_directory(out)
     chapters = []
     with progress("reproducing", len(names)) as advance:
         for chapter in run_chapters(names):
@@ -47,8 +48,13 @@ def reproduce(
         _print_table(found)
         say("")
         say(summary(found))
-    if folder is not None:
-        _write(found, folder, quiet=json)
+    if out is not None:
+        with results(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force) as folder:
+            _write(found, folder)
+        if not json:
+            say(
+                f"wrote {out}/reproduction.html and {len(found.figures)} figures (SVG, PNG) in {out / 'figures'}"
+            )
     if found.failed:
         raise typer.Exit(1)
 
@@ -64,18 +70,16 @@ def _print_table(found: Reproduction) -> None:
             typer.echo(f"{line}  {verdict if plain else typer.style(verdict, fg=_COLOURS[verdict])}")
 
 
-def _write(found: Reproduction, folder: Path, *, quiet: bool) -> None:
+def _write(found: Reproduction, folder: Path) -> None:
     from piga.reports.page import write_page
     from piga.reports.reproduction.page import reproduction_page
     from piga.reports.static import write_figure
 
-    pictures = output_directory(folder / "figures")
-    page = reproduction_page(found)
-    write_by_rename(folder / "reproduction.html", partial(write_page, page))
+    pictures = folder / "figures"
+    pictures.mkdir()
+    write_page(reproduction_page(found), folder / "reproduction.html")
     with progress("drawing", len(found.figures)) as advance:
         for figure in found.figures:
             for kind in ("svg", "png"):
-                write_by_rename(pictures / f"{figure.key}.{kind}", partial(write_figure, figure))
+                write_figure(figure, pictures / f"{figure.key}.{kind}")
             advance(1)
-    if not quiet:
-        say(f"wrote {folder}/reproduction.html and {len(found.figures)} figures (SVG, PNG) in {pictures}")

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, say, write_by_rename
+from piga.cli.common import print_json, progress, say, write_text
+from piga.cli.options import ForceOption
+from piga.output import results
+from piga.records.toml_file import files_named_in
+
+RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
+"""What the command can leave."""
 
 
 def simulate(
@@ -18,7 +23,10 @@ def simulate(
         Literal["quasi-steady", "twin"] | None, typer.Option(help="Override the model of the scenario.")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Override the seed of the scenario.", min=0)] = None,
-    force: Annotated[bool, typer.Option("--force", help="Simulate an unstable servo loop as well.")] = False,
+    unstable: Annotated[
+        bool, typer.Option("--unstable", help="Simulate an unstable servo loop as well.")
+    ] = False,
+    force: ForceOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the truth as JSON.")] = False,
 ) -> None:
     """Simulate a test: a run to calibrate, and the truth beside it."""
@@ -27,21 +35,16 @@ def simulate(
     from piga.stand.write_run import run_file_text, truth_document, truth_text, write_data
 
     read = read_scenario(scenario)
-    with progress("simulating"):
-        test = run_scenario(read, model=model, seed=seed, force=force)
-    folder = output_directory(out)
-    data = folder / f"run.{read.table.run.format}"
-    write_by_rename(data, partial(write_data, test))
-    write_by_rename(folder / "run.toml", partial(_text, run_file_text(read, test, data.name)))
-    write_by_rename(folder / "truth.json", partial(_text, truth_text(read, test)))
-    serial = read.table.instrument.serial
-    write_by_rename(folder / "report.html", partial(write_simulation_report, test, serial))
+    data = f"run.{read.table.run.format}"
+    with results(out, "simulate", RESULTS, files_named_in(scenario), force=force) as folder:
+        with progress("simulating"):
+            test = run_scenario(read, model=model, seed=seed, force=unstable)
+        write_data(test, folder / data)
+        write_text(folder / "run.toml", run_file_text(read, test, data))
+        write_text(folder / "truth.json", truth_text(read, test))
+        write_simulation_report(test, read.table.instrument.serial, folder / "report.html")
     if json:
         print_json(truth_document(read, test))
         return
     say(simulation_text(test))
-    say(f"wrote {folder}/run.toml, {data.name}, truth.json, report.html")
-
-
-def _text(text: str, path: Path) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
+    say(f"wrote {out}/run.toml, {data}, truth.json, report.html")

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, report_available, say, write_by_rename
-from piga.cli.options import JsonOption
+from piga.cli.common import print_json, progress, report_available, say, write_text
+from piga.cli.options import ForceOption, JsonOption
 from piga.errors import PigaError
+from piga.output import is_staged, results
 
 if TYPE_CHECKING:
     from piga.calibration.trend import Common, HistoryEntry, Trend
@@ -55,6 +56,7 @@ def trend(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Write trend.json and trend.html.")
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show drift, stability and a forecast of each coefficient.
@@ -68,7 +70,7 @@ def trend(
         found = find_trend(_history(sources or [], store, serial), common=_common(common or []))
     date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
     document = trend_document(found, at=date)
-    written = [] if out is None else _written(out, document, found, date)
+    written = [] if out is None else _written(out, _files(sources or []), document, found, date, force)
     if as_json:
         print_json(document)
         return
@@ -77,18 +79,19 @@ def trend(
         say(f"wrote {path}")
 
 
-def _written(out: Path, document: dict[str, Any], found: Trend, date: dt.datetime) -> list[Path]:
+def _written(
+    out: Path, inputs: list[Path], document: dict[str, Any], found: Trend, date: dt.datetime, force: bool
+) -> list[Path]:
     """trend.json, and trend.html where the report extra is installed."""
-    folder = output_directory(out)
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    paths = [write_by_rename(folder / "trend.json", lambda path: path.write_text(text, encoding="utf-8"))]
-    if report_available():
-        from piga.reports.trend import write_trend_report
+    with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
+        paths = [write_text(folder / "trend.json", text)]
+        if report_available():
+            from piga.reports.trend import write_trend_report
 
-        paths.append(
-            write_by_rename(folder / "trend.html", lambda path: write_trend_report(found, path, at=date))
-        )
-    return paths
+            paths.append(folder / "trend.html")
+            write_trend_report(found, paths[-1], at=date)
+    return [out / path.name for path in paths]
 
 
 def _history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:
@@ -114,7 +117,10 @@ def stored_history(store: str, serial: str) -> Iterator[HistoryEntry]:
 def _files(sources: list[Path]) -> list[Path]:
     found: list[Path] = []
     for source in sources:
-        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
+        inside = [source]
+        if source.is_dir():
+            named = sorted(source.rglob("calibration*.json"))
+            inside = [path for path in named if not any(is_staged(part) for part in path.parents)]
         if not inside:
             raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
         found += inside

@@ -111,7 +111,7 @@ def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
     if not force and record.serial and calibration.serial and record.serial != calibration.serial:
         raise CalibrationError(
             f"the record is of instrument '{record.serial}', the calibration of '{calibration.serial}'",
-            remedy="take the calibration of this instrument, or use --force (force=True) if they are the same",
+            remedy="take the calibration of this instrument, or use --other-serial (force=True) if they are the same",
         )
 
 

@@ -2,17 +2,20 @@
 
 Beside the target lies a folder ``.OUT.parts``: ``key.json`` says of which input, calibration and options the parts are;
 ``N.parquet`` holds rows, ``N.json`` what the compensation carries on behind them. A part is whole when its
-``N.json`` is there: each file is written under another name, brought to the disk and renamed, in this order.
+``N.json`` is there: each file is written under another name, brought to the disk and renamed, in this order. One process
+at a time holds the folder (``lock``). When the result stands it is renamed, then deleted: a stop in between leaves nothing
+that the next run would take for parts.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import secrets
 import shutil
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +25,16 @@ from numpy.typing import NDArray
 from piga._version import __version__
 from piga.compensation.writers import TableWriter
 from piga.errors import ArgumentError
+from piga.output import hold, write_whole
 from piga.records.calibration import Calibration
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.run import Run
 from piga.records.spool import spans
 
+FOLDER, GOING = ".parts", "-done-"
+"""End of the name of the folder, and what stands behind it while the folder is deleted."""
+LOCK = "lock"
+"""File in the folder that the process which works on the parts holds."""
 PART_ROWS = 1 << 22
 """Rows of a part: at most so many are worked off again after a stop."""
 
@@ -48,9 +56,8 @@ def key_of(options: Any, calibration: Calibration, record: Run) -> str:
     return digest.hexdigest()
 
 
-@dataclass
 class Parts:
-    """The parts of one result.
+    """The parts of one result, of this process alone until :meth:`remove` or its end.
 
     Parameters
     ----------
@@ -58,40 +65,63 @@ class Parts:
         The target.
     key:
         From :func:`key_of`.
+    restart:
+        True: parts of another run are removed.
 
     Raises
     ------
     ArgumentError
-        If parts of another run lie there, or none can.
+        If another process works on them, if parts of another run lie there, or none can.
     """
 
-    out: Path
-    key: str
-
-    def __post_init__(self) -> None:
-        self.folder = self.out.with_name(f".{self.out.name}.parts")
+    def __init__(self, out: Path, key: str, restart: bool = False) -> None:
+        self.folder, self.count = out.with_name(f".{out.name}{FOLDER}"), 0
+        for left in _going(out):
+            shutil.rmtree(left, ignore_errors=True)
         try:
             self.folder.mkdir(exist_ok=True)
+            self._release = self._hold(out)
         except OSError as error:
             raise ArgumentError(
-                f"{self.out}: cannot be written ({error.strerror})", remedy="choose another --out"
+                f"{out}: cannot be written ({error.strerror})", remedy="choose another --out"
             ) from None
         mark = self.folder / "key.json"
-        if mark.exists() and json.loads(mark.read_text(encoding="utf-8")) != self.key:
-            raise ArgumentError(
-                f"--resume: {self.folder} holds parts of another input, calibration or set of options",
-                remedy=f"run the command that was stopped, or delete {self.folder} to begin again",
-            )
-        _place(mark, json.dumps(self.key).encode())
-        self.count = 0
+        owner = _content(mark)
+        if owner not in (None, key):
+            if not restart:
+                self.close()
+                raise ArgumentError(
+                    f"--resume: {self.folder} holds parts of another input, calibration or set of options",
+                    remedy="run the command that was stopped, or begin again with --force",
+                )
+            for path in self.folder.iterdir():
+                if path.name != LOCK:
+                    path.unlink()
+        write_whole(mark, lambda path: path.write_bytes(json.dumps(key).encode()))
         while (self.folder / f"{self.count}.json").exists():
             self.count += 1
+
+    def _hold(self, out: Path) -> Callable[[], None]:
+        """Keep other processes off the parts."""
+        try:
+            return hold(self.folder / LOCK)
+        except OSError as error:
+            if error.errno in (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK):
+                raise ArgumentError(
+                    f"--resume: another process writes {out}", remedy="wait for it, or choose another --out"
+                ) from None
+            raise
+
+    def close(self) -> None:
+        """Let other processes work on the parts."""
+        release, self._release = self._release, lambda: None
+        release()
 
     def carried(self) -> dict[str, Any] | None:
         """What the last whole part carries on; None when there is none."""
         if self.count == 0:
             return None
-        found: dict[str, Any] = json.loads((self.folder / f"{self.count - 1}.json").read_text(encoding="utf-8"))
+        found: dict[str, Any] = _content(self.folder / f"{self.count - 1}.json")
         return found
 
     def writer(self) -> TableWriter:
@@ -105,7 +135,8 @@ class Parts:
             with path.open("rb") as stream:
                 os.fsync(stream.fileno())
             path.replace(self.folder / f"{self.count}.parquet")
-        _place(self.folder / f"{self.count}.json", json.dumps(dict(carried)).encode())
+        text = json.dumps(dict(carried)).encode()
+        write_whole(self.folder / f"{self.count}.json", lambda path: path.write_bytes(text))
         self.count += 1
 
     def rows(self) -> Iterator[dict[str, NDArray]]:
@@ -121,25 +152,29 @@ class Parts:
                     yield {name: _numbers(table.column(name).chunk(0)) for name in table.column_names}
 
     def remove(self) -> None:
-        """The result stands: the parts may go."""
-        shutil.rmtree(self.folder)
+        """The result stands: the parts may go, all at once."""
+        gone = self.folder.with_name(f"{self.folder.name}{GOING}{secrets.token_hex(4)}")
+        self.folder.replace(gone)
+        self.close()
+        shutil.rmtree(gone, ignore_errors=True)
+
+
+def was_begun(out: Path) -> bool:
+    """True when a run with ``--resume`` was stopped: before its result stood, or before its parts were gone."""
+    return out.with_name(f".{out.name}{FOLDER}").exists() or bool(_going(out))
+
+
+def _going(out: Path) -> list[Path]:
+    """Parts whose deletion was stopped."""
+    start = f".{out.name}{FOLDER}{GOING}"
+    return [path for path in out.parent.iterdir() if path.name.startswith(start)] if out.parent.is_dir() else []
+
+
+def _content(path: Path) -> Any:
+    """What a small file says; None when it is not there."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
 def _numbers(column: Any) -> NDArray:
     kind = np.int32 if str(column.type) == "int32" else np.float64
     return np.frombuffer(column.buffers()[1], dtype=kind)[column.offset : column.offset + len(column)]
-
-
-def _place(path: Path, content: bytes) -> None:
-    """Write a small file whole, or not at all; the folder is on the disk afterwards."""
-    new = path.with_name(path.name + ".new")
-    with new.open("wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-    new.replace(path)
-    handle = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import CalibrationError, PigaError, UnitError
+from piga.output import settle
 from piga.records.calibration import (
     Calibration,
     CalibrationFigures,
@@ -294,6 +295,7 @@ def read_calibration(path: Path) -> Calibration:
         If the file is missing, is no calibration record, is of a newer schema, or contradicts itself: what
         compensation, certificates and the store read passes here.
     """
+    settle(path.parent)
     return calibration_from_bytes(read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError), path)
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 import msgspec
 
 from piga.errors import RunFileError, UnitError
+from piga.output import settle
 from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
 from piga.records.terms import check_terms
 from piga.records.toml_file import read_toml
@@ -286,6 +287,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
         With file, table, key, value and remedy.
     """
     path = Path(path)
+    settle(path.parent)
     run_file = read_toml(path, RunFile, raw)
     try:
         _check_units(run_file)

@@ -6,6 +6,7 @@ import difflib
 import math
 import re
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +30,8 @@ KINDS = {
 }
 """Top-level tables that tell one kind of file from another, and what takes that kind; the first that fits."""
 
+MAX_NAME = 256
+"""Letters of a text that may be the name of a file."""
 MOST_PARTS = 16
 """Parts of a dotted key; the run file's have three."""
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
@@ -111,6 +114,35 @@ def _check_values(path: Path, value: object, where: str) -> None:
         )
     elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         raise RunFileError(f"{path}: [{where}]: an integer of more than 64 bits", remedy="correct the value")
+
+
+def files_named_in(path: Path) -> list[Path]:
+    """The TOML file, and every file that it names, or that one of those names: what a command may read.
+
+    Any text that is the name of a file beside it counts. With each goes the ``.sha256`` beside it. A file that cannot be
+    read names nothing here.
+    """
+    named: dict[Path, None] = {}
+    waiting = [path]
+    while waiting:
+        at = waiting.pop()
+        if at in named:
+            continue
+        named[at] = None
+        sidecar = at.with_name(at.name + ".sha256")
+        named |= {sidecar: None} if sidecar.exists() else {}
+        if at.suffix == ".toml":
+            with suppress(RunFileError, OSError):
+                words = [word for word in _texts(toml_document(at)) if word and len(word) < MAX_NAME]
+                waiting += [at.parent / word for word in words if (at.parent / word).is_file()]
+    return list(named)
+
+
+def _texts(value: object) -> list[str]:
+    if isinstance(value, str):
+        return [value]
+    parts = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
+    return [word for part in parts for word in _texts(part)]
 
 
 def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:

@@ -19,10 +19,9 @@ from typing import Any
 import pytest
 
 from piga.errors import StoreError
+from piga.output import write_whole
 from piga.records.store import Draft, DraftFile, open_store
-from piga.records.store import durable as durable_module
 from piga.records.store.difference import difference
-from piga.records.store.durable import write_durably
 from piga.records.store.export import SEAL
 from piga.records.store.transfer import backup, export_records, import_records
 from piga.records.store.verify import verify
@@ -218,16 +217,16 @@ def test_whole_files_where_open_ones_cannot_be_renamed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replace: bool
 ) -> None:
     """As on Windows: closed before it is written by name, renamed, no lock, no directory to be synced."""
-    monkeypatch.setattr(durable_module, "_WINDOWS", True)
+    monkeypatch.setattr("piga.output._WINDOWS", True)
     monkeypatch.setattr(os, "link", None)
     target = tmp_path / "a.zip"
     if replace:
         target.write_bytes(b"old")
         (tmp_path / ".a.zip.left.piga-part").write_bytes(b"left")
-    write_durably(target, lambda part: part.write_bytes(b"new"), replace=replace)
+    write_whole(target, lambda part: part.write_bytes(b"new"), replace=replace)
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.zip", b"new")]
     with pytest.raises(StoreError, match="cannot be written"):
-        write_durably(target, lambda _: (_ for _ in ()).throw(OSError(28, "No space left")), replace=True)
+        write_whole(target, lambda _: (_ for _ in ()).throw(OSError(28, "No space left")), kind=StoreError)
     assert target.read_bytes() == b"new"
 
 

@@ -18,8 +18,8 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoRe
 from sqlalchemy.pool import NullPool, StaticPool
 
 from piga.errors import StoreError
+from piga.output import remove_leftovers, write_whole
 from piga.records.store.documents import new_identity, sha256
-from piga.records.store.durable import remove_leftovers, write_durably
 from piga.records.store.tables import HEAD, STORE
 
 APPLICATION_ID = 0x70696761
@@ -126,7 +126,9 @@ def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
         remove_leftovers(path)
     if not _exists(path) and create:
         try:
-            write_durably(path, lambda part: part.write_bytes(new_sqlite(identity)), replace=False)
+            write_whole(
+                path, lambda part: part.write_bytes(new_sqlite(identity)), replace=False, kind=StoreError
+            )
         except StoreError:
             if not _exists(path):
                 raise

@@ -10,6 +10,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from piga.errors import PigaError, StoreError
+from piga.output import write_whole
 from piga.records.store.blobs import insert_blob
 from piga.records.store.database import (
     connect_sqlite,
@@ -33,7 +34,6 @@ from piga.records.store.documents import (
     encode,
     sha256,
 )
-from piga.records.store.durable import write_durably
 from piga.records.store.export import Export, is_export, write_members
 from piga.records.store.record import Entry
 from piga.records.store.store import Store
@@ -68,7 +68,7 @@ def export_records(
         found = verify(part, advance=lambda count, total: advance(count, 2 * total))
         _refuse_unsound(found, store.name)
 
-    write_durably(target, write, replace=replace)
+    write_whole(target, write, replace=replace, kind=StoreError)
     found.name = str(target)
     return found
 
@@ -146,7 +146,7 @@ def backup(store: Store, target: Path, *, replace: bool = False, advance: Advanc
 
     if store.database.path is None:
         return export_records(store, target, replace=replace, advance=advance)
-    write_durably(target, copy, replace=replace)
+    write_whole(target, copy, replace=replace, kind=StoreError)
     found.name = str(target)
     return found
 
@@ -170,7 +170,9 @@ def restore(source: Path, target: str | Path) -> Verification:
         if is_url(target):
             _restore_postgresql(origin, str(target))
         else:
-            write_durably(Path(target), lambda part: _restore_sqlite(origin, part), replace=False)
+            write_whole(
+                Path(target), lambda part: _restore_sqlite(origin, part), replace=False, kind=StoreError
+            )
     restored = verify(target)
     _refuse_unsound(restored, restored.name)
     if restored.head != found.head:

@@ -1,0 +1,424 @@
+"""Results on the disk: whole or not there, never in place of an input, the files of two runs never together.
+
+One file is filled under a hidden name, made to last, and given its name. The files of one run are filled in a hidden
+folder; when all are there, that folder becomes the folder of results, or, in a folder that exists, its files are put in
+place one after another. A stop in between is seen by the hidden folder, which now ends in ``.whole``: who reads or writes
+there next puts the rest in place (:func:`settle`). A killed run leaves its hidden file or folder behind; the next run that
+writes there removes it. A lock tells a run that is still at work from one that is gone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from piga.errors import ArgumentError, PigaError
+
+_MARK, _JOURNAL = ".piga-part", "-journal"
+_STAGE, _WHOLE = ".piga-stage-", ".whole"
+_WINDOWS = os.name == "nt"
+"""There a renamed file must not be open, an open file is its own lock, and renames last by themselves."""
+
+
+def write_whole(
+    target: Path,
+    write: Callable[[Path], object],
+    *,
+    replace: bool = True,
+    remedy: str = "check space and rights",
+    kind: type[PigaError] = PigaError,
+) -> Path:
+    """Let ``write`` fill a temporary file, make it last, and give it its name.
+
+    Parameters
+    ----------
+    target:
+        File to be.
+    write:
+        Fills the file whose path it gets; that ends as ``target`` does.
+    replace:
+        False: an existing ``target`` is never touched.
+    remedy, kind:
+        What to do about a file that cannot be written, and the kind of the error.
+
+    Raises
+    ------
+    PigaError
+        If the file cannot be written; ``target`` is as it was.
+    """
+    try:
+        remove_leftovers(target)
+        prefix, suffix = f".{target.name}.", f"{_MARK}{target.suffix}"
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=target.parent)
+    except OSError as error:
+        raise _unwritable(target, error, remedy, kind) from None
+    temporary = Path(name)
+    try:
+        if _WINDOWS:
+            os.close(handle)
+        else:
+            _lock(handle)
+        write(temporary)
+        _sync(temporary)
+        temporary.chmod(0o644)
+        _rename(temporary, target, replace=replace)
+        sync_directory(target.parent)
+    except FileExistsError:
+        raise kind(f"{target}: exists already", remedy="choose another name") from None
+    except OSError as error:
+        raise _unwritable(target, error, remedy, kind) from None
+    finally:
+        _remove(temporary)
+        if not _WINDOWS:
+            os.close(handle)
+    return target
+
+
+def remove_leftovers(target: Path) -> None:
+    """Remove temporary files of runs that were killed while they wrote ``target``."""
+    pattern = f".{_escaped(target.name)}.*{_MARK}*"
+    for path in target.parent.glob(pattern):
+        if not path.name.endswith(_JOURNAL):
+            with suppress(OSError), path.open("rb") as stream:
+                _lock(stream.fileno())
+                _remove(path)
+    for path in target.parent.glob(f"{pattern}{_JOURNAL}"):
+        if not path.with_name(path.name.removesuffix(_JOURNAL)).exists():
+            with suppress(OSError):
+                path.unlink()
+
+
+def check_outputs(
+    outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool, ours: Callable[[Path], bool] | None = None
+) -> None:
+    """Refuse to write over inputs, and, unless ``force``, over what is there; a person at a terminal is asked.
+
+    Parameters
+    ----------
+    outputs:
+        Files to be written.
+    inputs:
+        Files that the command reads, under whatever name.
+    force:
+        True: what is there may be replaced. An input never is.
+    ours:
+        Says of a file that it may be replaced in any case.
+
+    Raises
+    ------
+    ArgumentError
+        Naming the file.
+    """
+    outputs = [path for path in outputs if path.exists() or path.is_symlink()]
+    known = {_identity(path): path for path in inputs if path.exists()}
+    for path in outputs:
+        same = known.get(_identity(path)) if path.exists() else None
+        if same is not None:
+            raise ArgumentError(
+                f"{path}: is the input {same}: it would be replaced by the result",
+                remedy="choose another --out",
+            )
+    there = [path for path in outputs if ours is None or not ours(path)]
+    if force or not there:
+        return
+    named = ", ".join(str(path) for path in there[:5]) + (
+        f" and {len(there) - 5} more" if len(there) > 5 else ""
+    )
+    if sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty():
+        sys.stderr.write(f"{named}: there already. Replace? [y/N] ")
+        sys.stderr.flush()
+        if sys.stdin.readline().strip().lower() in ("y", "yes"):
+            return
+        raise ArgumentError(f"{named}: not replaced", remedy="choose another --out")
+    raise ArgumentError(f"{named}: there already", remedy="choose another --out, or replace with --force")
+
+
+@contextmanager
+def results(
+    folder: Path,
+    command: str,
+    names: Sequence[str],
+    inputs: Sequence[Path],
+    *,
+    force: bool,
+    option: str = "--out",
+) -> Iterator[Path]:
+    """A folder to fill with the results of one run; they appear in ``folder`` together, or not at all.
+
+    Parameters
+    ----------
+    folder:
+        Where the results go; made when it is not there.
+    command:
+        What makes them, as it stands in a file name.
+    names:
+        Patterns of the names of all results that the command can leave: older ones go when the new ones come.
+    inputs:
+        Files that the command reads. Results of the same command and inputs that nobody changed since are replaced without
+        a word; for all else see :func:`check_outputs`.
+    force:
+        True: what is there may be replaced.
+    option:
+        The option that names ``folder``.
+
+    Raises
+    ------
+    PigaError
+        If the folder cannot be written, a result would replace an input, or other results are there.
+    """
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 - symbolic links stay as they are named
+    key = _key(command, inputs)
+    try:
+        there = folder.is_dir()
+        if there:
+            settle(folder)
+            marks = _read_marks(folder / _mark_name(command), key)
+            check_outputs(
+                _matching(folder, names), inputs, force=force, ours=lambda path: _is_ours(path, marks)
+            )
+        elif folder.exists():
+            raise NotADirectoryError(20, "is a file")
+        else:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+        _clear(folder.parent, f".{_escaped(folder.name)}{_STAGE}*")
+        home, prefix = (folder, "") if there else (folder.parent, f".{folder.name}")
+        with _staged(home, prefix) as stage:
+            yield stage
+            _finish_stage(stage, command, key, names)
+            if not folder.exists():
+                with suppress(OSError):
+                    stage.rename(folder)
+                    sync_directory(folder.parent)
+                    return
+                folder.mkdir(exist_ok=True)
+            whole = folder / f"{_STAGE}{secrets.token_hex(4)}{_WHOLE}"
+            stage.rename(whole)
+            sync_directory(folder)
+            settle(folder)
+    except OSError as error:
+        raise PigaError(
+            f"{option} {folder}: cannot be written ({error.strerror or error})",
+            remedy="name a directory you may write to, with room",
+        ) from None
+
+
+def settle(folder: Path) -> None:
+    """Put results in place that a stopped run had completed, and remove what others left unfinished.
+
+    Raises
+    ------
+    PigaError
+        If the folder cannot be written to: it holds the files of two runs.
+    """
+    waiting = sorted(folder.glob(f"{_STAGE}*"))
+    if not waiting:
+        return
+    with _locked(folder):
+        for stage in waiting:
+            if stage.name.endswith(_WHOLE) and stage.is_dir():
+                try:
+                    _put_in_place(stage, folder)
+                except OSError as error:
+                    raise PigaError(
+                        f"{folder}: holds files of two runs ({error.strerror or error})",
+                        remedy="run a piga command there as a user who may write to it",
+                    ) from None
+    _clear(folder, f"{_STAGE}*")
+
+
+def is_staged(folder: Path) -> bool:
+    """True for the hidden folder of results that are not in place yet."""
+    return _STAGE in folder.name
+
+
+def _put_in_place(stage: Path, folder: Path) -> None:
+    """Move the results of a whole stage into the folder, those that they replace away; its mark comes last."""
+    marks = [path for path in stage.iterdir() if path.name.startswith(".piga-results-")]
+    if marks:
+        mark = json.loads(marks[0].read_text(encoding="utf-8"))
+        for path in [path for path in stage.rglob("*") if path.is_file() and path != marks[0]]:
+            target = folder / path.relative_to(stage)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(target)
+        for path in _matching(folder, mark["names"]):
+            if path.relative_to(folder).as_posix() not in mark["files"]:
+                path.unlink()
+        marks[0].replace(folder / marks[0].name)
+    shutil.rmtree(stage)
+    sync_directory(folder)
+
+
+def _finish_stage(stage: Path, command: str, key: str, names: Sequence[str]) -> None:
+    """Bring the files of a stage to the disk, and note what they are."""
+    files = {}
+    for path in sorted(stage.rglob("*")):
+        if path.is_file():
+            _sync(path)
+            files[path.relative_to(stage).as_posix()] = _state(path)
+    mark = stage / _mark_name(command)
+    mark.write_text(json.dumps({"key": key, "names": list(names), "files": files}), encoding="utf-8")
+    _sync(mark)
+    sync_directory(stage)
+
+
+@contextmanager
+def _staged(home: Path, prefix: str) -> Iterator[Path]:
+    """A hidden folder of this process; removed unless it was renamed."""
+    stage = home / f"{prefix}{_STAGE}{secrets.token_hex(4)}"
+    stage.mkdir()
+    handle = None if _WINDOWS else os.open(stage, os.O_RDONLY)
+    try:
+        if handle is not None:
+            _lock(handle)
+        yield stage
+    finally:
+        if handle is not None:
+            os.close(handle)
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _clear(home: Path, pattern: str) -> None:
+    """Remove the hidden folders of runs that are gone."""
+    if _WINDOWS:
+        return
+    for stage in home.glob(pattern):
+        if stage.name.endswith(_WHOLE):
+            continue
+        with suppress(OSError):
+            handle = os.open(stage, os.O_RDONLY)
+            try:
+                _lock(handle)
+                shutil.rmtree(stage, ignore_errors=True)
+            finally:
+                os.close(handle)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """One process at a time, the others wait; where the file system has locks."""
+    if _WINDOWS:
+        yield
+        return
+    import fcntl
+
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def hold(path: Path) -> Callable[[], None]:
+    """Lock a file for this process, made when it is not there; returns what lets it go.
+
+    Raises
+    ------
+    OSError
+        When another process holds it, or the file system has no locks.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        if _WINDOWS:
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+        else:
+            _lock(handle)
+    except OSError:
+        os.close(handle)
+        raise
+    return lambda: os.close(handle)
+
+
+def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
+    return sorted({path for name in names for path in folder.glob(name) if not path.is_dir()})
+
+
+def _mark_name(command: str) -> str:
+    return f".piga-results-{command}.json"
+
+
+def _key(command: str, inputs: Sequence[Path]) -> str:
+    return " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
+
+
+def _read_marks(path: Path, key: str) -> dict[str, Any]:
+    """Size and time of the results that the same command and inputs left there, by name."""
+    try:
+        mark = json.loads(path.read_text(encoding="utf-8"))
+        return dict(mark["files"]) if mark["key"] == key else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _is_ours(path: Path, marks: dict[str, Any]) -> bool:
+    return any(
+        path.as_posix().endswith(f"/{name}") and not path.is_symlink() and state == _state(path)
+        for name, state in marks.items()
+    )
+
+
+def _state(path: Path) -> list[int]:
+    found = path.stat()
+    return [found.st_size, found.st_mtime_ns]
+
+
+def _identity(path: Path) -> tuple[int, int] | str:
+    found = path.stat()
+    return (found.st_dev, found.st_ino) if found.st_ino else os.path.realpath(path)
+
+
+def _remove(temporary: Path) -> None:
+    """Remove a temporary file, and the journal that SQLite keeps beside one that becomes a store."""
+    for path in (temporary, temporary.with_name(temporary.name + _JOURNAL)):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def sync_directory(folder: Path) -> None:
+    """Make renames in a directory last."""
+    if _WINDOWS:
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb+") as stream:
+        os.fsync(stream.fileno())
+
+
+def _rename(temporary: Path, target: Path, *, replace: bool) -> None:
+    if replace or _WINDOWS:
+        (temporary.replace if replace else temporary.rename)(target)
+        return
+    os.link(temporary, target)
+
+
+def _lock(handle: int) -> None:
+    """Lock a file, or raise OSError when another process holds it."""
+    if not _WINDOWS:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _escaped(name: str) -> str:
+    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+
+
+def _unwritable(target: Path, error: OSError, remedy: str, kind: type[PigaError]) -> PigaError:
+    return kind(f"{target}: cannot be written ({error.strerror or error})", remedy=remedy)

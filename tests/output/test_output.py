@@ -1,0 +1,302 @@
+"""Results on the disk: never in place of an input, nor of other results unasked; all files of a run, or none."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piga import output
+from piga.errors import ArgumentError, PigaError
+from piga.output import check_outputs, results, settle
+from piga.records.toml_file import files_named_in
+from tests.compensation.test_command import command as compensate
+from tests.compensation.test_command import write
+from tests.records.test_one_reader import command
+
+Capture = pytest.CaptureFixture[str]
+NAMES = ("a.txt", "b.txt", "figures/*")
+
+
+def fill(
+    folder: Path, text: str, names: tuple[str, ...] = ("a.txt", "b.txt", "figures/c.txt"), **more: object
+) -> None:
+    with results(folder, "test", NAMES, (), **{"force": False} | more) as stage:  # type: ignore[arg-type]
+        for name in names:
+            (stage / name).parent.mkdir(exist_ok=True)
+            (stage / name).write_text(text)
+
+
+def held(folder: Path) -> dict[str, str]:
+    """What a reader of the folder sees."""
+    settle(folder)
+    return {
+        path.relative_to(folder).as_posix(): path.read_text()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.name.startswith(".piga")
+    }
+
+
+@pytest.mark.parametrize("kind", ["same", "symbolic link", "hard link", "other spelling"])
+@pytest.mark.parametrize("what", ["data", "run file", "calibration"])
+def test_an_output_that_is_an_input_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, kind: str, what: str
+) -> None:
+    run = write(tmp_path)
+    source = {"data": tmp_path / "run.parquet", "run file": run, "calibration": tmp_path / "run.json"}[what]
+    before, out = source.read_bytes(), tmp_path / "out.parquet"
+    if kind == "symbolic link":
+        out.symlink_to(source)
+    elif kind == "hard link":
+        os.link(source, out)
+    else:
+        (tmp_path / "x").mkdir()
+        out = source if kind == "same" else tmp_path / "x" / ".." / source.name
+    said = {}
+    for name, words in {
+        "compensate": (run, "--calibration", tmp_path / "run.json", "--out", out),
+        "convert": (run, "--out", out),
+    }.items():
+        if name == "convert" and (what == "calibration" or out.suffix != ".parquet"):
+            continue
+        code, _, said[name] = command(monkeypatch, capsys, name, *words, "--force")
+        assert code == 2
+        assert f"is the input {source}" in said[name]
+    assert source.read_bytes() == before
+
+
+def test_a_page_in_place_of_the_run_file_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    run = write(tmp_path)
+    page = run.rename(tmp_path / "run.html")
+    words = (page, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet", "--report", page)
+    code, _, said = compensate(monkeypatch, capsys, *words, "--force")
+    assert code == 2
+    assert "is the input" in said
+    assert not (tmp_path / "o.parquet").exists()
+
+
+def test_files_that_a_run_file_names(tmp_path: Path) -> None:
+    """Data, profile, sums and what a triad file leads to; names of nothing are no files."""
+    for name in ("d.csv", "d.csv.sha256", "p.csv", "c.json", "unused.csv"):
+        (tmp_path / name).write_text("x")
+    (tmp_path / "r.toml").write_text('a = "d.csv"\n[stand]\nparts = [{ file = "p.csv" }]\nb = "none.csv"\n')
+    (tmp_path / "t.toml").write_text('[[triad.instrument]]\nrun = "r.toml"\ncalibration = "c.json"\n')
+    found = {path.name for path in files_named_in(tmp_path / "t.toml")}
+    assert found == {"t.toml", "r.toml", "c.json", "d.csv", "d.csv.sha256", "p.csv"}
+    assert files_named_in(tmp_path / "none.toml") == [tmp_path / "none.toml"]
+
+
+def test_a_file_that_is_there_needs_force_or_a_yes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = tmp_path / "o.csv"
+    check_outputs([there], [], force=False)
+    there.write_text("other")
+    with pytest.raises(ArgumentError, match=r"o\.csv: there already") as caught:
+        check_outputs([there], [], force=False)
+    assert "--force" in str(caught.value.remedy)
+    check_outputs([there], [], force=True)
+
+    class Terminal:
+        def __init__(self, answer: str = "") -> None:
+            self.answer, self.said = answer, ""
+
+        def isatty(self) -> bool:
+            return True
+
+        def readline(self) -> str:
+            return self.answer
+
+        def write(self, text: str) -> None:
+            self.said += text
+
+        def flush(self) -> None: ...
+
+    for answer, taken in (("y\n", True), ("Yes\n", True), ("\n", False), ("n\n", False), ("", False)):
+        shown = Terminal()
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdin", Terminal(answer))
+            patch.setattr(sys, "stderr", shown)
+            if taken:
+                check_outputs([there], [], force=False)
+            else:
+                with pytest.raises(ArgumentError, match="not replaced"):
+                    check_outputs([there], [], force=False)
+        assert "o.csv: there already. Replace? [y/N]" in shown.said
+
+
+def test_results_of_the_same_command_and_inputs_are_replaced_unless_someone_changed_them(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "out"
+    fill(out, "one")
+    fill(out, "two", names=("a.txt",))
+    assert held(out) == {"a.txt": "two"}
+    (out / "mine.txt").write_text("mine")
+    fill(out, "three")
+    assert held(out) == {"a.txt": "three", "b.txt": "three", "figures/c.txt": "three", "mine.txt": "mine"}
+    (out / "b.txt").write_text("edited by hand")
+    with pytest.raises(ArgumentError, match=r"b\.txt: there already"):
+        fill(out, "four")
+    assert held(out)["b.txt"] == "edited by hand"
+    fill(out, "four", force=True)
+    assert held(out)["b.txt"] == "four"
+    with (
+        pytest.raises(ArgumentError, match="there already"),
+        results(out, "test", NAMES, (tmp_path / "other.toml",), force=False),
+    ):
+        pass
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    for there in (False, True):
+        with pytest.raises(ZeroDivisionError), results(out, "test", NAMES, (), force=False) as stage:
+            (stage / "a.txt").write_text(str(1 / 0))
+        assert out.exists() == there
+        assert not list(tmp_path.rglob(".piga*")) + list(tmp_path.rglob("a.txt"))
+        out.mkdir(exist_ok=True)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PigaError, match=r"--out .*file: cannot be written \(is a file\)"):
+        fill(tmp_path / "file", "x")
+
+
+@pytest.mark.parametrize("at", range(5))
+def test_a_stop_while_results_are_put_in_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    """Whoever comes next puts the rest in place; older results that have no successor go."""
+    out = tmp_path / "out"
+    fill(out, "one")
+    replace, remove, count = Path.replace, output.shutil.rmtree, []
+
+    def step() -> None:
+        count.append(1)
+        if len(count) > at:
+            raise KeyboardInterrupt
+
+    def replaced(self: Path, target: Path) -> Path:
+        step()
+        return replace(self, target)
+
+    def removed(path: Path, ignore_errors: bool = False) -> None:
+        if not ignore_errors:
+            step()
+        remove(path, ignore_errors=ignore_errors)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", replaced)
+        patch.setattr(output.shutil, "rmtree", removed)
+        if at < 4:
+            with pytest.raises(KeyboardInterrupt):
+                fill(out, "two", names=("a.txt", "b.txt"))
+        else:
+            fill(out, "two", names=("a.txt", "b.txt"))
+    assert held(out) == {"a.txt": "two", "b.txt": "two"}
+    assert not list(out.glob(".piga-stage*"))
+
+
+WORK = """
+import sys
+from pathlib import Path
+from piga.output import results
+print("begun", flush=True)
+for k in range(100000):
+    with results(Path({out!r}), "test", {names!r}, (), force=True) as stage:
+        (stage / "figures").mkdir()
+        for name in ("a.txt", "b.txt", "figures/c.txt"):
+            (stage / name).write_text(f"{tag}-{{k}}" * 2000)
+"""
+
+
+def killed_at_random(tmp_path: Path, kills: int) -> None:
+    """Writers of one folder, two at a time, killed: what is read is of one run, and nothing hidden stays."""
+    out = tmp_path / "out"
+    rng = np.random.default_rng(1)
+    for k in range(kills):
+        scripts = [WORK.format(out=str(out), names=NAMES, tag=f"{k}{name}") for name in "xy"[: 1 + k % 2]]
+        writers = [subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE) for text in scripts]
+        for writer in writers:
+            assert writer.stdout is not None
+            writer.stdout.readline()
+        time.sleep(rng.uniform(0.0, 0.05))
+        for writer in writers:
+            os.kill(writer.pid, signal.SIGKILL)
+            writer.communicate()
+        if out.exists():
+            assert len(set(held(out).values())) == 1
+            assert sorted(held(out)) == ["a.txt", "b.txt", "figures/c.txt"]
+    fill(out, "last", force=True)
+    assert set(held(out).values()) == {"last"}
+    assert not list(tmp_path.glob(".*")) + list(out.glob(".piga-stage*"))
+
+
+def test_kills_in_a_folder(tmp_path: Path) -> None:
+    killed_at_random(tmp_path, 2)
+
+
+@pytest.mark.slow
+def test_many_kills_in_a_folder(tmp_path: Path) -> None:
+    killed_at_random(tmp_path, 50)
+
+
+COMMAND = "import sys; from piga.cli.main import main; sys.argv = ['piga', *sys.argv[1:]]; main()"
+SCENARIO = Path(__file__).parents[2] / "examples" / "dividing-head.toml"
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("name", ["simulate", "calibrate", "demo"])
+def test_many_kills_of_a_command(tmp_path: Path, name: str) -> None:
+    """Fifty kills each; the folder holds the files of one run, by their times, and a last run leaves nothing hidden."""
+    out = tmp_path / "out"
+    subprocess.run([sys.executable, "-c", COMMAND, "demo", "--out", str(tmp_path / "demo")], check=True)
+    more: dict[str, list[str]] = {
+        "simulate": [str(SCENARIO)], "calibrate": [str(tmp_path / "demo" / "tumble-a.toml")], "demo": [],
+    }  # fmt: skip
+    words = [sys.executable, "-c", COMMAND, name, *more[name], "--out", str(out), "--force"]
+    started = time.monotonic()
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    usual, first = time.monotonic() - started, sorted(held_names(out))
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(usual * rng.uniform(0.5, 1.1))
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+        settle(out)
+        mark = output.json.loads((out / output._mark_name(name)).read_text())
+        assert {path: output._state(out / path) for path in mark["files"]} == mark["files"]
+        assert held_names(out) == first
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    assert not list(tmp_path.glob(".*")) + list(out.glob(".piga-stage*"))
+
+
+def held_names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.glob("[!.]*"))
+
+
+def test_an_edited_run_file_is_not_simulated_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """The README says to edit it."""
+    scenario, out = tmp_path / "s.toml", tmp_path / "out"
+    scenario.write_text(SCENARIO.read_text())
+    out.mkdir()
+    (out / "run.toml").write_text("mine")
+    code, _, said = command(monkeypatch, capsys, "simulate", scenario, "--out", out)
+    assert code == 2
+    assert "run.toml: there already" in said
+    assert (out / "run.toml").read_text() == "mine"
+    (tmp_path / "run.toml").write_text(SCENARIO.read_text())
+    code, _, said = command(
+        monkeypatch, capsys, "simulate", tmp_path / "run.toml", "--out", tmp_path, "--force"
+    )
+    assert code == 2
+    assert "is the input" in said
