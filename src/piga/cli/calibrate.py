@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import print_json, progress, report_available, say
+from piga.cli.common import files_named_in, print_json, progress, report_available, say
 from piga.cli.options import ForceOption, JsonOption
 from piga.output import results
-from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.calibration import RunSummary

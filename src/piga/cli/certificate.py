@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import note, print_json, say, write_by_rename
+from piga.cli.common import files_named_in, note, print_json, say, write_by_rename
 from piga.cli.groups import Group
 from piga.cli.options import ForceOption, JsonOption
 from piga.errors import PigaError
 from piga.output import check_outputs, results
-from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.records.calibration import Calibration

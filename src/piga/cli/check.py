@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import print_json, progress, report_available, say, write_by_rename
+from piga.cli.common import files_named_in, print_json, progress, report_available, say, write_by_rename
 from piga.cli.options import ForceOption, JsonOption, RunFileArgument
 from piga.errors import PigaError
 from piga.output import check_outputs, results
-from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.records import Run

@@ -118,6 +118,13 @@ def output_directory(path: Path, option: str = "--out") -> Path:
     return path
 
 
+def files_named_in(path: Path) -> list[Path]:
+    """A TOML file and all files that it leads to: what a command may read, and must not write over."""
+    from piga.records import toml_file
+
+    return toml_file.files_named_in(path)
+
+
 def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
     """Let ``write`` fill a temporary file beside ``path``, then rename it: never a half-written result.
 

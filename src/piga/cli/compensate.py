@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import note, print_json, progress, report_available, say, write_by_rename
+from piga.cli.common import files_named_in, note, print_json, progress, report_available, say, write_by_rename
 from piga.cli.options import ForceOption
 from piga.errors import ArgumentError
 from piga.output import check_outputs
-from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from piga.compensation import Phase

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import print_json, progress, say, write_text
+from piga.cli.common import files_named_in, print_json, progress, say, write_text
 from piga.cli.groups import Group
 from piga.cli.options import ForceOption
 from piga.output import results
-from piga.records.toml_file import files_named_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,10 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from piga.cli.common import print_json, progress, say, write_text
+from piga.cli.common import files_named_in, print_json, progress, say, write_text
 from piga.cli.options import ForceOption
 from piga.output import results
-from piga.records.toml_file import files_named_in
 
 RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
 """What the command can leave."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from piga.errors import RunFileError
+from piga.output import settle
 from piga.records.assembly import Assembly, StandReference
 from piga.records.raw_columns import read_columns
 from piga.records.run import Run
@@ -44,6 +45,7 @@ def read_record(
     stays resident is bounded, whatever the length of the record.
     """
     path = Path(path)
+    settle(path.parent)
     content = toml_bytes(path)
     run_file = read_run_file(path, content)
     if need_reference and run_file.data.reference is None and run_file.stand is None:
