@@ -80,6 +80,13 @@ def find_bows(n: int, turning: bool, state: Array, w: Array) -> None:
 
 
 @exact
+def straighten(n: int, w: Array) -> None:
+    """The published formula takes the transverse reference as straight between samples."""
+    for j in range(1, n + 1):
+        w[at.BOW_Y + j] = w[at.BOW_Z + j] = 0.0
+
+
+@exact
 def add_bows(n: int, K: float, w: Array) -> None:
     """Take the bows of the transverse input out of the indicated mean force, and add the base rate about X0 to it.
 

@@ -105,6 +105,8 @@ def compensate_angles(
         angle.find_steps(n, begins[start:stop], valid, w)
         indicate_intervals(n, formula, p[at.P_PHI] - state[at.S_START], K, w)
         between.find_bows(n, omega.shape[0] > 0, state, w)
+        if formula == at.PUBLISHED:
+            between.straighten(n, w)
         if u.size:
             between.find_doubt(n, K, state, w)
         between.add_bows(n, K, w)

@@ -111,3 +111,45 @@ def _published() -> Iterator[Pair]:
     rate, (_, a_Y, a_Z) = np.diff(run.output) / np.diff(T), 0.5 * (FORCE[1:] + FORCE[:-1]).T
     literal = rate / K - np.hypot(a_Y, a_Z) * TAN_BETA * np.sin(phase - np.arctan2(a_Z, a_Y))
     yield literal, found, 1e-11
+
+
+@equation("inverse-bow")
+def _bow() -> Iterator[Pair]:
+    """A base rate that is a cubic of time, over uneven intervals: its mean is that of the integral."""
+    t = np.array([0.0, 0.011, 0.02, 0.032])
+    cubic = np.polynomial.Polynomial([0.02, 1.0, 30.0, 20.0])
+    h2, h1, h0 = np.diff(t)
+    x = cubic(t)
+
+    def second(i: int) -> float:
+        return (
+            2
+            * ((x[i] - x[i - 1]) / (t[i] - t[i - 1]) - (x[i - 1] - x[i - 2]) / (t[i - 1] - t[i - 2]))
+            / (t[i] - t[i - 2])
+        )
+
+    ahead = (h0 + 2 * h1) / (2 * (h0 + h1 + h2))
+    literal = (x[2] + x[3]) / 2 - h0**2 / 12 * (second(3) + ahead * (second(3) - second(2)))
+    whole = cubic.integ()
+    yield literal, (whole(t[3]) - whole(t[2])) / h0, 1e-14
+    force, turn = np.tile([G0, 0.0, 0.0], (4, 1)), np.column_stack([x, 0 * x, 0 * x])
+    columns = {"t": t, "output": K * G0 * t, "f": force, "begins": np.arange(4) == 0}
+    compensator = [piga.Compensator(calibration_of({"scale_factor": K_G})) for _ in range(2)]
+    with_rate, without = compensator[0].push({**columns, "base_rate": turn}), compensator[1].push(columns)
+    yield literal / K, with_rate.ax[3] - without.ax[3], 1e-12
+
+
+@equation("inverse-servo")
+def _servo() -> Iterator[Pair]:
+    """At a sample of angle and rate the two terms are taken off as they stand."""
+    s, d = 1e-5, 2e-5
+    alpha, rate, turn = PHI + 0.4, 0.6, np.array([0.0, 0.1, -0.2])
+    columns = {"t": [0.0], "output": [rate], "angle": [alpha - PHI], "f": F0[None], "base_rate": turn[None]}
+    values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI}
+    plain, whole = (
+        piga.Compensator(calibration_of({**values, **terms}), kind="rate", step=0.01).push(columns).ax[0]
+        for terms in ({}, {"servo": s, "servo_damping": d})
+    )
+    v, (_, y, z) = rate / K, F0 - turn / K
+    across, along = y * np.sin(alpha) - z * np.cos(alpha), y * np.cos(alpha) + z * np.sin(alpha)
+    yield plain - whole, -(2 * s * v * across**2 + d * v**2 * along) / G0**2, 1e-14
