@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +16,9 @@ from piga.calibration.reduction import Reduction
 from piga.calibration.solution import solve
 from piga.calibration.uncertainty import Source, contributions
 from piga.calibration.weighting import reduce_segments
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
+from piga.records.terms import si_factor, unit_of
 
 if TYPE_CHECKING:
     from piga.calibration.fit import Fit
@@ -183,3 +184,55 @@ def _per(unit: str, source: str) -> str:
     if source in ("", "1"):
         return unit
     return f"{unit}/({source})" if "/" in source or "*" in source else f"{unit}/{source}"
+
+
+def with_given_servo(
+    result: Calibration, known: Mapping[str, float], moved: Mapping[str, Mapping[str, float]]
+) -> Calibration:
+    """The result with the coefficients of the servo that were given, not estimated, behind the others.
+
+    They are part of the model that K and the others belong to: whoever compensates needs them.
+
+    Parameters
+    ----------
+    result:
+        The calibration.
+    known:
+        Given coefficients [1/(m/s^2)^2]; those that are estimated are left out.
+    moved:
+        The same by budget row, moved by the standard uncertainty of its source.
+    """
+    names = [name for name in known if name not in result.terms]
+    if not names:
+        return result
+    factors = np.array([si_factor(name) for name in names])
+    values = np.array([known[name] for name in names]) / factors
+    changes = [
+        np.array([moved.get(row["source"], known)[name] for name in names]) / factors - values
+        for row in result.budget
+    ]
+    size = len(result.coefficients)
+    covariance = np.zeros((size + len(names),) * 2)
+    covariance[:size, :size] = result.covariance
+    for row, change in zip(result.budget, changes, strict=True):
+        others = np.array([row["contributions"][c.key] for c in result.coefficients])
+        covariance[size:, :size] += np.outer(change, others)
+        covariance[size:, size:] += np.outer(change, change)
+    covariance[:size, size:] = covariance[size:, :size].T
+    std = np.sqrt(np.diag(covariance)[size:])
+    given = [Coefficient(n, float(v), float(u), unit_of(n)) for n, v, u in zip(names, values, std, strict=True)]
+    return replace(
+        result,
+        terms=(*result.terms, *names),
+        coefficients=(*result.coefficients, *given),
+        covariance=covariance,
+        budget=tuple(_extended(row, given, change) for row, change in zip(result.budget, changes, strict=True)),
+    )
+
+
+def _extended(row: dict[str, Any], coefficients: Sequence[Coefficient], change: Array) -> dict[str, Any]:
+    """A row of the budget with more coefficients."""
+    size = row["standard_uncertainty"] or {"value": None, "unit": ""}
+    more = budget_row("", "", "", size["value"], size["unit"], coefficients, change)
+    parts = {name: row[name] | more[name] for name in ("contributions", "sensitivities") if name in row}
+    return row | parts

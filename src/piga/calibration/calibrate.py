@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.advice import advise, with_advice
-from piga.calibration.budget import Budget, budget_row, budget_rows, combined, make_budget, share_of_type_a
+from piga.calibration.budget import (
+    Budget,
+    budget_row,
+    budget_rows,
+    combined,
+    make_budget,
+    share_of_type_a,
+    with_given_servo,
+)
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
 from piga.calibration.cubic import cubic_doubt, other_meaning
@@ -27,7 +35,7 @@ from piga.calibration.identifiability import (
     refuse_useless,
     remarks_in_words,
 )
-from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees
+from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees, joint_sources
 from piga.calibration.joint_result import joint_result
 from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
@@ -44,10 +52,11 @@ from piga.calibration.revolutions import (
     revolutions_degrees,
     revolutions_result,
 )
+from piga.calibration.servo_columns import given_servo
 from piga.calibration.slow_noise import include_slow_noise, include_stated_scatter
 from piga.calibration.solution import Solution, solve
 from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
-from piga.calibration.uncertainty import contributions, stated_scatter
+from piga.calibration.uncertainty import contributions, sources, stated_scatter
 from piga.calibration.weighting import weighting_mode
 from piga.calibration.workers import beside
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
@@ -154,7 +163,17 @@ def _calibration(
         result = _assemble(run, request, fit, coefficients, covariance, budget.rows, residuals, notes, history)
     result = replace(result, remarks=remarks_in_words(coefficients, request.phase))
     result = with_remarks(result, fit, remarks.result(), doubt)
+    result = with_given_servo(result, given_servo(run), _moved_servo(run))
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
+
+
+def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
+    """Coefficients of the servo that a run gives, moved by each source of Type B that moves them."""
+    return (
+        {s.name: given_servo(s.moved) for s in sources(run) if s.moved.servo is not run.servo}
+        if run.servo
+        else {}
+    )
 
 
 def _range(values: Array) -> float:
@@ -256,7 +275,14 @@ def _joint_calibration(
     changes = tuple(change for _, change in found)
     type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in found)).covariances(fit.covariance)
     degrees = joint_degrees(fit) * share_of_type_a(type_a, fit.covariance)
-    return joint_result(fit, whole, budget_rows(fit.coefficients, type_a, found), degrees)
+    result = joint_result(fit, whole, budget_rows(fit.coefficients, type_a, found), degrees)
+    given = dict(fit.summaries[0].known_servo)
+    moved = {
+        source.name: dict(fit.summaries[index].sources[number].known_servo)
+        for source in joint_sources(fit.summaries)
+        for index, number in list(source.moved.items())[:1]
+    }
+    return with_given_servo(result, given, moved if given else {})
 
 
 def _revolutions_calibration(run: Run, request: Request) -> Calibration:
@@ -273,7 +299,8 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     notes = notes_in_words(coefficients, covariance, {})
     notes = (*notes, note) if note else notes
     result = revolutions_result(run, cleaned, request, fit, coefficients, covariance, budget, notes)
-    return replace(result, remarks=remarks_in_words(coefficients, "shared"))
+    result = replace(result, remarks=remarks_in_words(coefficients, "shared"))
+    return with_given_servo(result, given_servo(run), _moved_servo(run))
 
 
 def _published_calibration(run: Run, request: Request) -> Calibration:

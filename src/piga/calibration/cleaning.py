@@ -139,7 +139,7 @@ def settle_jumps(
         chosen[k] = min(stretch.choices(k == 0 or stretch.anew), key=stretch.cost)
     tied = bool(design.local_names) and design.request.phase == "shared" and not design.point
     if tied and len(jumped) <= JUDGED:
-        _ask_phases(Design(run, design.request, design.scale_factor), noise, stretches, chosen)
+        _ask_phases(design.of(run), noise, stretches, chosen)
     words: dict[int, str] = {}
     for k, (stretch, more) in enumerate(zip(stretches, _turned(stretches, chosen), strict=True)):
         if more != 0.0:
