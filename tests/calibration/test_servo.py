@@ -8,8 +8,9 @@ from scipy.integrate import quad
 
 from piga._kernels.regressors import cubic_moments, servo_columns
 from piga.calibration import RunSummary, calibrate, compare_models
-from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
-from piga.records.run_file import EstimationTable
+from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
+from piga.records.distribution import Given, GivenParameter
+from piga.records.run_file import EstimationTable, ServoTable
 from piga.units import G0
 from tests.calibration.servo_data import DAMPING, PHI, STIFFNESS, TERMS, TRUTH, K, head, levels, rate, recorded
 
@@ -278,3 +279,65 @@ def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
     assert values[2] == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
     assert "choice of meaning" in found.notes[0]
     assert f"{values[1]:.8g}" in found.notes[0]
+
+
+SERVO = (
+    GivenParameter("integral_gain", 3000.0, 60.0, "N m/(rad s)"),
+    GivenParameter("damping", 0.1, 0.01, "N m s/rad"),
+    GivenParameter("angular_momentum", 0.1, 0.0, "kg m^2/s"),
+)
+"""Parameters of a servo: s = K^2 H/(2 k_i), d = c K^2/k_i."""
+S, D = K**2 * 0.1 / 6000.0, 0.1 * K**2 / 3000.0
+
+
+def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty():
+    run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=SERVO))
+    found = calibrate(run, TERMS[:5])
+    check(found, TRUTH, {name: 3.0 * size for name, size in EXACT.items()}, TERMS[:5])
+    assert found.terms == tuple(TERMS)
+    assert found["servo"].value == pytest.approx(S * G0**2, rel=1e-3)
+    assert found["servo"].std == pytest.approx(0.02 * S * G0**2, rel=0.05)
+    assert found["servo_damping"].std == pytest.approx(np.hypot(0.02, 0.1) * D * G0**2, rel=0.05)
+    rows = {row["source"]: row["contributions"] for row in found.budget}
+    assert set(rows) == {"fit residuals (repeatability)", "servo integral gain", "servo damping"}
+    shift = 0.25 * S * G0**2 * TRUTH["scale_factor"]
+    assert rows["servo integral gain"]["scale_factor"] == pytest.approx(-0.02 * shift, rel=0.1)
+    assert abs(rows["servo damping"]["phi"]) > 2.0 * abs(rows["servo integral gain"]["phi"])
+    total = np.sqrt(sum(row["servo_damping"] ** 2 for row in rows.values()))
+    assert total == pytest.approx(found["servo_damping"].std)
+
+
+def test_what_is_asked_for_is_estimated_even_where_it_is_given():
+    wrong = (replace(SERVO[0], value=1500.0), *SERVO[1:])
+    run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=wrong))
+    found = calibrate(run, TERMS)
+    assert found["servo"].value == pytest.approx(S * G0**2, abs=1e-8)
+    assert [row["source"] for row in found.budget] == ["fit residuals (repeatability)"]
+
+
+@pytest.mark.parametrize(
+    ("servo", "message"),
+    [
+        ({"integral_gain": 3000.0}, "one of pendulosity and angular_momentum"),
+        ({"integral_gain": -1.0, "pendulosity": 0.009}, "integral_gain: must be positive"),
+        ({"integral_gain": "3 N m", "pendulosity": 0.009}, "integral_gain"),
+        (
+            {"integral_gain": Given("3 N m/(rad s)", standard="-1 N m/(rad s)"), "pendulosity": 1.0},
+            "is negative",
+        ),
+    ],
+)
+def test_faults_of_the_servo_table_are_named(servo, message):
+    with pytest.raises((RunFileError, UnitError), match=message):
+        ServoTable(**servo).parameters()
+
+
+def test_servo_table_in_si():
+    table = ServoTable(
+        Given("3 N m/(rad s)", half_width="0.3 N m/(rad s)", distribution="rectangular"),
+        pendulosity="9e-3 kg m",
+    )
+    gain, lever = table.parameters()
+    assert (gain.value, gain.distribution) == (3.0, "rectangular")
+    assert gain.standard == pytest.approx(0.3 / np.sqrt(3.0))
+    assert lever.name == "pendulosity"

@@ -292,6 +292,8 @@ def _gauss_newton(
     x = columns[:-1].T
     omega = np.zeros((run.size, 3)) if run.base_rate is None else run.base_rate
     known = np.zeros(run.size) if design.estimates_scale_factor else run.scale_factor * run.f[:, 0]
+    if design.turning_servo:
+        known = run.output + omega[:, 0] - columns[-1]
     square, size = 0.0, np.abs(run.output)
     weight, sign = 1.0 / positions.std, np.sign(run.output)
     for _ in range(STEPS):
