@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
+from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 import piga
 from piga._kernels.counting import saw_tooth_covariance
-from piga._kernels.regressors import coupling_columns
+from piga._kernels.regressors import coupling_columns, servo_columns
 from piga._kernels.whitening import innovation_weights, whiten
 from piga.calibration.added_noise import AddedNoise
 from piga.calibration.leverage import all_but_one, leverages
@@ -17,6 +18,7 @@ from piga.calibration.missing_terms import tested
 from piga.calibration.noise import find_noise
 from piga.calibration.reduction import Reduction
 from piga.calibration.revolutions import _amplification
+from piga.calibration.servo_columns import ServoState
 from piga.calibration.slow_bases import KNOTS, DriftBasis
 from piga.calibration.slow_noise import projected
 from piga.instrument.parameters import ErrorModel
@@ -199,3 +201,66 @@ def _pulled() -> Iterator[Pair]:
     yield literal, (1.0 + 0.5 * rho**2) / (1.0 - rho**2), 1e-10
     t = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / rate[1:] + 1.0 / rate[:-1]) * np.diff(x))])
     yield literal, _amplification(x, t, 1)[0], 0.02 * literal
+
+
+def _integral(value: Callable[[float], float]) -> float:
+    return quad(value, 0.0, 1.5, epsabs=1e-14)[0]
+
+
+def _servo_case() -> tuple[np.ndarray, np.ndarray, Callable[[float], float], complex, float]:
+    """The five integrals by the library; angle, ``zeta`` and ``w`` of a case with constant forces."""
+    w, zeta, psi = 2.0, 0.6 - 0.8j, np.array([0.4, 1.9])
+    integrals, one = np.empty((5, 1)), np.ones(2)
+    servo_columns(psi, w * one, zeta.real * one, zeta.imag * one, np.array([1.5]), np.zeros(1), integrals)
+    return integrals[:, 0], psi, lambda t: psi[0] + (psi[1] - psi[0]) * t / 1.5, zeta, w
+
+
+@equation("calibration-servo-columns")
+def _servo_columns() -> Iterator[Pair]:
+    found, _, psi, zeta, w = _servo_case()
+    second, first = (
+        (lambda t: w * zeta**2 * np.exp(-2j * psi(t))),
+        (lambda t: w**2 * zeta * np.exp(-1j * psi(t))),
+    )
+    literal = [
+        1.5 * w * abs(zeta) ** 2,
+        _integral(lambda t: second(t).real),
+        -_integral(lambda t: second(t).imag),
+        _integral(lambda t: first(t).real),
+        _integral(lambda t: first(t).imag),
+    ]
+    yield np.array(literal), found, 1e-14
+
+
+@equation("calibration-servo-terms")
+def _servo_terms() -> Iterator[Pair]:
+    """The printed combination, the library's, and the terms of the servo page integrated."""
+    found, _, psi, zeta, w = _servo_case()
+    phi, (m, c2, s2, c1, s1) = 0.7, found
+    literal = np.array([-m + c2 * np.cos(2 * phi) - s2 * np.sin(2 * phi), -c1 * np.cos(phi) - s1 * np.sin(phi)])
+    rows = ServoState((phi,), 0.0, 0.0, 0.0).term_rows(phi)
+    yield literal, np.array([rows["servo"] @ found, rows["servo_damping"] @ found]), 1e-15
+    across = lambda t: zeta.real * np.sin(psi(t) + phi) - zeta.imag * np.cos(psi(t) + phi)  # noqa: E731
+    along = lambda t: zeta.real * np.cos(psi(t) + phi) + zeta.imag * np.sin(psi(t) + phi)  # noqa: E731
+    exact = [_integral(lambda t: -2.0 * w * across(t) ** 2), _integral(lambda t: -(w**2) * along(t))]
+    yield literal, np.array(exact), 1e-13
+
+
+@equation("calibration-servo-step")
+def _servo_step() -> Iterator[Pair]:
+    """What the step adds to the columns of the coupling is the derivative of the terms by ``p`` and ``q``."""
+    found = _servo_case()[0]
+    stiffness, damping, p, q = 0.3, 0.2, 0.5, 1.2
+
+    def terms(p: float, q: float) -> float:
+        rows = ServoState((0.0,), 0.0, 0.0, 0.0).term_rows(np.arctan2(q, p))
+        return stiffness * (rows["servo"] @ found) + damping * (rows["servo_damping"] @ found)
+
+    size, phi = np.hypot(p, q), np.arctan2(q, p)
+    over = ServoState((phi,), stiffness, damping, 1.0 / size).phase_row(phi) @ found
+    step = 1e-6
+    derivative = [
+        (terms(p + step, q) - terms(p - step, q)) / (2.0 * step),
+        (terms(p, q + step) - terms(p, q - step)) / (2.0 * step),
+    ]
+    yield np.array([-np.sin(phi) * over, np.cos(phi) * over]), np.array(derivative), 1e-8
