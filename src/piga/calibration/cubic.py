@@ -82,7 +82,7 @@ def cubic_doubt(
     held = (*design.request.terms, *design.turning_servo)
     if (
         square is None
-        or "scale_factor" not in held
+        or not {"scale_factor", "tan_beta"} <= set(held)
         or set(CUBIC) & set(held)
         or design.request.phase_source != "output"
     ):

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 INNER = 1e-6
 """Relative change of K from which the regressors of runs with base rotation are made anew."""
+SERVO_SOURCE = "servo "
+"""Beginning of the names of sources that belong to the instrument."""
 SAME_SERVO = 0.02
 """Relative difference of a coefficient of the servo between runs that is none: that of their rates."""
 SMALL = 0.01
@@ -385,15 +387,18 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
     """Sources of all runs; one that runs share moves all of them at once.
 
     Runs share a source when it has the same name and value, on the same kind of stand, with the same
-    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand. What is drawn for each run or each of its
+    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand, and a parameter of the servo, which is the
+    instrument's, for neither. What is drawn for each run or each of its
     segments is not shared.
     """
     found: dict[tuple[str, str | None, str | None, float, int], Source] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
-            of_site = source.name in COMMON_TO_ALL_STANDS
+            of_servo = source.name.startswith(SERVO_SOURCE)
+            of_site = source.name in COMMON_TO_ALL_STANDS or of_servo
             own = -1 if source.draw == "reference" else index
-            key = (source.name, None if of_site else summary.stand, summary.reference_id, source.value, own)
+            device = None if of_servo else summary.reference_id
+            key = (source.name, None if of_site else summary.stand, device, source.value, own)
             shape = (source.distribution, source.degrees_of_freedom, len(source.segments), source.in_fit)
             first = found.get(key, Source(source.name, source.value, source.unit, {}, *shape))
             found[key] = replace(first, moved=first.moved | {index: number})
