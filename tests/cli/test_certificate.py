@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
+import re
 
 import pytest
 
 from piga.records.calibration_json import to_document
 from tests.cli.test_commands import piga
-from tests.reports.certificate_data import EXAMPLE, budgeted, key_pair
+from tests.reports.certificate_data import EXAMPLE, budgeted, complete, key_pair
 from tests.reports.example import calibration
 
 pytest.importorskip("signxml")
@@ -45,6 +47,7 @@ def test_issue_verify_read(lab, tmp_path):
     )
     assert json.loads(checked.stdout)["signature"] == "holds"
     assert json.loads(checked.stdout)["remarks"] == []
+    assert json.loads(checked.stdout)["signer_in_force"] is True
     wrong = piga(
         "certificate", "verify", tmp_path / "certificate.xml", "--certificate", "other-cert.pem", cwd=lab
     )
@@ -84,3 +87,55 @@ def test_options_that_belong_together(lab, tmp_path):
     assert "belong together" in alone.stderr
     for command in ("issue", "verify", "read"):
         assert piga("certificate", command, "--help").returncode == 0
+
+
+@pytest.fixture(scope="module")
+def expired(lab):
+    """Signed, when it was in force, with a certificate that has expired since, by the library alone."""
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+    from cryptography.x509 import load_pem_x509_certificate
+    from signxml.signer import XMLSigner
+
+    from piga.records.xml_signature import written
+    from piga.reports.dcc import dcc_document
+
+    key, certificate = (path.read_bytes() for path in key_pair(lab, "expired", start=-2000, days=1700))
+    root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))
+    root = XMLSigner(signature_algorithm="ecdsa-sha256").sign(
+        root, key=load_pem_private_key(key, None), cert=[load_pem_x509_certificate(certificate)]
+    )
+    (lab / "expired.xml").write_bytes(written(root))
+    return lab
+
+
+def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, tmp_path):
+    verify = ("certificate", "verify", "expired.xml", "--certificate", "expired-cert.pem")
+    now = piga(*verify, cwd=expired)
+    assert now.returncode == 2
+    first = now.stdout.splitlines()[0]
+    assert "the signer's X.509 certificate has expired on" in first
+    dates = re.search(
+        r"valid from \S+ to (\S+); on the date of issue that the file states, 2026-03-09, it was not in", first
+    )
+    day = dt.date.fromisoformat(dates[1]) - dt.timedelta(days=2)
+    then = piga(*verify, "--at", str(day), cwd=expired)
+    assert then.returncode == 0, then.stderr
+    assert f"the signature holds as of {day}" in then.stdout.splitlines()[0]
+    read = piga("certificate", "read", *verify[2:], "--out", tmp_path / "back.json", cwd=expired)
+    assert read.returncode == 2
+    assert "has expired" in read.stderr
+    assert not (tmp_path / "back.json").exists()
+
+
+def test_what_is_not_signed_is_called_so(expired, tmp_path):
+    from piga.records.xml_signature import written
+    from piga.reports.dcc import dcc_document
+
+    root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))
+    (tmp_path / "plain.xml").write_bytes(written(root))
+    plain = piga("certificate", "read", tmp_path / "plain.xml", "--out", tmp_path / "a.json")
+    assert plain.returncode == 0, plain.stderr
+    assert "not signed" in plain.stdout.splitlines()[0]
+    unverified = piga("certificate", "read", expired / "expired.xml", "--out", tmp_path / "b.json")
+    assert unverified.returncode == 0, unverified.stderr
+    assert "signature was not verified" in unverified.stdout.splitlines()[0]

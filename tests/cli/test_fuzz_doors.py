@@ -1,6 +1,6 @@
 """Mutated files and streams at the doors that take records of others: used, or refused in words; nothing else.
 
-The default run is 200 cases a door; ``PIGA_FUZZ=500`` makes it 100 000.
+The default run is 200 cases a door and ten imports; ``PIGA_FUZZ=500`` makes it 100 000 each.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from tests.reports.certificate_data import budgeted, complete
 from tests.reports.example import calibration
 
 CASES = 200 * SCALE
+IMPORTS = CASES if SCALE > 1 else 10
+"""An import takes some 50 ms of processor time: few in the default run, all cases in a campaign."""
 TOKENS = [b"-", b"0", b"1e308", b"1e-320", b"null", b"true", b"[]", b"{}", b'""', b'"phi"', b"9" * 30, b"\\u0000",
           b"scale_factor", b'"run": "b", ', b"per-segment", b"NaN", b"e99", b".", b",", b"\xff"]  # fmt: skip
 
@@ -144,7 +146,7 @@ def test_imports(tmp_path: Path) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for index in range(max(CASES // 20, 10)):
+        for index in range(IMPORTS):
             put()
             lab = tmp_path / f"{index % 50}.sqlite"
             lab.unlink(missing_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime as dt
 import random
 import re
 
@@ -102,7 +103,7 @@ def test_a_signed_document_wrapped_in_another(signed, keys, tmp_path):
     root = etree.fromstring(signed)
     wrapper = etree.Element(root.tag, nsmap=root.nsmap, schemaVersion="3.3.0")
     wrapper.append(root)
-    with pytest.raises(DataError, match="is not signed"):
+    with pytest.raises(DataError, match="not the last element"):
         verify_signature(put(tmp_path, written(wrapper)), keys["ours"][1])
     signature = root[-1]
     wrapper.append(signature)
@@ -116,15 +117,83 @@ def test_weak_algorithms_are_refused(signed, keys, tmp_path):
         verify_signature(put(tmp_path, weak), keys["ours"][1])
 
 
-def test_what_no_signature_covers_is_remarked(signed, keys, tmp_path):
-    comment = signed.replace(b"<dcc:coreData>", b"<!-- k0 is 3 mg --><dcc:coreData>", 1)
-    found = verify_signature(put(tmp_path, comment), keys["ours"][1])
-    assert "comments" in found.remarks[0]
-    assert b"3 mg" not in etree.tostring(found.document)
+def test_the_way_of_writing_is_remarked(signed, keys, tmp_path):
     spaced = signed.replace(b'schemaVersion="3.3.0"', b"schemaVersion='3.3.0'", 1)
     assert "another way" in verify_signature(put(tmp_path, spaced), keys["ours"][1]).remarks[0]
-    named = re.sub(rb"(<ds:X509Certificate>)\s*\S", rb"\1N", signed)
-    assert "names another" in verify_signature(put(tmp_path, named), keys["ours"][1]).remarks[0]
+
+
+FORGED = (
+    b'<dcc:measurementResults xmlns:dcc="https://ptb.de/dcc"><dcc:measurementResult/></dcc:measurementResults>'
+)
+FORGERIES = {
+    "results in an object": (b"</ds:Signature>", b"<ds:Object>" + FORGED + b"</ds:Object></ds:Signature>"),
+    "empty object": (b"</ds:Signature>", b"<ds:Object/></ds:Signature>"),
+    "results in the key": (b"</ds:X509Data>", b"</ds:X509Data>" + FORGED),
+    "name of a key": (b"<ds:KeyInfo>", b"<ds:KeyInfo><ds:KeyName>PTB</ds:KeyName>"),
+    "second certificate": (b"</ds:X509Data>", b"<ds:X509Certificate>AAAA</ds:X509Certificate></ds:X509Data>"),
+    "second certificate data": (b"</ds:X509Data>", b"</ds:X509Data><ds:X509Data/>"),
+    "subject": (b"<ds:X509Data>", b"<ds:X509Data><ds:X509SubjectName>CN=PTB</ds:X509SubjectName>"),
+    "identifier": (b"<ds:SignatureValue>", b'<ds:SignatureValue Id="a">'),
+    "attribute of another name space": (b"<ds:KeyInfo>", b'<ds:KeyInfo xmlns:x="x" x:who="PTB">'),
+    "text in the key": (b"<ds:KeyInfo>", b"<ds:KeyInfo>PTB"),
+    "text behind a part": (b"</ds:KeyInfo>", b"</ds:KeyInfo>PTB"),
+    "text behind the signature": (b"</ds:Signature>", b"</ds:Signature>k0 is 3 mg"),
+    "comment in the signature": (b"<ds:KeyInfo>", b"<ds:KeyInfo><!-- PTB -->"),
+    "comment": (b"<dcc:coreData>", b"<!-- k0 is 3 mg --><dcc:coreData>"),
+    "instruction in the signature": (b"<ds:KeyInfo>", b"<ds:KeyInfo><?who PTB?>"),
+    "instruction before": (b"<dcc:digital", b"<?xml-stylesheet href='x.xsl'?><dcc:digital"),
+    "comment behind": (b"</dcc:digitalCalibrationCertificate>", b"</dcc:digitalCalibrationCertificate><!-- x -->"),
+    "key value outside": (b"<dcc:coreData>", b'<dcc:coreData><ds:KeyInfo xmlns:ds="http://www.w3.org/2000/09/xmldsig#"/>'),
+    "another certificate named": (re.compile(rb"(<ds:X509Certificate>\s*M)."), rb"\1J"),
+    "nothing named": (re.compile(rb"<ds:KeyInfo>.*</ds:KeyInfo>", re.DOTALL), b""),
+    "stray letters in the value": (b"<ds:DigestValue>", b"<ds:DigestValue>!"),
+    "other transform": (b"2006/12/xml-c14n11", b"2001/10/xml-exc-c14n#"),
+    "no transform": (re.compile(rb"<ds:Transform Algorithm=\"[^\"]*c14n11\"/>"), b""),
+    "path as transform": (b"<ds:Transforms>", b'<ds:Transforms><ds:Transform Algorithm="http://www.w3.org/TR/1999/REC-xpath-19991116"/>'),
+    "two references": (b"</ds:SignedInfo>", b'<ds:Reference URI=""/></ds:SignedInfo>'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_the_signature_is_held_to_its_profile(signed, keys, tmp_path, forgery):
+    old, new = FORGERIES[forgery]
+    forged = signed.replace(old, new, 1) if isinstance(old, bytes) else old.sub(new, signed, count=1)
+    assert forged != signed
+    with pytest.raises(DataError, match="does not hold"):
+        verify_signature(put(tmp_path, forged), keys["ours"][1])
+
+
+def test_a_signature_elsewhere(signed, keys, tmp_path):
+    """The signature as first child: what follows it is covered, but piga does not write it so."""
+    root = etree.fromstring(signed)
+    root.insert(0, root[-1])
+    with pytest.raises(DataError, match="not the last element"):
+        verify_signature(put(tmp_path, written(root)), keys["ours"][1])
+
+
+@pytest.mark.parametrize(("elliptic", "bits"), [(False, 1024), (False, 2047), (True, 192)])
+def test_short_keys_are_refused(cal, signed, tmp_path, elliptic, bits):
+    short = key_pair(tmp_path, "short", elliptic=elliptic, bits=bits)
+    with pytest.raises(DataError, match=f"key has {bits} bits"):
+        sign_xml(dcc_document(complete(), cal), *short)
+    with pytest.raises(DataError, match=f"key has {bits} bits"):
+        verify_signature(put(tmp_path, signed), short[1])
+
+
+@pytest.mark.parametrize(("start", "words"), [(-800, "has expired"), (10, "is not yet valid")])
+def test_a_certificate_out_of_force_does_not_sign(cal, tmp_path, start, words):
+    with pytest.raises(DataError, match=words):
+        sign_xml(dcc_document(complete(), cal), *key_pair(tmp_path, "late", start=start))
+
+
+def test_force_at_a_time(signed, keys, tmp_path):
+    checked = verify_signature(put(tmp_path, signed), keys["ours"][1])
+    day = dt.timedelta(days=1)
+    assert checked.out_of_force(checked.valid_from) == checked.out_of_force(checked.valid_until) == ""
+    assert "is not yet valid" in checked.out_of_force(checked.valid_from - day)
+    expired = checked.out_of_force(checked.valid_until + day)
+    assert "has expired" in expired
+    assert f"to {checked.valid_until:%Y-%m-%d}" in expired
 
 
 def mutations(raw, count, seed):

@@ -41,24 +41,27 @@ def budgeted(cal):
     return replace(cal, budget=rows)
 
 
-def key_pair(folder: Path, name: str, *, elliptic: bool = True) -> tuple[Path, Path]:
-    """Private key and self-signed X.509 certificate, PEM."""
+def key_pair(
+    folder: Path, name: str, *, elliptic: bool = True, bits: int = 2048, start: int = -365, days: int = 730
+) -> tuple[Path, Path]:
+    """Private key and self-signed X.509 certificate, PEM; valid ``days`` from the day ``start`` days from now."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
     from cryptography.x509.oid import NameOID
 
-    key = ec.generate_private_key(ec.SECP256R1()) if elliptic else rsa.generate_private_key(65537, 2048)
+    curve = ec.SECP256R1() if bits >= 256 else ec.SECP192R1()
+    key = ec.generate_private_key(curve) if elliptic else rsa.generate_private_key(65537, bits)
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    start = dt.datetime(2020, 1, 1, tzinfo=dt.UTC)
+    first = dt.datetime.now(dt.UTC).replace(microsecond=0) + dt.timedelta(days=start)
     certificate = (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(subject)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(start)
-        .not_valid_after(start + dt.timedelta(days=730))
+        .not_valid_before(first)
+        .not_valid_after(first + dt.timedelta(days=days))
         .sign(key, hashes.SHA256())
     )
     form = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +45,14 @@ app = typer.Typer(
 
 PemOption = Annotated[
     Path | None, typer.Option("--certificate", metavar="PEM", help="X.509 certificate of the laboratory.")
+]
+AtOption = Annotated[
+    str | None,
+    typer.Option(
+        "--at",
+        metavar="YYYY-MM-DD",
+        help="Day on which the X.509 certificate must be in force, instead of today.",
+    ),
 ]
 
 
@@ -113,8 +122,6 @@ def issue(
 
 def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
     """The administrative part with another date of issue."""
-    import datetime as dt
-
     from msgspec.structs import replace
 
     if date is None:
@@ -163,32 +170,62 @@ def verify(
     certificate: Annotated[
         Path, typer.Option("--certificate", metavar="PEM", help="X.509 certificate that must have signed it.")
     ],
+    at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Verify a DCC made by piga.
 
-    Its signature against the laboratory's certificate, and that it agrees with itself.
+    Its signature against the laboratory's certificate, and that it agrees with itself. A certificate that is not in
+    force ends it with exit code 2.
     """
-    from piga.records.dcc_reader import calibration_of
+    from piga.records.dcc_reader import calibration_of, date_of_issue
     from piga.records.xml_signature import verify_signature
 
+    day = _day(at)
     signed = verify_signature(file, certificate)
     calibration = calibration_of(signed.document, file)
-    document: dict[str, Any] = {
-        "signature": "holds",
-        "signer": signed.signer,
-        "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
-        "serial": calibration.serial,
-        "remarks": list(signed.remarks),
-    }
+    issued = date_of_issue(signed.document, file)
+    why = signed.out_of_force(day)
+    valid = f"{signed.valid_from:%Y-%m-%d} to {signed.valid_until:%Y-%m-%d}"
+    was = "was" if signed.valid_from.date() <= issued <= signed.valid_until.date() else "was not"
+    stated = f"on the date of issue that the file states, {issued}, it {was} in force"
     if as_json:
+        document: dict[str, Any] = {
+            "signature": "holds",
+            "signer": signed.signer,
+            "signer_in_force": not why,
+            "judged_for": day.date().isoformat(),
+            "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
+            "issued": issued.isoformat(),
+            "serial": calibration.serial,
+            "remarks": list(signed.remarks),
+        }
         print_json(document)
-        return
-    say(f"{file}: the signature holds; instrument {calibration.serial}")
-    say(f"  signed by  {signed.signer}")
-    say(f"  whose certificate is valid {signed.valid_from:%Y-%m-%d} to {signed.valid_until:%Y-%m-%d}")
+    elif why:
+        say(f"{file}: the signer's X.509 certificate {why}; {stated}")
+        say(f"  the signature itself holds; instrument {calibration.serial}")
+        say(f"  signed by  {signed.signer}")
+    else:
+        when = "" if at is None else f" as of {day:%Y-%m-%d}"
+        say(f"{file}: the signature holds{when}; instrument {calibration.serial}")
+        say(f"  signed by  {signed.signer}")
+        say(f"  whose certificate is valid {valid}")
+    if was == "was not" and not why:
+        note(f"piga: the signer's X.509 certificate is valid {valid}; {stated}")
     for remark in signed.remarks:
         note(f"piga: {remark}")
+    if why:
+        raise typer.Exit(2)
+
+
+def _day(at: str | None) -> dt.datetime:
+    """Now, or noon UTC of the day that was given."""
+    if at is None:
+        return dt.datetime.now(dt.UTC)
+    try:
+        return dt.datetime.combine(dt.date.fromisoformat(at), dt.time(12), dt.UTC)
+    except ValueError:
+        raise PigaError(f"--at {at}: is not a date", remedy="write e.g. 2027-06-01") from None
 
 
 @app.command()
@@ -198,6 +235,7 @@ def read(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="Where the calibration goes.")],
     certificate: PemOption = None,
+    at: AtOption = None,
     force: ForceOption = False,
 ) -> None:
     """Read a DCC back into calibration.json.
@@ -206,10 +244,25 @@ def read(
     """
     from piga.records.dcc_reader import calibration_of
     from piga.records.xml_file import read_xml
-    from piga.records.xml_signature import verify_signature
+    from piga.records.xml_signature import check_profile, verify_signature
 
     check_outputs([out], [file, *([] if certificate is None else [certificate])], force=force)
-    root = read_xml(file)[1] if certificate is None else verify_signature(file, certificate).document
+    day = _day(at)
+    if certificate is None:
+        root = read_xml(file)[1]
+        words = "not signed: anyone can have written it"
+        if check_profile(root, file) is not None:
+            words = "its signature was not verified (--certificate does)"
+    else:
+        signed = verify_signature(file, certificate)
+        why = signed.out_of_force(day)
+        if why:
+            raise PigaError(
+                f"{file}: the signer's X.509 certificate {why}",
+                remedy="ask the issuer; --at names the day for which it is to be judged",
+            )
+        root, words = signed.document, f"signed by {signed.signer}"
     calibration = calibration_of(root, file)
     write_by_rename(out, calibration.to_json)
-    say(f"wrote {out}: instrument {calibration.serial}, {len(calibration.coefficients)} coefficients")
+    count = len(calibration.coefficients)
+    say(f"wrote {out}: instrument {calibration.serial}, {count} coefficients; {words}")

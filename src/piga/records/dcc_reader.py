@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import datetime as dt
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,6 +70,25 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
     _compare(path, record, coefficients, covariance)
     _compare_coverage(path, root, record)
     return record
+
+
+def date_of_issue(root: etree._Element, path: Path) -> dt.date:
+    """The date of issue that a certificate states; ``path`` is for messages.
+
+    Raises
+    ------
+    DataError
+        If it states none, or several.
+    """
+    return _date(root, "issueDate", path)
+
+
+def _date(root: etree._Element, name: str, path: Path) -> dt.date:
+    element = _one(root, f"dcc:administrativeData/dcc:coreData/dcc:{name}", path, name)
+    try:
+        return dt.date.fromisoformat(element.text or "")
+    except ValueError:
+        raise DataError(f"{path}: {name} '{(element.text or '')[:40]}' is no date", remedy=AGAIN) from None
 
 
 def _one(root: etree._Element, query: str, path: Path, what: str) -> etree._Element:
