@@ -216,17 +216,14 @@ class Design:
     def _bows(self, first: int, stop: int) -> Array | None:
         """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None: there are none.
 
-        A sample that is left out belongs to no smooth input.
+        They do not depend on which readings of the output are left out.
         """
         if self.point:
             return None
         run = self.run
         low, high = max(first - 2, 0), min(stop + 2, run.size)
         h = np.diff(run.t[low:high])
-        apart = run.begins[low + 1 : high].copy()
-        if run.left_out is not None:
-            apart |= run.left_out[low + 1 : high] | run.left_out[low : high - 1]
-        h[apart] = 0.0
+        h[run.begins[low + 1 : high]] = 0.0
         inputs = [*self._force[:, low:high]]
         inputs += [] if run.base_rate is None else [*run.base_rate[low:high].T]
         bows, bent = np.zeros((6, h.size)), False
