@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from decimal import Decimal
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +17,7 @@ from scipy import stats
 from piga.errors import PigaError
 from piga.records.calibration import Coefficient
 from piga.records.calibration_json import to_document
+from piga.records.certificate_file import ConformityTable
 from piga.records.coverage import joint_factor
 from piga.records.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.records.terms import UNITS, si_factor, unit_of
@@ -111,8 +114,6 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
             },
         )
     if kind == "conformity":
-        from piga.records.certificate_file import ConformityTable
-
         limits = {"k0": ("-5 mg", "5 mg"), "m_Y": ("-1 urad", "1 mrad")}
         rule = ConformityTable(specification="S 1", rule="guarded", agreed_with_customer=True, limits=limits)
         data = type(data)(
@@ -301,3 +302,145 @@ def test_a_changed_covariance_is_found(cal, tmp_path):
     )
     with pytest.raises(PigaError, match="covariance differs"):
         calibration_of(root, tmp_path / "x.xml")
+
+
+@pytest.fixture(scope="module")
+def stated(cal):
+    """A certificate that states all there is: ranges, conformity, results before adjustment, a Monte Carlo interval."""
+    by_interval = replace(cal.coefficients[3], interval=(1.5001e-3, 1.70035e-3))
+    used = replace(
+        cal,
+        coefficients=(*cal.coefficients[:3], by_interval, *cal.coefficients[4:]),
+        diagnostics={"range": {"a_x": [-9.8, 9.8], "temperature": [293.0, 295.5]}},
+    )
+    rule = ConformityTable(
+        specification="S 1",
+        rule="simple",
+        agreed_with_customer=True,
+        limits={"k0": ("-5 mg", "5 mg"), "m_Y": ("-1 urad", "1 mrad")},
+    )
+    data = msgspec.structs.replace(
+        changed(
+            complete(), adjustment={"performed": True}, certificate={"replaces": "old 1", "amendment": "k0"}
+        ),
+        conformity=rule,
+    )
+    return written(dcc_document(data, used, cal))
+
+
+def real_of(key, kind="basic_measuredValue"):
+    return f".//dcc:result[@refType='{kind}']//si:real[si:label='{key}']"
+
+
+def named(kind, title):
+    return f".//dcc:{kind}[dcc:name='{title}']"
+
+
+CORE = "dcc:administrativeData/dcc:coreData/dcc:"
+ALTERED = [
+    (f"{real_of('scale_factor')}/si:value", "0.09060", "scale_factor is stated as"),
+    (f"{real_of('tan_beta')}/si:value", "3.58743E-4", "tan_beta is stated as"),
+    (f"{real_of('k2')}/si:value", "-3.1611199747110386E-8", "k2 is stated as"),
+    (f"{real_of('k2')}/si:label", "k3", "not the record's: 'k3'"),
+    (f"{real_of('m_Y')}/si:unit", r"\one", r"m_Y is stated in"),
+    (f"{real_of('k2')}/si:unit", r"\metre\second\tothe{-2}", "k2 is stated in"),
+    (f"{real_of('m_Y')}//si:valueExpandedMU", "1.0E-9", "m_Y is stated with 95 % limits|significant digit"),
+    (f"{real_of('m_Y')}//si:valueExpandedMU", "2.6E-6", "m_Y is stated with 95 % limits"),
+    (f"{real_of('m_Y')}//si:coverageFactor", "1.644854", "m_Y is stated with .* k 1.644854"),
+    (f"{real_of('m_Y')}//si:coverageProbability", "0.99", "probability of 0.99"),
+    (f"{real_of('m_Y')}//si:distribution", "uniform", "distribution 'uniform'"),
+    (f"{real_of('m_Y')}/si:significantDigit", "-9", "significant digit -9"),
+    (f"{real_of('k0')}//si:intervalMin", "0.01569", "k0 is stated with 95 % limits"),
+    (f"{real_of('k0')}//si:valueStandardMU", "1.0E-6", "k0 is stated with 95 % limits"),
+    (f"{real_of('k0', 'basic_beforeAdjustment')}/si:unit", r"\metre", "k0 is stated in"),
+    (f"{real_of('k0', 'basic_beforeAdjustment')}/si:label", "k2", "k2 is called|stated twice"),
+    (f"{real_of('k0', 'basic_beforeAdjustment')}//si:valueExpandedMU", "2.1E-3", "significant digit"),
+    (f"{real_of('k0')}/../dcc:name/dcc:content", "Second-order coefficient", "k0 is called"),
+    (".//si:coverageFactorXMLList", "2.000000", "the joint result has k 2.000000"),
+    (".//si:coverageProbabilityXMLList", "0.5", "the joint result is for 0.5"),
+    (".//dcc:item/dcc:identifications/dcc:identification/dcc:value", "G-0418", "serial is 'G-0418', the attached .* 'G-0417'"),
+    (".//dcc:measurementResult/dcc:name/dcc:content", "Calibration of G-0418", "heading of the results is 'G-0418'"),
+    (".//dcc:itemQuantity/si:real/si:value", "0.0906", "nominal scale factor is 0.0906"),
+    (".//dcc:itemQuantity/si:real/si:unit", r"\one", "nominal scale factor"),
+    (f"{CORE}receiptDate", "2026-03-05", "beginPerformanceDate 2026-03-03 is before receiptDate"),
+    (f"{CORE}endPerformanceDate", "2026-03-10", "issueDate 2026-03-09 is before endPerformanceDate"),
+    (f"{CORE}issueDate", "2025-03-09", "issueDate 2025-03-09 is before"),
+    (f"{CORE}issueDate", "yesterday", "is no date"),
+    (f"{CORE}reportAmendedSubstituted/dcc:replacedUniqueIdentifier", "old 2", "it replaces 'old 2'"),
+    (".//dcc:usedSoftware/dcc:software/dcc:release", "v9.9.9", "releases"),
+    (f"{real_of('m_Y')}/../dcc:measurementMetaData//dcc:conformity", "fail", "conformity 'pass' is not"),
+    (".//dcc:statement/dcc:conformity", "fail", "conformity 'fail' is not"),
+    (f"{named('statement', 'x')}/dcc:declaration/dcc:content", None, "Applies to|conformity 'pass' is not"),
+    (".//dcc:statement/dcc:data/dcc:quantity/si:real/si:value", "-98.0", "the range in which"),
+    (".//dcc:statement/dcc:data/dcc:quantity/si:real/si:unit", r"\kelvin", "the range in which"),
+    (".//dcc:influenceCondition/dcc:data/dcc:quantity/dcc:name/dcc:content", "Humidity", "the condition"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("query", "text", "words"), ALTERED)
+def test_an_altered_statement_contradicts_another(stated, query, text, words):
+    root = etree.fromstring(stated)
+    if text is None:
+        query, old, text = ".//dcc:statement[dcc:conformity]/dcc:declaration/dcc:content", "k0, m_Y", "k2, m_Y"
+        text = root.xpath(query, namespaces=N)[0].text.replace(old, text)
+    node = root.xpath(query, namespaces=N)[0]
+    assert node.text != text
+    node.text = text
+    with pytest.raises(PigaError, match=words) as caught:
+        calibration_of(root, Path("forged.xml"))
+    assert "contradicts itself" in caught.value.message or "is no date" in caught.value.message
+
+
+def sentence(root, title):
+    return root.xpath(
+        f".//dcc:statement[dcc:name/dcc:content='{title}']/dcc:declaration/dcc:content", namespaces=N
+    )[0]
+
+
+@pytest.mark.parametrize(
+    ("title", "old", "new", "words"),
+    [
+        ("Range", "9.8 m", "98 m", "the range in which"),
+        ("Conformity", "Overall: conforms", "Overall: does not conform", "conformity 'pass' is not"),
+        ("Adjustment", "was adjusted", "was not adjusted", "statement on adjustment"),
+        ("Method", "exclusions from the method: ", "exclusions from the method: many, ", "stated in two ways"),
+        ("Amendment", "certificate old 1", "certificate old 2", "it replaces 'old 1'"),
+    ],
+)
+def test_an_altered_sentence_contradicts_another(stated, title, old, new, words):
+    root = etree.fromstring(stated)
+    node = sentence(root, title)
+    assert old in node.text
+    node.text = node.text.replace(old, new, 1)
+    with pytest.raises(PigaError, match=f"contradicts itself: .*{words}"):
+        calibration_of(root, Path("forged.xml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"<dcc:results>", b"<dcc:results><dcc:result><dcc:name/><dcc:data/></dcc:result>", "holds"),
+        (b"<dcc:measurementResults>", b"<dcc:measurementResults><dcc:measurementResult/>", "more than once"),
+        (
+            b"</dcc:measurementResults>",
+            b"</dcc:measurementResults><dcc:comment>k0 is 3 mg</dcc:comment>",
+            "dcc:comment",
+        ),
+        (b"</dcc:coreData>", b"<dcc:issueDate>2026-03-10</dcc:issueDate></dcc:coreData>", "more than once"),
+        (b"<dcc:item>", b"<dcc:item><dcc:subItems/>", "dcc:subItems"),
+        (b"<si:label>k2</si:label>", b"<si:label>k2</si:label><si:value>1</si:value>", "more than once"),
+        (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "text stands beside"),
+        (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "comments"),
+        (b"<si:label>k2<", b"<si:label>k2<?x y?><", "comments or instructions"),
+        (b"<si:label>k2<", b"<si:label value='3'>k2<", "attributes"),
+        (b"basic_measuredValue", b"basic_otherValue", "results of other kinds"),
+    ],
+)
+def test_a_certificate_has_one_form(stated, old, new, words):
+    assert old in stated
+    with pytest.raises(PigaError, match=words):
+        calibration_of(etree.fromstring(stated.replace(old, new, 1)), Path("forged.xml"))
+
+
+def test_the_full_certificate_reads(stated):
+    assert calibration_of(etree.fromstring(stated), Path("x.xml"))["k0"].limits == (1.5001e-3, 1.70035e-3)

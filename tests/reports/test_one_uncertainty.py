@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import html
 import json
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -165,6 +166,11 @@ def test_a_certificate_with_k_from_the_rows_is_read_with_a_warning(calibrated, t
     ratio = stats.t.ppf(0.975, 5000) / np.array([c.coverage_factor for c in cal.coefficients])
     for element, one in zip(halves, ratio, strict=True):
         element.text = repr(float(element.text) * float(one))
+        element.getnext().text = f"{stats.t.ppf(0.975, 5000):.6f}"
+        digit = element.getparent().getparent().getparent().find("si:significantDigit", names)
+        digit.text = str(math.floor(math.log10(float(element.text))) - 1)
+    joint = root.find(".//si:coverageFactorXMLList", names)
+    joint.text = f"{math.sqrt(len(TERMS) * stats.f.ppf(0.95, len(TERMS), 5000)):.6f}"
     if cal["k0"].degrees_of_freedom < 100:
         with pytest.warns(piga.PigaWarning, match="k = 1.960 from the number of rows"):
             back = calibration_of(root, Path("old.xml"))

@@ -17,13 +17,21 @@ from typing import Literal
 import msgspec
 
 from piga.errors import UnitError
-from piga.records.calibration import Calibration
-from piga.records.terms import unit_of
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.terms import meaning_of, unit_of
 from piga.records.toml_file import read_toml
 from piga.units import to_si
 
 MASKED = 0.05
 """Largest share of masked rows that a certificate is given for, unless the file allows more."""
+Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
+WORST: tuple[Status, ...] = ("pass", "conditionalPass", "conditionalFail", "fail")
+"""Verdicts on conformity, the worst last."""
+_RANGE_NAMES = {
+    "a_x": ("axial specific force", "m/s^2"),
+    "a_t": ("transverse specific force", "m/s^2"),
+    "temperature": ("temperature of the instrument", "K"),
+}
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -391,3 +399,31 @@ def limits_in_file_units(key: str, pair: tuple[str, str]) -> tuple[float, float]
     one = to_si(f"1 {unit}", unit)
     low, high = (to_si(text, unit, what=f"limit '{text}'") / one for text in pair)
     return low, high
+
+
+def overall(worst: Status) -> str:
+    """What the worst verdict on a coefficient says of the item, in words."""
+    return {"pass": "conforms", "fail": "does not conform"}.get(worst, "cannot be decided for every result")
+
+
+def validity_ranges(calibration: Calibration) -> tuple[tuple[str, float, float, str], ...]:
+    """Ranges in which the results hold, from the record: name, lower end, upper end, SI unit."""
+    stated = calibration.diagnostics.get("range", {})
+    return tuple(
+        (_RANGE_NAMES[name][0], float(ends[0]), float(ends[1]), _RANGE_NAMES[name][1])
+        for name, ends in stated.items()
+        if name in _RANGE_NAMES
+    )
+
+
+def range_sentence(ranges: tuple[tuple[str, float, float, str], ...]) -> str:
+    """The ranges as a certificate declares them."""
+    words = "; ".join(f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)
+    return f"The results were found, and hold, in this range: {words}.".replace("^2", "²")
+
+
+def title_of(c: Coefficient) -> str:
+    """A coefficient in words, as the heading of its result."""
+    words = meaning_of(c.name)
+    where = "" if c.segment is None else f", segment {c.segment}"
+    return f"{words[:1].upper()}{words[1:]}{where}"

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import dataclass
-from typing import Literal
 
 from piga.records.calibration import Calibration
-from piga.records.certificate_file import CertificateFile, limits_in_file_units
+from piga.records.certificate_file import (
+    WORST,
+    CertificateFile,
+    Status,
+    limits_in_file_units,
+    overall,
+    range_sentence,
+    validity_ranges,
+)
 from piga.records.coverage import Coverage
-
-Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
 
 _WORDS: dict[Status, str] = {
     "pass": "conforms",
@@ -18,16 +23,10 @@ _WORDS: dict[Status, str] = {
     "conditionalPass": "inside the limits, by less than the expanded uncertainty",
     "conditionalFail": "outside the limits, by less than the expanded uncertainty",
 }
-_WORST: tuple[Status, ...] = ("pass", "conditionalPass", "conditionalFail", "fail")
 _RULES = {
     "simple": "simple acceptance: a result conforms when it lies inside the limits, whatever its uncertainty",
     "guarded": "guarded acceptance (guard band of one expanded uncertainty): a result conforms when the interval of "
     "its expanded uncertainty lies inside the limits, and does not when the interval lies outside",
-}
-_RANGE_NAMES = {
-    "a_x": ("axial specific force", "m/s^2"),
-    "a_t": ("transverse specific force", "m/s^2"),
-    "temperature": ("temperature of the instrument", "K"),
 }
 
 
@@ -144,18 +143,11 @@ def _adjustment(data: CertificateFile) -> str:
 
 
 def _validity(calibration: Calibration) -> list[Statement]:
-    stated = calibration.diagnostics.get("range", {})
-    ranges = tuple(
-        (_RANGE_NAMES[name][0], float(ends[0]), float(ends[1]), _RANGE_NAMES[name][1])
-        for name, ends in stated.items()
-        if name in _RANGE_NAMES
-    )
+    ranges = validity_ranges(calibration)
     if not ranges:
         return []
-    words = "; ".join(f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)
-    text = f"The results were found, and hold, in this range: {words}."
     return [
-        Statement("Range", text.replace("^2", "²"), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
+        Statement("Range", range_sentence(ranges), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
     ]
 
 
@@ -164,14 +156,13 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> list[Stateme
     if rule is None:
         return []
     found = verdicts(data, calibration)
-    worst = max((verdict.status for verdict in found), key=_WORST.index)
+    worst = max((verdict.status for verdict in found), key=WORST.index)
     names = ", ".join(verdict.key for verdict in found)
     text = f"Specification: {rule.specification}. Decision rule: {decision_rule(data)}. Applies to: {names}."
-    overall = {"pass": "conforms", "fail": "does not conform"}.get(worst, "cannot be decided for every result")
     return [
         Statement(
             "Conformity",
-            f"{text} Overall: {overall}.",
+            f"{text} Overall: {overall(worst)}.",
             "7.8.6.2",
             ref_type="basic_conformity",
             conformity=worst,

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration_json import calibration_to_bytes
-from piga.records.certificate_file import CertificateFile, ConditionTable, quantity_text
+from piga.records.certificate_file import CertificateFile, ConditionTable, quantity_text, title_of
 from piga.records.coverage import PROBABILITY, joint_factor
 from piga.records.dcc_reader import JOINT, RECORD, label_of
 from piga.records.dsi_units import dsi_unit, power_of_g, to_dsi
-from piga.records.terms import meaning_of
 from piga.reports.certificate_statements import verdicts
 from piga.reports.dcc_elements import dcc, given, rich, si, software, text
 from piga.units import parse_unit
@@ -153,13 +152,11 @@ def _quantity(coefficient: Coefficient, mark: str) -> etree._Element:
         if covered.monte_carlo
         else _univariate(expanded, f"{covered.factor:.6f}"),
     ]
-    words = meaning_of(coefficient.name)
-    where = "" if coefficient.segment is None else f", segment {coefficient.segment}"
     meta = None
     if mark:
         declared = [text("declaration", "Conformity of this coefficient"), dcc("conformity", mark)]
         meta = dcc("measurementMetaData", [dcc("metaData", declared, "basic_conformity")])
-    return dcc("quantity", [text("name", f"{words[:1].upper()}{words[1:]}{where}"), si("real", real), meta])
+    return dcc("quantity", [text("name", title_of(coefficient)), si("real", real), meta])
 
 
 def _joint(calibration: Calibration) -> etree._Element:
