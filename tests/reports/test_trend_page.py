@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import re
 
 import numpy as np
 import pytest
 
 from piga.calibration.trend import find_trend
+from piga.reports.interactive import figure_spec
 from piga.reports.page import page_html
+from piga.reports.static import figure_svg
 from piga.reports.trend import trend_document, trend_page, trend_text
 from piga.reports.trend_figures import scale_of, trend_figure
 from tests.calibration.history import START, history, record
@@ -58,16 +61,27 @@ def test_axes_have_quantity_and_unit():
         shown = scale.shown(np.array([point.value for point in trend.points]))
         assert np.abs(shown).max() < 1e3
         for panel in trend_figure(found, trend, 6.0).panels:
-            assert panel.x.quantity
-            assert panel.x.unit == "year"
+            assert panel.x.label == "date"
+            assert panel.x.dates
             assert panel.y.unit
 
 
-def test_days_for_short_histories():
-    found = instrument(days=4, step=20)
+@pytest.mark.parametrize(("days", "step", "form"), [(9, 150, r"20\d\d"), (4, 20, r"2020-\d\d(-\d\d)?")])
+def test_time_is_shown_as_dates(days, step, form):
+    """Every tick is a whole date; points lie at the days of their records, under the pointer, too."""
+    found = instrument(days=days, step=step)
     figure = trend_figure(found, found["k0"], None)
-    assert figure.panels[0].x.label == "time since 2020-03-02 [d]"
     assert len(figure.panels) == 2
+    spec = figure_spec(figure)
+    records = next(trace for trace in spec["data"] if trace["name"] == "records")
+    first = dt.datetime.fromtimestamp(records["x"][0] / 1e3, dt.UTC)
+    assert abs(first - START) < dt.timedelta(hours=1)
+    assert "%{x|%Y-%m-%d %H:%M} UTC" in records["hovertemplate"]
+    assert {spec["layout"][name]["type"] for name in ("xaxis", "xaxis2")} == {"date"}
+    words = re.findall(r"<text[^>]*>([^<]*)</text>", figure_svg(figure))
+    ticks = [word for word in words if re.fullmatch(r"\d{4}(-\d\d){0,2}", word)]
+    assert len(ticks) >= 3
+    assert all(re.fullmatch(form, tick) for tick in ticks), ticks
 
 
 @pytest.mark.parametrize("days", [1, 2, 3])

@@ -18,12 +18,16 @@ Role = Literal["data", "model", "before", "after", "reference", "warning", "x", 
 
 @dataclass(frozen=True)
 class Axis:
-    """Quantity and unit of one axis, e.g. ``Axis("time", "s")``; ``log`` for a logarithmic scale."""
+    """Quantity and unit of one axis, e.g. ``Axis("time", "s")``; ``log`` for a logarithmic scale.
+
+    ``dates``: values are days since 1970-01-01, UTC, and shown as calendar dates; for an x axis.
+    """
 
     quantity: str
     unit: str
     log: bool = False
     limits: tuple[float, float] | None = None
+    dates: bool = False
 
     @property
     def label(self) -> str:

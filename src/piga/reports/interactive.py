@@ -17,6 +17,8 @@ from piga.reports.static import rows_and_columns, series_key, shares_x
 _PIXELS_PER_INCH = 96
 _GAP_X, _GAP_Y, _GAP_TITLED = 0.11, 0.11, 0.22
 _DIGITS = 6
+_DAY = 86.4e6
+"""Milliseconds of a day: plotly.js counts dates in them since 1970-01-01."""
 
 
 def figure_spec(figure: Figure) -> dict[str, Any]:
@@ -64,6 +66,8 @@ def _logarithmic(values: ArrayLike) -> list[float | None]:
 
 
 def _on(axis: Axis, values: ArrayLike) -> list[float | None]:
+    if axis.dates:
+        return _numbers(np.asarray(values, dtype=float) * _DAY)
     return _logarithmic(values) if axis.log else _numbers(values)
 
 
@@ -121,6 +125,8 @@ def _band_base(trace: dict[str, Any], series: Series) -> list[dict[str, Any]]:
 
 def _hover(series: Series, panel: Panel) -> str:
     def value(axis: Axis, letter: str) -> str:
+        if axis.dates:
+            return f"{_text(axis.quantity)} %{{{letter}|%Y-%m-%d %H:%M}} UTC"
         unit = "" if axis.unit in ("", "1") else f" {_text(axis.unit)}"
         return f"{_text(axis.quantity)} %{{{letter}:.5~g}}{unit}"
 
@@ -146,10 +152,22 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
     }
     if axis.log:
         spec |= {"type": "log", "dtick": 1}
+    if axis.dates:
+        spec |= {"type": "date", "nticks": 7, "tickformatstops": _DATE_STOPS}
     if axis.limits is not None:
         low, high = axis.limits
         spec["range"] = [math.log10(low), math.log10(high)] if axis.log else [low, high]
     return spec
+
+
+_DATE_STOPS = [
+    {"dtickrange": [None, 60_000], "value": "%H:%M:%S"},
+    {"dtickrange": [60_000, 86_400_000], "value": "%Y-%m-%d<br>%H:%M"},
+    {"dtickrange": [86_400_000, "M1"], "value": "%Y-%m-%d"},
+    {"dtickrange": ["M1", "M12"], "value": "%Y-%m"},
+    {"dtickrange": ["M12", None], "value": "%Y"},
+]
+"""Forms of a date by the distance between ticks, in milliseconds or months (M)."""
 
 
 def _row_gap(figure: Figure) -> float:

@@ -192,8 +192,29 @@ def _draw_axis(axes: Axes, which: str, axis: Axis, *, label: bool) -> None:
         axes.set(**{f"{which}scale": "log"})
     if axis.limits is not None:
         axes.set(**{f"{which}lim": axis.limits})
+    if axis.dates:
+        _write_dates(axes)
     if label:
         axes.set(**{f"{which}label": axis.label})
+
+
+def _write_dates(axes: Axes) -> None:
+    """Ticks of the x axis as dates, each whole: ``2024-03``, ``2024-03-05`` or ``2024-03-05 12:00``."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, get_epoch
+
+    if get_epoch() != "1970-01-01T00:00:00":
+        raise PigaError(
+            f"Matplotlib counts dates from {get_epoch()}", remedy="leave its setting date.epoch as it is delivered"
+        )
+    locator = AutoDateLocator(minticks=3, maxticks=7, tz="UTC")
+    formatter = ConciseDateFormatter(locator, tz="UTC", show_offset=False)
+    formatter.formats = formatter.zero_formats = list(_DATES)
+    axes.xaxis.set_major_locator(locator)
+    axes.xaxis.set_major_formatter(formatter)
+
+
+_DATES = ("%Y", "%Y-%m", "%Y-%m-%d", *("%Y-%m-%d %H:%M",) * 2, "%H:%M:%S")
+"""Forms of a date by the finest part in which the ticks differ: year, month, day, hour, minute, second."""
 
 
 def _draw_series(axes: Axes, series: Series) -> Any:

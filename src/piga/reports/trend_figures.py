@@ -14,8 +14,6 @@ from piga.calibration.trend_line import Forecast
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.numbers import fixed, pretty_unit
 
-_LONG = 1.0
-"""Years from which the time axis counts calendar years instead of days."""
 _GRID = 80
 
 
@@ -47,36 +45,21 @@ def scale_of(trend: CoefficientTrend) -> Scale:
     return Scale(origin, 1e6, quantity if origin else trend.key, unit)
 
 
-@dataclass(frozen=True)
-class Clock:
-    """The time axis: calendar years, or days since the first record."""
+DATE = Axis("date", "", dates=True)
+"""The time axis: calendar dates, UTC."""
 
-    start: dt.datetime
-    days: bool
 
-    def shown(self, years: np.ndarray | float) -> np.ndarray:
-        """Positions on the axis of times in years since the start."""
-        since = np.asarray(years, dtype=float)
-        if self.days:
-            return since * YEAR / 86400.0
-        first = dt.datetime(self.start.year, 1, 1, tzinfo=dt.UTC)
-        return self.start.year + (self.start - first).total_seconds() / YEAR + since
-
-    @property
-    def axis(self) -> Axis:
-        """The axis with its quantity."""
-        if self.days:
-            return Axis(f"time since {self.start:%Y-%m-%d}", "d")
-        return Axis("date", "year")
+def _dates(start: dt.datetime, years: np.ndarray | float) -> np.ndarray:
+    """Positions on the axis of times in years since the start."""
+    return start.timestamp() / 86400.0 + np.asarray(years, dtype=float) * YEAR / 86400.0
 
 
 def trend_figure(found: Trend, trend: CoefficientTrend, ahead: float | None) -> Figure:
     """Values and control chart of one coefficient; ``ahead`` is the time of the forecast in years since the start."""
-    last = max(trend.points[-1].time, ahead or 0.0)
-    clock, scale = Clock(found.start, days=last < _LONG), scale_of(trend)
-    panels = [_values(trend, clock, scale, ahead)]
+    start, scale = found.start, scale_of(trend)
+    panels = [_values(trend, start, scale, ahead)]
     if np.isfinite(trend.chart.score).any():
-        panels.append(_control(trend, clock))
+        panels.append(_control(trend, start))
     return Figure(
         f"trend-{trend.key.replace('_', '-')}",
         f"{trend.key} over time.",
@@ -89,23 +72,23 @@ def trend_figure(found: Trend, trend: CoefficientTrend, ahead: float | None) -> 
     )
 
 
-def _values(trend: CoefficientTrend, clock: Clock, scale: Scale, ahead: float | None) -> Panel:
+def _values(trend: CoefficientTrend, start: dt.datetime, scale: Scale, ahead: float | None) -> Panel:
     times = np.array([point.time for point in trend.points])
     values = np.array([point.value for point in trend.points])
     bars = np.array([point.own_half_width for point in trend.points]) * scale.factor
     outside = np.array([point.outside for point in trend.points])
     series: list[Series] = []
     if trend.model.line is not None:
-        series += _line(trend, clock, scale, max(float(times[-1]), ahead or 0.0))
+        series += _line(trend, start, scale, max(float(times[-1]), ahead or 0.0))
     names = tuple(point.record for point in trend.points)
-    series.append(_points(clock, scale, times, values, bars, ~outside, names, alarm=False))
+    series.append(_points(start, scale, times, values, bars, ~outside, names, alarm=False))
     if outside.any():
-        series.append(_points(clock, scale, times, values, bars, outside, names, alarm=True))
+        series.append(_points(start, scale, times, values, bars, outside, names, alarm=True))
     if ahead is not None and trend.model.line is not None:
         forecast = trend.model.coefficient_at(ahead)
         series.append(
             Series(
-                np.atleast_1d(clock.shown(ahead)),
+                np.atleast_1d(_dates(start, ahead)),
                 np.atleast_1d(scale.shown(forecast.value)),
                 "forecast of the coefficient",
                 mark="points",
@@ -113,11 +96,11 @@ def _values(trend: CoefficientTrend, clock: Clock, scale: Scale, ahead: float | 
                 error=np.array([forecast.half_width() * scale.factor]),
             )
         )
-    return Panel(clock.axis, Axis(scale.quantity, scale.unit), tuple(series), title=trend.key)
+    return Panel(DATE, Axis(scale.quantity, scale.unit), tuple(series), title=trend.key)
 
 
 def _points(
-    clock: Clock,
+    start: dt.datetime,
     scale: Scale,
     times: np.ndarray,
     values: np.ndarray,
@@ -128,7 +111,7 @@ def _points(
     alarm: bool,
 ) -> Series:
     return Series(
-        clock.shown(times[chosen]),
+        _dates(start, times[chosen]),
         scale.shown(values[chosen]),
         "out of control" if alarm else "records",
         mark="points",
@@ -138,22 +121,22 @@ def _points(
     )
 
 
-def _line(trend: CoefficientTrend, clock: Clock, scale: Scale, last: float) -> list[Series]:
+def _line(trend: CoefficientTrend, start: dt.datetime, scale: Scale, last: float) -> list[Series]:
     grid = np.linspace(trend.points[0].time, last, _GRID)
     further: list[Forecast] = [trend.next_record(float(time)) for time in grid]
     middle = scale.shown(np.array([forecast.value for forecast in further]))
     half = np.array([forecast.half_width() for forecast in further]) * scale.factor
-    x = clock.shown(grid)
+    x = _dates(start, grid)
     return [
         Series(x, middle - half, "95 % of further records", mark="band", role="muted", upper=middle + half),
         Series(x, middle, "line", role="model"),
     ]
 
 
-def _control(trend: CoefficientTrend, clock: Clock) -> Panel:
+def _control(trend: CoefficientTrend, start: dt.datetime) -> Panel:
     chart = trend.chart
     seen = np.isfinite(chart.score)
-    x = clock.shown(chart.time[seen])
+    x = _dates(start, chart.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
     series = [
         Series(x, chart.score[seen], "score of a day", mark="points", role="data"),
@@ -163,4 +146,4 @@ def _control(trend: CoefficientTrend, clock: Clock) -> Panel:
         Series(ends, [LIMIT, LIMIT], "limit of a score", role="warning", dashed=True),
         Series(ends, [-LIMIT, -LIMIT], "", role="warning", dashed=True),
     ]
-    return Panel(clock.axis, Axis("deviation from the forecast", "std"), tuple(series), title="Control chart")
+    return Panel(DATE, Axis("deviation from the forecast", "std"), tuple(series), title="Control chart")
