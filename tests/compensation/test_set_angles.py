@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piga.compensation import Mounted, SetCompensator
+from piga.compensation.published_set import PublishedSet
 from piga.units import G0
 
 from .test_triad import PHASES, SKEWED, made, orthogonal, rotation
@@ -82,14 +83,16 @@ def test_the_same_with_error_terms_and_a_base_that_turns_faster_and_faster(axes)
 
 
 @pytest.mark.compiled
-def test_a_gap_begins_the_differences_anew():
+@pytest.mark.parametrize("said", [True, False])
+def test_a_gap_begins_the_differences_anew(said):
     t = np.arange(40) * 0.01 + np.where(np.arange(40) < 20, 0.0, 1.0)
     f = smooth(t)
     axes, begins = orthogonal(), np.arange(40) == 20
     psi = np.array([series_angles(t, f @ m.T, PHASES[i]) for i, m in enumerate(axes)])
     values = {"scale_factor": K_G, "tan_beta": TAN_BETA}
     mounted = [Mounted(calibration_of({**values, "phi": PHASES[i]}), m) for i, m in enumerate(axes)]
-    found = SetCompensator(mounted).push(t, psi, begins=begins)
+    found = SetCompensator(mounted).push(t, psi, begins=begins if said else None)
+    assert np.flatnonzero(PublishedSet(mounted).push(t, psi).flagged("no_increment")).tolist() == [0, 20]
     error = np.abs(found.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
     assert np.isnan(error[19])
     assert np.nanmax(error[23:]) < 1e-12

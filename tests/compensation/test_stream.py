@@ -93,6 +93,38 @@ def test_gap_begins_a_new_stretch():
     assert np.flatnonzero(found.flagged("no_increment")).tolist() == [0, int(np.argmax(columns["t"] > 2.4))]
 
 
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_a_record_with_a_gap_is_the_same_whole_and_streamed(kind):
+    """The gap of 0.51 s begins a stretch in both, is counted, and is no interval of the record."""
+    columns = {name: column[150:250] for name, column in noisy_columns(kind).items()}
+    t, output, f = columns["t"], columns["output"], columns["f"]
+    run = piga.Run.from_arrays(t, output, f, scale_factor=K_G / G0, kind=kind, base_rate=columns["base_rate"])
+    behind = int(np.argmax(t > 2.4))
+    assert np.flatnonzero(run.begins).tolist() == [0, behind]
+    assert [(event.kind, event.count, event.first_row) for event in run.quality.events] == [
+        ("gap", 1, behind + 1)
+    ]
+    assert run.duration == pytest.approx(0.98)
+    whole = piga.compensate(run, CAL)
+    assert np.flatnonzero(whole.flagged("no_increment")).tolist() == [0, behind]
+    for chunk in (columns, run):
+        streamed = piga.Compensator(CAL, kind=kind, step=run.median_step).push(chunk)
+        for name in ("ax", "dv", "u_ax", "flags"):
+            assert getattr(streamed, name).tobytes() == getattr(whole, name).tobytes(), name
+
+
+def test_stretches_of_a_record_are_kept_in_a_stream():
+    """A lost sample number leaves no gap in time: the record knows of it, and a stream of two records."""
+    t = np.arange(20) * 0.01
+    run = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3)
+    run.begins[12] = True
+    stream = piga.Compensator(CAL)
+    assert np.flatnonzero(stream.push(run).flagged("no_increment")).tolist() == [0, 12]
+    later = run_of(t + 0.2, constant_force(t, 1.0, 1.0), phi=0.3)
+    assert not stream.push(later).flagged("no_increment").any()
+    assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
+
+
 def test_missing_column_and_bad_number_are_named():
     with pytest.raises(piga.ArgumentError, match="lacks 'f'"):
         piga.Compensator(CAL).push({"t": [0.0], "output": [0.0]})

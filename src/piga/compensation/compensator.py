@@ -18,6 +18,7 @@ from piga.compensation.step import (
     NONE,
     Chunk,
     empty_step,
+    find_begins,
     init_state,
     run_kernel,
     work_array,
@@ -30,8 +31,6 @@ from piga.records.run import Run
 
 Array = NDArray[np.float64]
 
-GAP = 1.5
-"""An interval longer than this many nominal ones is a gap: no increment is formed across it."""
 KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
 
 
@@ -53,7 +52,7 @@ class Compensator:
         Segment whose phase is used (per-segment calibrations), or the phase itself.
     step:
         Nominal interval [s], to tell gaps and for the noise of a rate sample that begins a stretch (nan
-        without); None: gaps are told by the first interval of the stream.
+        without); None: gaps are told by the median interval of a :class:`piga.Run`, or else by the first interval.
     uncertainty, flags, limits, max_age_days:
         As for :func:`piga.compensate`. ``ax`` and ``dv`` are the same to the bit with and without.
     state:
@@ -113,7 +112,7 @@ class Compensator:
             ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] beside a rate,
             ``begins`` (n,); single samples may be plain numbers. Or a :class:`piga.Run` that continues the one
             before, or a checked :class:`Chunk`. Without ``begins``, time that jumps back or leaves a gap
-            begins a new stretch.
+            (more than 1.5 nominal intervals) begins a new stretch, as in :func:`piga.read_run`.
 
         Raises
         ------
@@ -121,7 +120,7 @@ class Compensator:
             If a column is missing, has another length, or holds a number that is not finite.
         """
         before = self._state.copy()
-        samples = chunk if isinstance(chunk, Chunk) else self._samples(_columns(chunk))
+        samples = chunk if isinstance(chunk, Chunk) else self._samples(self._columns(chunk))
         n = samples.t.size
         result = empty_step(n, self._uncertainty, self._flags)
         if n:
@@ -133,6 +132,18 @@ class Compensator:
                     "chunk: its numbers are too large to compute with", remedy="check the units"
                 )
         return Compensated(samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method)
+
+    def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
+        """A record brings its stretches; only for its first sample it is asked whether the stream goes on there."""
+        if not isinstance(chunk, Run):
+            return chunk
+        if self._state[at.S_NOMINAL] == 0.0:
+            self._state[at.S_NOMINAL] = chunk.median_step
+        begins = chunk.begins.copy()
+        begins[:1] = find_begins(self._state, chunk.t[:1])
+        columns: dict[str, Any] = {"t": chunk.t, "output": chunk.output, "f": chunk.f, "begins": begins}
+        columns |= {} if chunk.base_rate is None else {"base_rate": chunk.base_rate}
+        return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
 
     def _samples(self, columns: Mapping[str, Any]) -> Chunk:
         unknown = [name for name in columns if name not in KEYS]
@@ -154,29 +165,10 @@ class Compensator:
         given = columns.get("begins")
         y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
         _check_finite(Chunk(t, output, y, z, NO_MARKS, base_rate, temperature, angle))
-        begins = self._find_begins(t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
+        begins = (
+            find_begins(self._state, t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
+        )
         return Chunk(t, output, y, z, begins, base_rate, temperature, angle)
-
-    def _find_begins(self, t: Array) -> NDArray[np.bool_]:
-        """Where time jumps back or leaves a gap, against the nominal interval."""
-        if t.size == 0:
-            return NO_MARKS
-        before = self._state[at.S_TIME] if self._state[at.S_VALID] else t[0]
-        steps = np.diff(t, prepend=before)
-        if self._state[at.S_NOMINAL] == 0.0:
-            forward = steps[steps > 0.0]
-            if forward.size == 0:
-                return np.asarray(steps <= 0.0)
-            self._state[at.S_NOMINAL] = forward[0]
-        return np.asarray((steps <= 0.0) | (steps > GAP * self._state[at.S_NOMINAL]))
-
-
-def _columns(chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
-    if not isinstance(chunk, Run):
-        return chunk
-    columns = {"t": chunk.t, "output": chunk.output, "f": chunk.f}
-    columns |= {} if chunk.base_rate is None else {"base_rate": chunk.base_rate}
-    return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
 
 
 def _column(columns: Mapping[str, Any], name: str, n: int) -> Array:

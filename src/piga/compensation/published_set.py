@@ -11,6 +11,7 @@ from piga._kernels import compensate_layout as at
 from piga.compensation.model import make_model
 from piga.compensation.mounting import Mounted
 from piga.compensation.result import CompensatedSet
+from piga.compensation.step import find_begins, init_state
 from piga.compensation.validity import age_flag
 from piga.errors import ArgumentError
 
@@ -58,6 +59,7 @@ class PublishedSet:
         self._flag = 0
         for item in instruments:
             self._flag |= age_flag(item.calibration, max_age_days)
+        self._clock = init_state()
         self._last: tuple[Array, Array, Array, Array] | None = None
 
     def push(
@@ -75,7 +77,7 @@ class PublishedSet:
         time, psi = np.atleast_1d(np.asarray(t, dtype=float)), np.asarray(output, dtype=float)
         psi = psi.reshape(len(self._models), time.size)
         omega = np.zeros((*psi.shape, 3)) if base_rate is None else np.asarray(base_rate, dtype=float)
-        marks = np.zeros(time.size, dtype=np.bool_) if begins is None else np.array(begins, dtype=np.bool_)
+        marks = find_begins(self._clock, time) if begins is None else np.array(begins, dtype=np.bool_)
         if time.size == 0:
             return self._result(time, np.zeros((0, 3)), np.zeros((0, 3)), marks)
         if self._last is None:
@@ -98,6 +100,7 @@ class PublishedSet:
                 0.5 * (known[:, 1:] + known[:, :-1]), rates, 0.5 * (turning[:, 1:] + turning[:, :-1])
             )
             dv = np.where(step[:, None] > 0.0, force * step[:, None], 0.0)
+        self._clock[at.S_VALID], self._clock[at.S_TIME] = 1.0, time[-1]
         self._last = time[-1:], psi[:, -1:], omega[:, -1:], force[-1:]
         return self._result(time, force, dv, step == 0.0)
 

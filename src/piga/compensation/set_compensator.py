@@ -14,6 +14,7 @@ from piga._kernels.compensate_set_record import compensate_set as set_kernel
 from piga.compensation.model import Model, make_model
 from piga.compensation.mounting import Mounted, check_spread, rotation
 from piga.compensation.result import CompensatedSet
+from piga.compensation.step import find_begins
 from piga.compensation.validity import Limits, age_flag
 from piga.errors import ArgumentError
 
@@ -110,7 +111,7 @@ class SetCompensator:
         temperature:
             [K], (N, n).
         begins:
-            True where a stretch begins.
+            True where a stretch begins; None: where time jumps back or leaves a gap, as for one instrument.
         """
         time = np.atleast_1d(np.asarray(t, dtype=float))
         n, count = time.size, self._count
@@ -124,7 +125,8 @@ class SetCompensator:
         warm = np.zeros((count, 0)) if temperature is None else _shaped("temperature", temperature, (count, n))
         if temperature is None and any(model.needs_temperature for model in self._models):
             raise ArgumentError("temperature: a calibration has temperature terms", remedy="give it")
-        marks = np.zeros(n, dtype=np.bool_) if begins is None else np.asarray(begins, dtype=np.bool_)
+        before = self._states.copy(), self._set_state.copy()
+        marks = find_begins(self._states[0], time) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
         found = CompensatedSet(
             time,
@@ -136,7 +138,6 @@ class SetCompensator:
             np.empty((count, n if self._details else 0)),
             np.zeros((count, n if self._details else 0), np.int32),
         )
-        before = self._states.copy(), self._set_state.copy()
         parameters, has_terms, orders, sines, cosines, codes, factors, limits = self._arrays
         set_kernel(
             time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines,

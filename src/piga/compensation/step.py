@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from piga._kernels import compensate_layout as at
 from piga._kernels.compensate_record import compensate_angles, compensate_rates
 from piga.compensation.model import Model
+from piga.records.time_base import begins_stretch
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,19 @@ class Step:
 def init_state() -> Array:
     """The state before the first sample."""
     return np.zeros(at.STATE)
+
+
+def find_begins(state: Array, t: Array) -> NDArray[np.bool_]:
+    """Which samples of a stream, at times ``t`` (n,) [s] behind ``state``, begin a stretch.
+
+    Where ``state`` holds no nominal interval yet, the first one forward is taken and kept there.
+    """
+    before = state[at.S_TIME] if state[at.S_VALID] else t[:1]
+    steps = np.diff(t, prepend=before)
+    forward = steps[steps > 0.0]
+    if state[at.S_NOMINAL] == 0.0 and forward.size:
+        state[at.S_NOMINAL] = forward[0]
+    return begins_stretch(steps, float(state[at.S_NOMINAL]))
 
 
 def work_array() -> Array:

@@ -124,6 +124,8 @@ class Run:
     ) -> Run:
         """Make a run from arrays in memory (SI). Shapes: t, output (n,); f, base_rate (n, 3).
 
+        A stretch begins with each segment and behind each gap: an interval longer than 1.5 median ones, as in files.
+
         ``uncertainty`` is the run file's ``[uncertainty]``, e.g. ``{"reference_scale": "10 ppm"}``.
 
         Raises
@@ -134,6 +136,8 @@ class Run:
         """
         from piga.errors import ArgumentError
         from piga.records.run_checks import check_arrays
+        from piga.records.spool import Arrays
+        from piga.records.time_base import examine_time
         from piga.units import to_si
 
         t, output, f = (np.ascontiguousarray(a, dtype=float) for a in (t, output, f))
@@ -144,8 +148,8 @@ class Run:
             table = msgspec.convert(uncertainty or {}, UncertaintyTable)
         except msgspec.ValidationError as error:
             raise ArgumentError(f"uncertainty: {error}", remedy="e.g. {'reference_scale': '10 ppm'}") from None
-        begins = np.ones(t.size, dtype=bool)
-        begins[1:] = np.diff(index) != 0
+        index, row = index.astype(np.int32), np.arange(1, t.size + 1, dtype=np.int64)
+        base = examine_time(t, index, row, Arrays(None))
         return cls(
             serial=serial,
             scale_factor=to_si(scale_factor, "rad/s/g", what="scale_factor"),
@@ -155,12 +159,12 @@ class Run:
             f=f,
             base_rate=None if base_rate is None else np.ascontiguousarray(base_rate, dtype=float),
             temperature=None if temperature is None else np.ascontiguousarray(temperature, dtype=float),
-            segment=index.astype(np.int32),
+            segment=index,
             labels=tuple(str(name) for name in names),
-            begins=begins,
+            begins=base.begins,
             phase_group=(0,) * names.size,
-            row=np.arange(1, t.size + 1, dtype=np.int64),
+            row=row,
             resolution=resolution,
-            quality=Quality(rows=t.size, used=t.size, masked=0),
+            quality=Quality(rows=t.size, used=t.size, masked=0, events=base.events),
             uncertainty=table,
         )

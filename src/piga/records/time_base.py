@@ -22,6 +22,15 @@ GAP = 1.5
 """A step longer than this many nominal steps is a gap."""
 
 
+def begins_stretch(step: Array, nominal: float) -> NDArray[np.bool_]:
+    """Whether a sample begins a stretch: time repeats or jumps back before it, or leaves a gap.
+
+    ``step`` (n,) [s] is the time since the sample before, ``nominal`` [s] the nominal interval. Every reader, every
+    record of arrays and every stream asks here.
+    """
+    return np.asarray((step <= 0.0) | (step > GAP * nominal))
+
+
 @dataclass(frozen=True)
 class TimeBase:
     """``begins``: used samples that begin a stretch; ``nominal`` step [s]; what was found."""
@@ -92,7 +101,7 @@ def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], 
         back = step <= 0.0
         if part.start == 0:
             same[0] = False
-        begins[part] = ~same | back | gap
+        begins[part] = ~same | begins_stretch(step, nominal)
         if not (same & (gap | back)).any():
             continue
         gap &= same

@@ -204,7 +204,8 @@ def _write_dates(axes: Axes) -> None:
 
     if get_epoch() != "1970-01-01T00:00:00":
         raise PigaError(
-            f"Matplotlib counts dates from {get_epoch()}", remedy="leave its setting date.epoch as it is delivered"
+            f"Matplotlib counts dates from {get_epoch()}",
+            remedy="leave its setting date.epoch as it is delivered",
         )
     locator = AutoDateLocator(minticks=3, maxticks=7, tz="UTC")
     formatter = ConciseDateFormatter(locator, tz="UTC", show_offset=False)
