@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from piga.cli import main as entry
 from piga.records.calibration_json import calibration_to_bytes
+from piga.records.coverage import TYPE_A_ONLY
 from piga.records.store import Draft, DraftFile, open_store
 from tests.evidence.test_keep_and_reproduce import small_run
 from tests.records.store.drafts import add, filled
@@ -63,7 +65,9 @@ def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
     assert json.loads(records.ok("verify", "lab.zip", "--json"))["sound"] is True
     taken = json.loads(records.ok("import", "lab.zip", "--store", "b.sqlite", *who, "--json"))
     assert taken["added"] == [name]
-    assert "+0.000000e+00" in records.ok("diff", "1", name, *lab)
+    assert re.search(r"k0 +0 \+- [\d.]+ +ug +0\.00 u", records.ok("diff", "1", name, *lab))
+    assert f"  {name}: {TYPE_A_ONLY}" in records.ok("diff", "1", name, *lab)
+    assert json.loads(records.ok("diff", "1", name, *lab, "--json"))["notes"] == [f"{name}: {TYPE_A_ONLY}"]
     assert head in records.ok("backup", "copy.sqlite", *lab)
     assert head in records.ok("restore", "copy.sqlite", "--store", "c.sqlite")
     names = {path.name for path in tmp_path.iterdir()}

@@ -11,6 +11,7 @@ import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_triad
 from piga.compensation.set_files import Rows
+from piga.records.coverage import TYPE_A_ONLY
 from piga.reports import compensation_set
 from piga.reports.compensation_figures import correction_spectrum
 from piga.reports.compensation_set import SetFacts, set_page
@@ -59,6 +60,16 @@ def test_misfits_make_the_residual_and_flags_the_flags():
     assert (found.each[:, 0] == FLAGS["no_increment"]).all()
     records = compensate_triad(runs, mounted, details=True)
     assert records.misfit.shape == (4, 300)
+
+
+def test_the_page_of_a_set_says_type_a_only():
+    """In the verdict, with the name of the instrument: no calibration here states the reference's uncertainty."""
+    found, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
+    page = set_page(found, SetFacts(NAMES, (), {}))
+    assert page.judgement is not None
+    assert page.judgement.tone == "doubtful"
+    for name in NAMES:
+        assert any(what == f"{name}: {TYPE_A_ONLY}" for what, _ in page.judgement.problems)
 
 
 @pytest.mark.parametrize("pieces", [1, 7])

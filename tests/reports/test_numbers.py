@@ -1,19 +1,22 @@
 import math
+import re
 from decimal import Decimal
 
+import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from piga.records.terms import shown_unit
 from piga.reports.numbers import (
     count,
     fixed,
-    friendly,
     pretty_unit,
     printed,
     relative,
     rounded,
     short,
+    signed,
     significant,
 )
 
@@ -85,12 +88,27 @@ def test_forms_for_tables():
     assert relative(0.0, 1.0) == "–"
 
 
-def test_units_are_friendly_and_printed():
-    value, std, unit = friendly(1.6e-3, 5e-6, "g/g^2")
-    assert (value, std, unit) == (pytest.approx(1600.0), pytest.approx(5.0), "ug/g^2")
-    assert friendly(0.8885, 1e-6, "rad/s/g")[2] == "rad/s/g"
-    assert friendly(0.48, 1e-3, "rad")[2] == "rad"
-    assert friendly(3.6e-4, 1e-7, "1")[2] == "1"
+@given(VALUES, st.integers(0, 6), st.floats(1e-9, 1e3))
+def test_what_rounds_to_zero_has_no_sign(value, decimals, uncertainty):
+    """Never -0.0000 nor +0.0, in any formatter."""
+    tiny = 0.49 * 10.0**-decimals * np.sign(value)
+    for number in (value, tiny, -tiny, -0.0):
+        texts = (fixed(number, decimals), signed(number, decimals), short(number), significant(number))
+        for text in (*texts, rounded(number, uncertainty).value):
+            assert text[:1] not in "-+" or re.search(r"[1-9]", text.partition("e")[0]), text
+    assert signed(tiny, decimals) == fixed(0.0, decimals)
+
+
+def test_signs_are_shown():
+    assert (signed(0.42, 1), signed(-0.46, 1), signed(-0.04, 1)) == ("+0.4", "-0.5", "0.0")
+
+
+def test_units_belong_to_the_coefficient_and_are_printed():
+    assert shown_unit("k2", "g/g^2") == (1e6, "ug/g^2")
+    assert shown_unit("m_Y", "rad") == (1e6, "urad")
+    assert shown_unit("scale_factor", "rad/s/g") == (1.0, "rad/s/g")
+    assert shown_unit("phi[3]", "rad") == (1.0, "rad")
+    assert shown_unit("tan_beta", "1") == (1.0, "1")
     assert [pretty_unit(u) for u in ("ug/g^2", "1", "urad", "rad/sqrt(s)", "rad/s/g")] == [
         "µg/g²", "", "µrad", "rad/√s", "rad/s/g",
     ]  # fmt: skip

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.trend_line import DOUBT
 from piga.records.coverage import TYPE_A_ONLY, is_of_reference
+from piga.records.terms import shown_unit
 
 if TYPE_CHECKING:
     from piga.calibration.trend import CoefficientTrend
@@ -45,15 +46,13 @@ def alarms_in_words(
 def _outside(
     trend: CoefficientTrend, name: str, time: dt.datetime, value: float, expected: float, score: float
 ) -> str:
+    scale, unit = shown_unit(trend.key, trend.unit)
+    shown = "" if unit == "1" else f" {unit}"
     return (
-        f"{trend.key}: record {name} of {time:%Y-%m-%d} shows {value:.7g} {_unit(trend)}, {abs(score):.1f} standard "
-        f"deviations {'above' if score > 0.0 else 'below'} the {expected:.7g} {_unit(trend)} that earlier records let "
+        f"{trend.key}: record {name} of {time:%Y-%m-%d} shows {value * scale:.7g}{shown}, {abs(score):.1f} standard "
+        f"deviations {'above' if score > 0.0 else 'below'} the {expected * scale:.7g}{shown} that earlier records let "
         "expect (limit 3)."
     )
-
-
-def _unit(trend: CoefficientTrend) -> str:
-    return "" if trend.unit == "1" else trend.unit
 
 
 def remarks_in_words(
@@ -95,9 +94,12 @@ def _drifts(trends: Sequence[CoefficientTrend]) -> list[str]:
     for trend in trends:
         drift = trend.drift
         if drift is not None and abs(drift.value) > drift.half_width():
-            low, high = drift.value - drift.half_width(), drift.value + drift.half_width()
-            unit = f"{trend.unit}/year" if trend.unit != "1" else "per year"
-            found.append(f"{trend.key} drifts by {drift.value:.3g} {unit} (95 %: {low:.3g} to {high:.3g}).")
+            scale, unit = shown_unit(trend.key, trend.unit)
+            value, half = drift.value * scale, drift.half_width() * scale
+            shown = f"{unit} per year".removeprefix("1 ")
+            found.append(
+                f"{trend.key} drifts by {value:.3g} {shown} (95 %: {value - half:.3g} to {value + half:.3g})."
+            )
     return found
 
 

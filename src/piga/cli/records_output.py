@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piga.cli.common import note, print_json, print_json_list, say
+from piga.records.coverage import TYPE_A_ONLY
 
 if TYPE_CHECKING:
     from piga.evidence import Reproduced
@@ -97,17 +98,31 @@ def difference_document(found: Difference) -> dict[str, Any]:
         "second": found.second.id,
         "coefficients": [to_builtins(change) | {"ratio": change.ratio} for change in found.coefficients],
         "facts": {name: list(pair) for name, pair in found.facts.items()},
+        "notes": _type_a_only(found),
     }
+
+
+def _type_a_only(found: Difference) -> list[str]:
+    """What is to be said of the uncertainties."""
+    return [f"{name}: {TYPE_A_ONLY}" for name in found.type_a_only]
 
 
 def say_difference(found: Difference) -> None:
     """Each coefficient's difference with its uncertainty, then the facts that differ."""
+    from piga.records.terms import shown_unit
+    from piga.reports.numbers import rounded, signed
+
     say(f"{found.first.id} -> {found.second.id}: second less first, uncertainties taken as independent")
     for c in found.coefficients:
         if c.difference is None or c.ratio is None:
             say(f"  {c.key:<14} only in {found.first.id if c.second is None else found.second.id}")
         else:
-            say(f"  {c.key:<14} {c.difference:+.6e} {c.unit:<8} u {c.std:.2e}   {c.ratio:+.2f} u")
+            scale, unit = shown_unit(c.key, c.unit)
+            number = rounded(c.difference * scale, (c.std or 0.0) * scale)
+            shown = f"{number.value} +- {number.uncertainty}"
+            say(f"  {c.key:<14} {shown:>24} {unit:<8} {signed(c.ratio, 2)} u")
+    for line in _type_a_only(found):
+        say(f"  {line}")
     for name, (old, new) in found.facts.items():
         say(f"  {name}: {old} -> {new}")
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase, phases
-from piga.compensation.result import Compensated
+from piga.compensation.result import Compensated, notes_on
 from piga.compensation.step import NO_RATES, NONE, Chunk, Step, empty_step, init_state, run_kernel, work_array
 from piga.compensation.validity import Limits, age_flag
 from piga.errors import CalibrationError
@@ -67,7 +67,9 @@ def compensate(
     result = empty_step(record.size, uncertainty, flags)
     for _ in plan.run(lambda rows, _: _part(result, rows)):
         pass
-    return Compensated(record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method)
+    return Compensated(
+        record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration)
+    )  # fmt: skip
 
 
 def compensate_in_pieces(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels import compensate_layout as at
 from piga.compensation.model import Phase, check_method, make_model
-from piga.compensation.result import Compensated
+from piga.compensation.result import Compensated, notes_on
 from piga.compensation.step import (
     NO_MARKS,
     NO_RATES,
@@ -84,7 +84,7 @@ class Compensator:
                 f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into angle"
             )
         self.method = check_method(method, calibration)
-        self.serial = calibration.serial
+        self.serial, self.notes = calibration.serial, notes_on(calibration)
         self._kind = kind
         self._uncertainty, self._flags = uncertainty, flags
         self._model = make_model(
@@ -131,7 +131,9 @@ class Compensator:
                 raise ArgumentError(
                     "chunk: its numbers are too large to compute with", remedy="check the units"
                 )
-        return Compensated(samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method)
+        return Compensated(
+            samples.t, result.ax, result.dv, result.u_ax, result.flags, self.serial, self.method, self.notes
+        )  # fmt: skip
 
     def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
         """A record brings its stretches; only for its first sample it is asked whether the stream goes on there."""

@@ -17,7 +17,7 @@ from piga.compensation.compensate import compensate_in_pieces
 from piga.compensation.flags import FLAGS
 from piga.compensation.parts import Parts
 from piga.compensation.resample import Resampler
-from piga.compensation.result import Compensated
+from piga.compensation.result import Compensated, notes_on
 from piga.compensation.step import Chunk, init_state
 from piga.compensation.writers import TableWriter
 from piga.records.calibration import Calibration
@@ -106,8 +106,9 @@ def compensate_to_file(
         As :func:`piga.compensate`.
     """
     summary, state = FileSummary(), init_state()
+    notes = notes_on(calibration)
     if parts is None:
-        with TableWriter(out, kind) as writer:
+        with TableWriter(out, kind, notes) as writer:
             pieces = compensate_in_pieces(record, calibration, state=state, **options)
             _work_off(pieces, writer, summary, resampler, advance, math.inf, watch)
         return summary
@@ -132,7 +133,7 @@ def compensate_to_file(
             },
             writer.rows,
         )  # fmt: skip
-    with TableWriter(out, kind) as writer:
+    with TableWriter(out, kind, notes) as writer:
         for columns in parts.rows():
             writer.write(columns)
     return summary

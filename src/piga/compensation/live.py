@@ -117,8 +117,9 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
     for number, batch in enumerate(_batches(source), start=1):
         columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
         found = _pushed(stream, columns, f"batch {number}").columns()
-        writer = writer or pa.ipc.new_stream(sink, schema_of(found))
-        writer.write_batch(_batch(found))
+        schema = schema_of(found, notes=stream.notes)
+        writer = writer or pa.ipc.new_stream(sink, schema)
+        writer.write_batch(_batch(found, schema))
         sink.flush()
         rows += batch.num_rows
     if writer is not None:
@@ -158,12 +159,10 @@ def _next(reader: Any) -> Any:
     return batch
 
 
-def _batch(columns: Mapping[str, NDArray]) -> Any:
+def _batch(columns: Mapping[str, NDArray], schema: Any) -> Any:
     import pyarrow as pa
 
-    return pa.RecordBatch.from_arrays(
-        [number_column(column) for column in columns.values()], schema=schema_of(columns)
-    )
+    return pa.RecordBatch.from_arrays([number_column(column) for column in columns.values()], schema=schema)
 
 
 def _check_names(names: list[str]) -> None:

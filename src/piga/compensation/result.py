@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.flags import FLAGS
+from piga.records.calibration import Calibration
+from piga.records.coverage import TYPE_A_ONLY
 
 Array = NDArray[np.float64]
 
@@ -32,6 +34,8 @@ class Compensated:
         Bits, see :data:`piga.compensation.FLAGS`; empty when not asked for.
     serial, method:
         Instrument, and ``"exact"`` or ``"published"``.
+    notes:
+        What is to be said of ``u_ax`` wherever it is shown, from :func:`notes_on`; files hold it, too.
     """
 
     t: Array
@@ -64,16 +68,24 @@ class Compensated:
         return found | ({"flags": self.flags} if self.flags.size == self.size else {})
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write a Parquet file; units and flag names stand in its metadata."""
+        """Write a Parquet file; units, flag names and notes stand in its metadata."""
         from piga.compensation.writers import write_table
 
-        write_table(Path(path), self.columns(), "parquet")
+        write_table(Path(path), self.columns(), "parquet", self.notes)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV file with the units in its header."""
+        """Write a CSV file with the units in its header; ``u_ax`` is called Type A only there where it is."""
         from piga.compensation.writers import write_table
 
-        write_table(Path(path), self.columns(), "csv")
+        write_table(Path(path), self.columns(), "csv", self.notes)
+
+
+def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
+    """What is to be said of uncertainties that come from these calibrations; several are named by their serial number."""
+    alone = [c.serial or f"instrument {n}" for n, c in enumerate(calibrations, 1) if c.type_a_only]
+    if not alone:
+        return ()
+    return (TYPE_A_ONLY if len(calibrations) == 1 else f"{', '.join(alone)}: {TYPE_A_ONLY}",)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from piga.compensation.mounting import Mounted
 from piga.compensation.published_set import PublishedSet
 from piga.compensation.rate_angle import RateAngle
 from piga.compensation.resample import Resampler
-from piga.compensation.result import CompensatedSet
+from piga.compensation.result import CompensatedSet, notes_on
 from piga.compensation.set_compensator import SetCompensator
 from piga.compensation.triad import check_member, check_together, mounted_on, set_stream
 from piga.compensation.writers import TableWriter
@@ -85,7 +85,7 @@ def compensate_set_files(
     check_together(records)
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
     parts = _solved(records, instruments, uncertainty, max_age_days, method, watch is not None)
-    with TableWriter(out, kind) as writer:
+    with TableWriter(out, kind, notes_on(*(item.calibration for item in instruments))) as writer:
         for number, (label, read, part) in enumerate(parts, 1):
             advance(part.size)
             if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:

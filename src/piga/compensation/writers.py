@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from piga.compensation.flags import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.records.arrow_columns import number_column
+from piga.records.coverage import TYPE_A_ONLY
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is no force and no increment."""
@@ -49,8 +50,8 @@ def format_of(path: Path) -> str:
     return found
 
 
-def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False) -> Any:
-    """Arrow schema: types, a unit per column, and the meaning of the flag bits; ``empty_cells``: there may be some."""
+def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False, notes: tuple[str, ...] = ()) -> Any:
+    """Arrow schema: types, a unit per column, the meaning of the flag bits, and notes; ``empty_cells``: there may be some."""
     import pyarrow as pa
 
     fields = [
@@ -64,17 +65,20 @@ def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False) -> Any:
         "piga.flag_meanings": json.dumps(MEANING),
         "piga.units": json.dumps({name: unit_of_column(name) for name in columns}),
     }
+    metadata |= {"piga.notes": json.dumps(notes)} if notes else {}
     return pa.schema(fields, metadata=metadata)
 
 
 class TableWriter:
     """Write rows to a Parquet or CSV file; a context manager.
 
-    CSV columns are named ``name [unit]``; a missing value is an empty cell there and nan in Parquet.
+    CSV columns are named ``name [unit]``; a missing value is an empty cell there and nan in Parquet. ``notes`` are those of
+    :func:`piga.compensation.result.notes_on`: Parquet holds them as metadata, in CSV the uncertainties are named
+    ``u_ax (Type A only) [m/s^2]``.
     """
 
-    def __init__(self, path: Path, kind: str | None = None) -> None:
-        self._path = path
+    def __init__(self, path: Path, kind: str | None = None, notes: tuple[str, ...] = ()) -> None:
+        self._path, self._notes = path, notes
         self._kind = kind or format_of(path)
         self._writer: Any = None
         self._schema: Any = None
@@ -100,9 +104,9 @@ class TableWriter:
         import pyarrow as pa
         from pyarrow import csv, parquet
 
-        schema = schema_of(columns, empty_cells=self._kind == "csv")
+        schema = schema_of(columns, empty_cells=self._kind == "csv", notes=self._notes)
         if self._kind == "csv":
-            names = [name if name == "flags" else f"{name} [{unit_of_column(name)}]" for name in columns]
+            names = [self._heading(name) for name in columns]
             self._schema = pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
             options = csv.WriteOptions(quoting_style="none", quoting_header="none")
             self._writer = csv.CSVWriter(str(self._path), self._schema, write_options=options)
@@ -111,6 +115,14 @@ class TableWriter:
             self._writer = parquet.ParquetWriter(
                 str(self._path), schema, compression="none", use_dictionary=False, write_statistics=False
             )
+
+    def _heading(self, name: str) -> str:
+        """Name of a CSV column."""
+        if name == "flags":
+            return name
+        short = TYPE_A_ONLY.partition(";")[0]
+        said = f" ({short})" if name.startswith("u_") and any(TYPE_A_ONLY in n for n in self._notes) else ""
+        return f"{name}{said} [{unit_of_column(name)}]"
 
     def close(self) -> None:
         """Finish the file."""
@@ -134,9 +146,9 @@ class TableWriter:
             self._writer = self._held = None
 
 
-def write_table(path: Path, columns: Mapping[str, NDArray], kind: str) -> None:
+def write_table(path: Path, columns: Mapping[str, NDArray], kind: str, notes: tuple[str, ...] = ()) -> None:
     """Write whole columns at once."""
-    with TableWriter(path, kind) as writer:
+    with TableWriter(path, kind, notes) as writer:
         rows = len(next(iter(columns.values())))
         for start in range(0, max(rows, 1), GROUP_ROWS):
             writer.write(

@@ -148,8 +148,9 @@ class Run:
             table = msgspec.convert(uncertainty or {}, UncertaintyTable)
         except msgspec.ValidationError as error:
             raise ArgumentError(f"uncertainty: {error}", remedy="e.g. {'reference_scale': '10 ppm'}") from None
-        index, row = index.astype(np.int32), np.arange(1, t.size + 1, dtype=np.int64)
-        base = examine_time(t, index, row, Arrays(None))
+        places: NDArray[np.int32] = index.astype(np.int32)
+        row = np.arange(1, t.size + 1, dtype=np.int64)
+        base = examine_time(t, places, row, Arrays(None))
         return cls(
             serial=serial,
             scale_factor=to_si(scale_factor, "rad/s/g", what="scale_factor"),
@@ -159,7 +160,7 @@ class Run:
             f=f,
             base_rate=None if base_rate is None else np.ascontiguousarray(base_rate, dtype=float),
             temperature=None if temperature is None else np.ascontiguousarray(temperature, dtype=float),
-            segment=index,
+            segment=places,
             labels=tuple(str(name) for name in names),
             begins=base.begins,
             phase_group=(0,) * names.size,

@@ -79,6 +79,24 @@ def harmonic(name: str) -> tuple[str, int] | None:
     return None if match is None else (match.group(1), int(match.group(2)))
 
 
+def shown_unit(name: str, unit: str) -> tuple[float, str]:
+    """Factor and unit in which a coefficient is shown, on every page and terminal: ``g/g^2`` becomes ``ug/g^2``.
+
+    The choice depends on the coefficient, never on its value: so a column has one unit across runs and records.
+    Units whose numerator is a plain ``g`` or ``rad`` become micro-units, but for the phase ``phi`` and for rates
+    (``rad/s/g`` stays: it is how the field quotes the scale factor).
+
+    Examples
+    --------
+    >>> shown_unit("k0", "g"), shown_unit("phi", "rad")
+    ((1000000.0, 'ug'), (1.0, 'rad'))
+    """
+    head, _, tail = unit.partition("/")
+    if name.partition("[")[0] == "phi" or head not in ("g", "rad") or tail.startswith("s"):
+        return 1.0, unit
+    return 1e6, f"u{unit}"
+
+
 def unit_of(name: str) -> str:
     """Unit of a coefficient in files; ``name`` may carry a segment in brackets."""
     base = name.split("[", maxsplit=1)[0]

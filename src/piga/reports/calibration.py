@@ -7,7 +7,7 @@ from pathlib import Path
 
 from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
-from piga.records.terms import meaning_of
+from piga.records.terms import meaning_of, shown_unit
 from piga.records.verdict import THRESHOLDS, whitened_rms
 from piga.reports.calibration_budget import budget_table, sensitivity_table
 from piga.reports.calibration_diagnostics import (
@@ -37,7 +37,7 @@ from piga.reports.calibration_tables import (
 from piga.reports.calibration_text import calibration_text, drift_found, scatter_found
 from piga.reports.figure import Figure
 from piga.reports.model_choice import comparison_sections
-from piga.reports.numbers import count, friendly, pretty_unit, printed, relative, rounded, short
+from piga.reports.numbers import count, pretty_unit, printed, relative, rounded, short
 from piga.reports.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC
 
@@ -128,7 +128,8 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
     tiles = []
     for coefficient in common_coefficients(cal):
         if coefficient.name in {"scale_factor", "tan_beta"}:
-            value, std, unit = friendly(coefficient.value, coefficient.std, coefficient.unit)
+            scale, unit = shown_unit(coefficient.name, coefficient.unit)
+            value, std = coefficient.value * scale, coefficient.std * scale
             label = "Scale factor" if coefficient.name == "scale_factor" else "Cross-coupling tan β"
             detail = f"standard uncertainty {relative(value, std)}"
             tone: Tone = "doubtful" if std > 0.3 * abs(value) else ""

@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 from piga.records.calibration import Calibration, Coefficient
-from piga.reports.calibration_tables import SHOWN_NAMES, common_coefficients, shown_unit
+from piga.records.terms import shown_unit
+from piga.reports.calibration_tables import SHOWN_NAMES, common_coefficients
 from piga.reports.numbers import pretty_unit, printed, short
 from piga.reports.page import Cell, Column, Table
 
@@ -47,7 +48,7 @@ def budget_table(cal: Calibration) -> Table:
 
 
 def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
-    scale, unit = shown_unit(coefficient)
+    scale, unit = shown_unit(coefficient.name, coefficient.unit)
     return unit, scale
 
 
@@ -122,7 +123,7 @@ def budget_text(cal: Calibration) -> list[str]:
     width = [max(len(row[i]) for _, rows in blocks for row in rows) for i in range(6)]
     lines = [f"  uncertainty budget (sources below {100 * SLIGHT:.0f} % of a variance left out)"]
     for coefficient, rows in blocks:
-        lines.append(f"  {coefficient.key} [{shown_unit(coefficient)[1]}]")
+        lines.append(f"  {coefficient.key} [{shown_unit(coefficient.name, coefficient.unit)[1]}]")
         for source, kind, u, sensitivity, part, share in rows:
             lines.append(
                 f"    {source:<{width[0]}} {kind} {u:>{width[2]}}  {sensitivity:<{width[3]}}  "
@@ -134,7 +135,7 @@ def budget_text(cal: Calibration) -> list[str]:
 def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ...]]:
     """Source, type, standard uncertainty, sensitivity, contribution and share of a coefficient's budget."""
     whole = math.hypot(*(_contribution(row, coefficient) for row in cal.budget))
-    scale, rows = shown_unit(coefficient)[0], []
+    scale, rows = shown_unit(coefficient.name, coefficient.unit)[0], []
     for row in cal.budget:
         part = abs(_contribution(row, coefficient))
         share = (part / whole) ** 2 if whole else 0.0

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from piga.records.calibration import Calibration
-from piga.reports.calibration_tables import common_coefficients, shown_unit
-from piga.reports.numbers import pretty_unit, printed, short
+from piga.records.terms import shown_unit
+from piga.reports.calibration_tables import common_coefficients
+from piga.reports.numbers import pretty_unit, printed, short, signed
 from piga.reports.page import Cell, Column, Table
 
 OWN_TABLES = frozenset({"leverage", "monte_carlo", "missing_terms", "advice", "model_comparison"})
@@ -47,7 +48,7 @@ def leverage_table(cal: Calibration) -> Table | None:
 def _share(share: float | None, shift: float | None) -> Cell:
     if share is None:
         return Cell("–", "quiet")
-    moved = "not determined" if shift is None and share else "" if shift is None else f"{shift:+.1f}"
+    moved = "not determined" if shift is None and share else "" if shift is None else signed(shift, 1)
     bad = share > _ALONE or (shift is not None and abs(shift) > _SHIFT)
     text = f"{100.0 * share:.0f} %" + (f" ({moved})" if moved else "")
     return Cell(printed(text), "doubtful" if bad else "")
@@ -74,7 +75,7 @@ def comparison_table(cal: Calibration) -> Table | None:
         row = found["coefficients"].get(c.key)
         if row is None:
             continue
-        scale, unit = shown_unit(c)
+        scale, unit = shown_unit(c.name, c.unit)
         intervals = (_interval(row[name], scale) for name in ("first_order", "symmetric", "shortest"))
         verdict = Cell("yes", "good") if row["validated"] else Cell("no: Monte Carlo holds", "doubtful")
         rows.append(

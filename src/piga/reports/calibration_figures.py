@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Calibration, Residuals
+from piga.records.terms import shown_unit
 from piga.reports.allan import allan_figure
 from piga.reports.calibration_rotation_figures import ripple_figure, spectrum_figure
-from piga.reports.calibration_tables import residual_quantity, shown_unit
+from piga.reports.calibration_tables import residual_quantity
 from piga.reports.decimate import POINTS, envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.long_record import leading_part, outline
@@ -79,7 +80,7 @@ def convergence_figure(cal: Calibration) -> Figure:
         values = history.get(coefficient.key)
         if values is None:
             continue
-        scale, unit = shown_unit(coefficient)
+        scale, unit = shown_unit(coefficient.name, coefficient.unit)
         quantity = coefficient.name
         if coefficient.name == "scale_factor":
             quantity, unit, scale = "scale_factor, from the result", "ppm", 1e6 / coefficient.value

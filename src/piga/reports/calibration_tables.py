@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
 
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.coverage import TYPE_A_ONLY
-from piga.reports.numbers import (
-    count,
-    fixed,
-    friendly,
-    pretty_unit,
-    printed,
-    relative,
-    rounded,
-    short,
-)
+from piga.records.terms import shown_unit
+from piga.reports.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
 from piga.reports.page import Cell, Column, Judgement, Table
 from piga.units import ARCSEC, G0
 
@@ -40,16 +33,9 @@ def judgement(cal: Calibration, subject: str = "") -> Judgement:
 
 
 def sentence(text: str) -> str:
-    """Text with a capital letter."""
-    return f"{text[:1].upper()}{text[1:]}"
-
-
-def shown_unit(coefficient: Coefficient) -> tuple[float, str]:
-    """Factor and unit in which a coefficient is shown everywhere: micro-units where it is small, a phase in rad."""
-    if coefficient.name == "phi":
-        return 1.0, coefficient.unit
-    _, scale, unit = friendly(coefficient.value, 1.0, coefficient.unit)
-    return scale, unit
+    """Text with a capital letter, unless it begins with the name of a coefficient (``k2``)."""
+    name = text.split(maxsplit=1)[0].rstrip(":") if text else ""
+    return text if re.search(r"[_\d\[]", name) else f"{text[:1].upper()}{text[1:]}"
 
 
 def common_coefficients(cal: Calibration) -> list[Coefficient]:
@@ -92,7 +78,7 @@ def factor(coefficient: Coefficient) -> str:
 def monte_carlo_interval(coefficient: Coefficient) -> str:
     """Limits of the interval that holds, rounded by their width, with their unit: ``299.1 to 300.7 µg``."""
     covered = coefficient.coverage
-    scale, unit = shown_unit(coefficient)
+    scale, unit = shown_unit(coefficient.name, coefficient.unit)
     ends = [rounded(end * scale, covered.half_width * scale).value for end in (covered.low, covered.high)]
     return f"{printed(ends[0])} to {printed(ends[1])} {pretty_unit(unit)}".rstrip()
 
@@ -101,7 +87,7 @@ def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     if not coefficient.determined:
         unit = pretty_unit(coefficient.unit)
         return coefficient.key, Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
-    scale, unit = shown_unit(coefficient)
+    scale, unit = shown_unit(coefficient.name, coefficient.unit)
     value, std = coefficient.value * scale, coefficient.std * scale
     number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
     small = std > abs(value)
@@ -163,7 +149,7 @@ def correlation_table(cal: Calibration) -> Table | None:
 def _correlation(value: float, diagonal: bool) -> Cell:
     if diagonal:
         return Cell("1", "quiet")
-    return Cell(printed(f"{value:+.2f}"), heat=value) if math.isfinite(value) else Cell("–")
+    return Cell(printed(signed(value, 2)), heat=value) if math.isfinite(value) else Cell("–")
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import textwrap
 
 from piga.records.calibration import Calibration
+from piga.records.terms import shown_unit
 from piga.reports.calibration_budget import budget_text
 from piga.reports.calibration_extent import files_in_words, period_in_words, segments_in_words, total_duration
-from piga.reports.calibration_tables import factor, freedom, residual_quantity, shown_unit
+from piga.reports.calibration_tables import factor, freedom, residual_quantity
 from piga.reports.numbers import printed, rounded, short
 from piga.units import ARCSEC, G0
 
@@ -64,7 +65,7 @@ def _text_table(cal: Calibration) -> list[str]:
         if not coefficient.determined:
             lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
             continue
-        scale, unit = shown_unit(coefficient)
+        scale, unit = shown_unit(coefficient.name, coefficient.unit)
         value, std = coefficient.value * scale, coefficient.std * scale
         number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
         line = (

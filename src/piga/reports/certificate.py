@@ -13,7 +13,7 @@ from typing import Any
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.certificate_file import CertificateFile, missing_items
-from piga.records.terms import meaning_of
+from piga.records.terms import meaning_of, shown_unit
 from piga.reports.calibration_budget import budget_table
 from piga.reports.calibration_tables import (
     common_coefficients,
@@ -24,19 +24,8 @@ from piga.reports.calibration_tables import (
     sentence,
 )
 from piga.reports.certificate_statements import Conformity, decision_rule, statements, verdicts
-from piga.reports.numbers import (
-    count,
-    friendly,
-    pretty_unit,
-    printed,
-    relative,
-    rounded,
-)
+from piga.reports.numbers import count, pretty_unit, printed, relative, rounded, significant
 from piga.reports.page import Column, Table, resource, template
-
-_COARSE = 100.0
-"""Expanded uncertainty from which a coefficient is not shown in micro-units: the last digits would be zeros."""
-
 
 _ACROSS = 5
 """Coefficients side by side in a table of the certificate."""
@@ -246,10 +235,8 @@ def _monte_carlo(calibration: Calibration) -> list[str]:
 def _result_row(c: Coefficient) -> tuple[str, ...]:
     if not c.determined:
         return c.name, meaning_of(c.name), "not determined", "–", pretty_unit(c.unit), "–", "–", "–"
-    half = c.expanded
-    value, wide, unit = friendly(c.value, half, c.unit)
-    if wide >= _COARSE:
-        value, wide, unit = c.value, half, c.unit
+    scale, unit = shown_unit(c.name, c.unit)
+    value, wide = c.value * scale, c.expanded * scale
     number = rounded(value, wide)
     share = relative(value, wide)
     return (
@@ -276,11 +263,9 @@ def _conformity_table(found: tuple[Conformity, ...]) -> Table:
     )
     rows = []
     for verdict in found:
-        _, scale, unit = friendly(
-            max(abs(verdict.low), abs(verdict.high), abs(verdict.value)), 1.0, verdict.unit
-        )
+        scale, unit = shown_unit(verdict.key, verdict.unit)
         number = rounded(verdict.value * scale, verdict.coverage.half_width * scale)
-        ends = [printed(f"{end * scale:.6g}") for end in (verdict.low, verdict.high)]
+        ends = [printed(significant(end * scale)) for end in (verdict.low, verdict.high)]
         rows.append(
             (
                 verdict.key,

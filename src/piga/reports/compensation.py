@@ -11,9 +11,9 @@ from pathlib import Path
 from piga._version import __version__
 from piga.compensation import Compensated
 from piga.compensation.flags import FLAGS, MEANING
-from piga.records.calibration import Calibration
+from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
-from piga.records.terms import si_factor
+from piga.records.terms import shown_unit, si_factor
 from piga.reports.apart import write_page_apart
 from piga.reports.calibration_tables import judgement
 from piga.reports.compensation_errors import error_figures
@@ -53,6 +53,12 @@ class CompensationFacts:
     files: tuple[Path, ...]
     options: dict[str, str]
     repairs: dict[str, int] = field(default_factory=dict)
+
+
+def coefficient_words(c: Coefficient) -> tuple[str, str]:
+    """A coefficient with its standard uncertainty in brackets, and its unit, as the calibration's own report has them."""
+    scale, unit = shown_unit(c.name, c.unit)
+    return printed(rounded(c.value * scale, c.std * scale).concise), pretty_unit(unit)
 
 
 def outline_of(kind: str, calibration: Calibration) -> CompensationOutline:
@@ -198,9 +204,7 @@ def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
     }
     digests = tuple((path.name, _digest(path)) for path in facts.files)
     names = (Column("coefficient", align="text"), Column("value"), Column("unit", align="text"))
-    values = tuple(
-        (c.key, printed(rounded(c.value, c.std).concise), pretty_unit(c.unit)) for c in cal.coefficients
-    )
+    values = tuple((c.key, *coefficient_words(c)) for c in cal.coefficients)
     return Section(
         "Provenance",
         "provenance",

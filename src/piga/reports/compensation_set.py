@@ -12,15 +12,18 @@ from piga._version import __version__
 from piga.compensation import Mounted
 from piga.compensation.flags import MEANING
 from piga.reports.apart import write_page_apart
+from piga.reports.calibration_tables import judgement
+from piga.reports.compensation import coefficient_words
 from piga.reports.compensation_figures import MICRO_G, flag_figure
 from piga.reports.compensation_set_figures import misfit_figure, set_force_figure, set_orders_figure
 from piga.reports.compensation_set_outline import AXES, CORRECTION, SetOutline
 from piga.reports.long_record import SHOWN
-from piga.reports.numbers import count, pretty_unit, printed, rounded, short
+from piga.reports.numbers import count, printed, rounded, short
 from piga.reports.page import (
     Block,
     Column,
     FigureBlock,
+    Judgement,
     Notice,
     Page,
     Section,
@@ -59,10 +62,29 @@ def set_page(found: SetOutline, facts: SetFacts) -> Page:
             _instruments(found, facts),
             _provenance(facts),
         ),
+        judgement=_judgement(found, facts),
         kicker="piga · compensation",
         footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. This file holds all it "
         "shows: it opens without a network, and prints on A4.",
     )
+
+
+def _judgement(found: SetOutline, facts: SetFacts) -> Judgement:
+    """The verdicts on all calibrations in one box, the worst on top; each doubt names its instrument."""
+    each = [judgement(item.calibration) for item in found.mounted]
+    worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
+    problems = tuple(
+        (f"{name}: {what}", remedy)
+        for name, one in zip(facts.names, each, strict=True)
+        for what, remedy in one.problems
+    )
+    holds = tuple(dict.fromkeys(words for one in each for words in one.holds)) if not problems else ()
+    count_of_doubts = f"Use with care: {len(problems)} doubt{'s' * (len(problems) > 1)}."
+    headline = count_of_doubts if worst.tone == "doubtful" else worst.headline
+    return Judgement(worst.tone, f"The calibrations that were used: {headline}", problems, holds)
+
+
+_SEVERITY: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")
 
 
 def _micro_g(value: float) -> str:
@@ -172,10 +194,10 @@ def _instruments(found: SetOutline, facts: SetFacts) -> Section:
 
 def _coefficient(item: Mounted, name: str) -> str:
     if name == "phi" and item.phase is not None:
-        return f"{item.phase.value:.6g} rad (given)"
+        return f"{printed(rounded(item.phase.value, item.phase.std).concise)} rad (given)"
     for c in item.calibration.coefficients:
         if c.name == name and c.segment in (None, item.segment):
-            return f"{printed(rounded(c.value, c.std).concise)} {pretty_unit(c.unit)}"
+            return " ".join(coefficient_words(c)).rstrip()
     return "–"
 
 

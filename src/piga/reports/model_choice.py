@@ -7,8 +7,9 @@ from textwrap import wrap
 from typing import Any
 
 from piga.records.calibration import Calibration
+from piga.records.terms import shown_unit
 from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.numbers import count, friendly, printed, rounded, short
+from piga.reports.numbers import count, printed, rounded, short, signed
 from piga.reports.page import Cell, Column, FigureBlock, Section, Table, Text
 from piga.units import G0
 
@@ -206,9 +207,9 @@ def shift_table(document: dict[str, Any]) -> Table | None:
             if c is None:
                 cells.append("–")
                 continue
-            value, std, unit = friendly(c["value"], c["std"], c["unit"])
-            cells[1] = unit
-            change = "" if c["change"] in (None, 0.0) else f" ({c['change']:+.1f})"
+            scale, unit = shown_unit(key, c["unit"])
+            value, std, cells[1] = c["value"] * scale, c["std"] * scale, unit
+            change = "" if c["change"] in (None, 0.0) else f" ({signed(c['change'], 1)})"
             cells.append(printed(rounded(value, std).concise) + change)
         rows.append(tuple(cells))
     columns = (

@@ -10,8 +10,6 @@ import math
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
-_SCALABLE = ("g", "rad")
-_LARGE = 0.01
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
 
@@ -93,6 +91,18 @@ def fixed(value: float, decimals: int) -> str:
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
+def signed(value: float, decimals: int) -> str:
+    """A number with its sign and so many decimals; what rounds to zero has none.
+
+    Examples
+    --------
+    >>> signed(0.42, 1), signed(-0.04, 1)
+    ('+0.4', '0.0')
+    """
+    text = fixed(value, decimals)
+    return f"+{text}" if float(text) > 0.0 else text
+
+
 def short(value: float, digits: int = 3) -> str:
     """A number of three significant digits for tables and tiles; powers of ten only when far from 1.
 
@@ -113,18 +123,6 @@ def short(value: float, digits: int = 3) -> str:
 def count(number: int) -> str:
     """A whole number with thin unbreakable spaces between thousands, from five digits on."""
     return f"{number:,}".replace(",", " ") if abs(number) >= 10000 else str(number)
-
-
-def friendly(value: float, uncertainty: float, unit: str) -> tuple[float, float, str]:
-    """The same quantity in micro-units where it is small: ``0.0016 g`` becomes ``1600 ug``.
-
-    Only units whose numerator is a plain ``g`` or ``rad`` change, and only those that are not rates
-    (``rad/s/g`` stays: it is how the field quotes the scale factor).
-    """
-    head, _, tail = unit.partition("/")
-    if head not in _SCALABLE or tail.startswith("s") or not abs(value) < _LARGE:
-        return value, uncertainty, unit
-    return value * 1e6, uncertainty * 1e6, f"u{unit}"
 
 
 def relative(value: float, uncertainty: float) -> str:

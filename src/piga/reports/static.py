@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -200,15 +201,14 @@ def _draw_axis(axes: Axes, which: str, axis: Axis, *, label: bool) -> None:
 
 def _write_dates(axes: Axes) -> None:
     """Ticks of the x axis as dates, each whole: ``2024-03``, ``2024-03-05`` or ``2024-03-05 12:00``."""
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, get_epoch
-
-    if get_epoch() != "1970-01-01T00:00:00":
+    dates: Any = import_module("matplotlib.dates")
+    if dates.get_epoch() != "1970-01-01T00:00:00":
         raise PigaError(
-            f"Matplotlib counts dates from {get_epoch()}",
+            f"Matplotlib counts dates from {dates.get_epoch()}",
             remedy="leave its setting date.epoch as it is delivered",
         )
-    locator = AutoDateLocator(minticks=3, maxticks=7, tz="UTC")
-    formatter = ConciseDateFormatter(locator, tz="UTC", show_offset=False)
+    locator = dates.AutoDateLocator(minticks=3, maxticks=7, tz="UTC")
+    formatter = dates.ConciseDateFormatter(locator, tz="UTC", show_offset=False)
     formatter.formats = formatter.zero_formats = list(_DATES)
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(formatter)

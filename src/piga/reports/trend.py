@@ -11,8 +11,8 @@ from typing import Any
 from piga._version import __version__
 from piga.calibration.trend import CoefficientTrend, Trend
 from piga.calibration.trend_line import Forecast
-from piga.records.terms import meaning_of
-from piga.reports.numbers import fixed, friendly, pretty_unit, printed, rounded, short
+from piga.records.terms import meaning_of, shown_unit
+from piga.reports.numbers import fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.page import (
     Block,
     Cell,
@@ -99,7 +99,7 @@ def summary_table(found: Trend, at: dt.datetime | None = None) -> Table:
 
 
 def _summary_row(found: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> tuple[str | Cell, ...]:
-    _, scale, unit = friendly(trend.points[-1].value, 1.0, trend.unit)
+    scale, unit = shown_unit(trend.key, trend.unit)
     last = trend.points[-1].time
     row: list[str | Cell] = [
         trend.key,
@@ -151,7 +151,7 @@ def _section(found: Trend, trend: CoefficientTrend, ahead: float | None) -> Sect
 
 def record_table(found: Trend, trend: CoefficientTrend) -> Table:
     """Every record with what was expected of it."""
-    _, scale, unit = friendly(trend.points[-1].value, 1.0, trend.unit)
+    scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
     columns = (
         Column("Record", align="text"),
@@ -167,7 +167,7 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
     for point, time in zip(trend.points, found.times, strict=True):
         number = rounded(point.value * scale, point.std * scale)
         expected = "–" if point.forecast is None else _interval(point.forecast, scale)
-        score = "–" if point.forecast is None else printed(f"{point.score:+.1f}")
+        score = "–" if point.forecast is None else printed(signed(point.score, 1))
         rows.append(
             (
                 point.record,

@@ -29,12 +29,16 @@ class Change:
 
 @dataclass(frozen=True)
 class Difference:
-    """Two records compared: coefficients, and what differs otherwise as ``name: (first, second)``."""
+    """Two records compared: coefficients, and what differs otherwise as ``name: (first, second)``.
+
+    ``type_a_only``: records whose uncertainties are of Type A only.
+    """
 
     first: Record
     second: Record
     coefficients: tuple[Change, ...]
     facts: dict[str, tuple[Any, Any]]
+    type_a_only: tuple[str, ...] = ()
 
 
 def difference(store: Store, first: str | int, second: str | int) -> Difference:
@@ -46,8 +50,8 @@ def difference(store: Store, first: str | int, second: str | int) -> Difference:
         If one is not there or holds no calibration.
     """
     a, b = store.record(first), store.record(second)
-    old = {c.key: c for c in store.calibration(a.id).coefficients}
-    new = {c.key: c for c in store.calibration(b.id).coefficients}
+    calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
+    old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
     changes = []
     for key in dict.fromkeys((*old, *new)):
         x, y = old.get(key), new.get(key)
@@ -58,7 +62,8 @@ def difference(store: Store, first: str | int, second: str | int) -> Difference:
         std = math.hypot(x.std, y.std) if both and x and y else None
         unit = x.unit if x is not None else y.unit if y is not None else ""
         changes.append(Change(key, unit, x.value if x else None, y.value if y else None, delta, std))
-    return Difference(a, b, tuple(changes), _facts(a, b))
+    alone = tuple(name for name, calibration in calibrations.items() if calibration.type_a_only)
+    return Difference(a, b, tuple(changes), _facts(a, b), alone)
 
 
 def _facts(a: Record, b: Record) -> dict[str, tuple[Any, Any]]:
