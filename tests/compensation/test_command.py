@@ -103,7 +103,7 @@ def test_command_writes_columns_and_units(tmp_path, monkeypatch, capsys, kind):
         assert json.loads(table.schema.metadata[b"piga.flags"])["locked"] == 2
     else:
         table = pa.csv.read_csv(out)
-        assert table.column_names == ["t [s]", "ax [m/s^2]", "dv [m/s]", "u_ax [m/s^2]", "flags"]
+        assert table.column_names == ["t [s]", "ax [m/s^2]", "dv [m/s]", "u_ax (Type A only) [m/s^2]", "flags"]
     assert np.abs(table.column(1).to_numpy()[1:] - G0).max() < 1e-9 * G0
 
 

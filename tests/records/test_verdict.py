@@ -137,7 +137,7 @@ def test_compensated_rows_say_type_a_only(alone, sound, tmp_path):
         assert ("u_ax (Type A only) [m/s^2]" in head) == said
         assert ("u_ax [m/s^2]" in head) != said
         streamed = piga.Compensator(used, kind="rate").push(run)
-        assert streamed.notes == found.notes == notes_on(calibration)
+        assert streamed.notes == found.notes == notes_on(used)
     assert notes_on(replace(alone, serial="A"), sound) == (f"A: {TYPE_A_ONLY}",)
 
 

@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from piga.records.calibration import Coefficient, Outlier, RunRecord
+from piga.records.calibration import Outlier, RunRecord
+from piga.records.terms import shown_unit
 from piga.reports.calibration import (
     calibration_figures,
     calibration_page,
@@ -19,7 +20,7 @@ from piga.reports.calibration_figures import (
     residual_figure,
     scale_factor,
 )
-from piga.reports.calibration_tables import residual_quantity, scalars, shown_unit
+from piga.reports.calibration_tables import coefficient_table, residual_quantity, scalars
 from piga.reports.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker
@@ -301,10 +302,18 @@ def test_joint_and_contaminated_runs_have_their_sections(cal):
     assert "noise of run spun" in calibration_text(joint)
 
 
+def with_bias(cal, value):
+    """Rows of the coefficient table where ``k0`` is of this size [g]."""
+    changed = (dataclasses.replace(c, value=value) if c.name == "k0" else c for c in cal.coefficients)
+    return coefficient_table(dataclasses.replace(cal, coefficients=tuple(changed))).cells
+
+
 def test_one_unit_for_one_coefficient(cal):
     """A phase is in rad whatever its size, and the terminal's budget has the units of the coefficients."""
-    small = Coefficient("phi", 0.0031, 1e-5, "rad", "0")
-    assert shown_unit(small) == shown_unit(dataclasses.replace(small, value=3.1)) == (1.0, "rad")
+    assert shown_unit("phi", "rad") == (1.0, "rad")
+    assert {
+        row[4].text for value in (0.0099, 0.0123) for row in with_bias(cal, value) if row[0].text == "k0"
+    } == {"µg"}
     text = calibration_text(cal)
     assert "k0 [ug]" in text
     assert "k0 [g]" not in text
