@@ -135,6 +135,7 @@ FORGERIES = {
     "subject": (b"<ds:X509Data>", b"<ds:X509Data><ds:X509SubjectName>CN=PTB</ds:X509SubjectName>"),
     "identifier": (b"<ds:SignatureValue>", b'<ds:SignatureValue Id="a">'),
     "attribute of another name space": (b"<ds:KeyInfo>", b'<ds:KeyInfo xmlns:x="x" x:who="PTB">'),
+    "name space": (b"<ds:KeyInfo>", b'<ds:KeyInfo xmlns:x="PTB">'),
     "text in the key": (b"<ds:KeyInfo>", b"<ds:KeyInfo>PTB"),
     "text behind a part": (b"</ds:KeyInfo>", b"</ds:KeyInfo>PTB"),
     "text behind the signature": (b"</ds:Signature>", b"</ds:Signature>k0 is 3 mg"),

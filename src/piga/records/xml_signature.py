@@ -190,7 +190,7 @@ def _check_elements(path: Path, signature: etree._Element) -> None:
         if index >= len(_PROFILE) or place != _PROFILE[index][0]:
             raise _outside(path, f"the signature holds '{name[:40]}' where it should not")
         _, attribute, values = _PROFILE[index]
-        if sorted(map(str, node.attrib)) != ([attribute] if attribute else []):
+        if sorted(map(str, node.attrib)) != ([attribute] if attribute else []) or node.nsmap != signature.nsmap:
             raise _outside(path, f"'{name}' of the signature has other attributes")
         if attribute == "URI" and node.get("URI") != "":
             raise _outside(path, "the signature does not cover the whole document")
