@@ -27,6 +27,7 @@ SENTENCES = {
     "instrument": "motion, regimes, servo twin",
     "records": "files in and out, plain data",
     "_kernels": "compiled arithmetic",
+    "output": "files whole or not there",
     "frames": "rotations",
     "earth": "gravity, Earth rate",
     "units": "units at the edges",

@@ -68,7 +68,7 @@ def test_a_long_record_with_a_stand_is_written_in_pieces(tmp_path, monkeypatch, 
         'gravity = "9.80166 m/s^2"',
     ]
     run.write_text("\n".join([*lines, *stand, 'positions = ["0 deg", "30 deg"]']))
-    words = (run, "--calibration", tmp_path / "run.json", "--report", tmp_path / "r.html", "--out")
+    words = (run, "--calibration", tmp_path / "run.json", "--report", tmp_path / "r.html", "--force", "--out")
     assert command(monkeypatch, capsys, *words, tmp_path / "a.parquet")[0] == 0
     small_chunks(monkeypatch, 64)
     code, _, said = command(monkeypatch, capsys, *words, tmp_path / "b.parquet")

@@ -74,7 +74,7 @@ def from_run(run: Run) -> list[Suggestion]:
         stuck = _STUCK.search(event.detail)
         if stuck:
             name, side, value = stuck.groups()
-            limits = f"[-1e300, {value}]" if side == "largest" else f"[{value}, 1e300]"
+            limits = f"[-1e30, {value}]" if side == "largest" else f"[{value}, 1e30]"
             found.append(Suggestion("data", f"range = {{ '{name}' = {limits} }}", event.detail))
         if event.kind == "phase-lost":
             found.append(Suggestion("model", "phase = 'per-segment'", "the zero of the output angle was lost"))
