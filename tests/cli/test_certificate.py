@@ -113,9 +113,10 @@ def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, t
     now = piga(*verify, cwd=expired)
     assert now.returncode == 2
     first = now.stdout.splitlines()[0]
-    assert "the signer's X.509 certificate has expired on" in first
+    assert "the signer's X.509 certificate has expired: valid from" in first
     dates = re.search(
-        r"valid from \S+ to (\S+); on the date of issue that the file states, 2026-03-09, it was not in", first
+        r"valid from \S+ to (\S+), judged for \S+; on the date of issue that the file states, 2026-03-09, it was not in",
+        first,
     )
     day = dt.date.fromisoformat(dates[1]) - dt.timedelta(days=2)
     then = piga(*verify, "--at", str(day), cwd=expired)

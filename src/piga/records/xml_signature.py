@@ -253,7 +253,7 @@ def _out_of_force(start: dt.datetime, end: dt.datetime, at: dt.datetime) -> str:
     if start <= at <= end:
         return ""
     word = "is not yet valid" if at < start else "has expired"
-    return f"{word} on {at:%Y-%m-%d}: it is valid from {start:%Y-%m-%d} to {end:%Y-%m-%d}"
+    return f"{word}: valid from {start:%Y-%m-%d} to {end:%Y-%m-%d}, judged for {at:%Y-%m-%d}"
 
 
 def _verified(path: Path, root: etree._Element, expected: Any) -> etree._Element:
