@@ -164,7 +164,7 @@ _DATE_STOPS = [
     {"dtickrange": [None, 60_000], "value": "%H:%M:%S"},
     {"dtickrange": [60_000, 86_400_000], "value": "%Y-%m-%d<br>%H:%M"},
     {"dtickrange": [86_400_000, "M1"], "value": "%Y-%m-%d"},
-    {"dtickrange": ["M1", "M12"], "value": "%Y-%m"},
+    {"dtickrange": ["M1", "M6"], "value": "%Y-%m"},
     {"dtickrange": ["M12", None], "value": "%Y"},
 ]
 """Forms of a date by the distance between ticks, in milliseconds or months (M)."""

@@ -155,7 +155,7 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
     shown = pretty_unit(unit)
     columns = (
         Column("Record", align="text"),
-        Column("Date", align="text"),
+        Column("Date"),
         Column("Value", shown),
         Column("u, own part", shown),
         Column("u, whole", shown),
