@@ -159,6 +159,13 @@ def test_repr_shows_values_with_uncertainty(sound):
     assert re.search(r"scale_factor = 0\.888\d+ \+- \d\.\de-\d+ rad/s/g", shown)
 
 
+def test_repr_hides_digits_beyond_the_uncertainty(sound):
+    small = replace(sound.coefficients[1], value=2.65473561e-17, std=5.3e-18)
+    none = replace(small, value=-1e-20)
+    assert "k0 = 2.65e-17 +- 5.3e-18 g\n" in repr(replace(sound, coefficients=(small,)))
+    assert "k0 = 0 +- 5.3e-18 g\n" in repr(replace(sound, coefficients=(none,)))
+
+
 @pytest.mark.parametrize(
     ("change", "words", "level"),
     [

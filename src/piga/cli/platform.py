@@ -101,6 +101,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Leaves identification.json and a page.
     """
+    from piga.reports.numbers import rounded
     from piga.reports.platform import identification_page
     from piga.stable_platform.chain import identified
     from piga.stable_platform.observability import observability
@@ -118,7 +119,8 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     with _results(out, "identify", scenario, force, "identification.json") as folder:
         _write_json(folder / "identification.json", document)
         _page(folder, identification_page(run, found, recursive, sources))
-    lines = [f"{p.name:<36}{p.value:>16.9g} ± {p.std:.2g} {p.unit}" for p in found.parameters]
+    numbers = [(p, rounded(p.value, p.std)) for p in found.parameters]
+    lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
     _finish(document, json, "\n".join([*lines, f"wrote {out}/identification.json, report.html"]))
 
 

@@ -284,7 +284,7 @@ class Calibration:
         return verdict(self)
 
     def __repr__(self) -> str:
-        rows = [f"  {c.key} = {c.value:.9g} +- {c.std:.2g} {c.unit}" for c in self.coefficients[:_SHOWN]]
+        rows = [f"  {c.key} = {_rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients[:_SHOWN]]
         more = len(self.coefficients) - _SHOWN
         rows += [f"  and {more} more"] if more > 0 else []
         head = (
@@ -352,3 +352,10 @@ class Calibration:
         from piga.records.calibration_json import read_calibration
 
         return read_calibration(Path(path))
+
+
+def _rounded(c: Coefficient) -> str:
+    """The value without digits beyond those of its uncertainty."""
+    if not (math.isfinite(c.std) and c.std > 0.0):
+        return f"{c.value:.9g}"
+    return f"{round(c.value, 1 - math.floor(math.log10(c.std))) + 0.0:.12g}"
