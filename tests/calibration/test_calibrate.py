@@ -88,16 +88,17 @@ def test_rate_log() -> None:
 
 def test_base_rate_is_part_of_the_model() -> None:
     """Earth rate is 82 micro-g here: left out it must show in k0, given it must not."""
-    t = np.arange(0.0, 200.0, 0.05)
-    f = G0 * np.column_stack([1.0 + 0.5 * np.sin(0.2 * t), 2.0 * np.cos(0.11 * t), 0.0 * t])
-    omega = np.tile([4.7e-5, -2e-5, 5.6e-5], (t.size, 1))
+    fine = np.arange(80_001) * 0.0025
+    force = G0 * np.column_stack([1.0 + 0.5 * np.sin(0.2 * fine), 2.0 * np.cos(0.11 * fine), 0.0 * fine])
+    rate = np.tile([4.7e-5, -2e-5, 5.6e-5], (fine.size, 1))
     inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec", alpha0=0.3)
-    alpha = piga.propagate(inst, t, f, base_rate=omega)
+    alpha = piga.propagate(inst, fine, force, base_rate=rate)[::20]
+    t, f, omega = fine[::20], force[::20], rate[::20]
     given = piga.Run.from_arrays(t, alpha, f, scale_factor="0.889 rad/s/g", base_rate=omega)
     calibration = piga.calibrate(given, ["scale_factor", "tan_beta", "k0"])
-    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=1e-8)
+    assert calibration["scale_factor"].value == pytest.approx(0.8884, abs=3e-8)
     assert calibration["tan_beta"].value == pytest.approx(0.00484817479568412, abs=2e-8)
-    assert abs(calibration["k0"].value) < 1e-8
+    assert abs(calibration["k0"].value) < 3e-8
     without = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
     assert piga.calibrate(without, ["scale_factor", "tan_beta", "k0"])["k0"].value == pytest.approx(
         -5.29e-5, rel=0.01
@@ -107,7 +108,7 @@ def test_base_rate_is_part_of_the_model() -> None:
 def test_every_term_of_the_error_model() -> None:
     """A made-up record holding every term at once, noiseless, is solved to the interpolation error."""
     rng = np.random.default_rng(16)
-    t = np.arange(0.0, 400.0, 0.02)
+    t = np.arange(400 * 50 * 8 + 1) * 0.0025
     f = G0 * np.column_stack(
         [np.sin(0.5 * t) + 0.7 * np.sin(0.13 * t), np.cos(0.21 * t) * 1.5, np.sin(0.34 * t + 1.0)]
     )
@@ -121,8 +122,8 @@ def test_every_term_of_the_error_model() -> None:
     force += truth["m_Y"] * y + truth["m_Z"] * z + truth["k_XY"] * x * y + truth["k_XZ"] * x * z
     force += truth["k_YY"] * y**2 + truth["k_ZZ"] * z**2 + truth["k_YZ"] * y * z
     force += truth["k0_t"] * middle + truth["k0_T"] * dT + truth["k1_T"] * x * dT
-    alpha = _integrate_with_harmonics(t, f, force * G0, truth)
-    run = piga.Run.from_arrays(t, alpha - 0.4, f, scale_factor=SCALE, temperature=temperature)
+    alpha = _integrate_with_harmonics(0.0025, f, force * G0, truth)[::4]
+    run = piga.Run.from_arrays(t[::8], alpha - 0.4, f[::8], scale_factor=SCALE, temperature=temperature[::8])
     run = replace(run, row=run.row + int(rng.integers(0, 1)))
     calibration = piga.calibrate(run, ["scale_factor", "tan_beta", *truth])
     for name, value in truth.items():
@@ -131,10 +132,9 @@ def test_every_term_of_the_error_model() -> None:
     assert calibration["phi"].value == pytest.approx(0.4, abs=1e-3)
 
 
-def _integrate_with_harmonics(t, f, force, truth):
-    """Independent fine Runge-Kutta integration of equation (1) with the error terms."""
+def _integrate_with_harmonics(step, f, force, truth):
+    """Independent Runge-Kutta integration of equation (1) with the error terms, over two samples of ``step`` [s] each."""
     K, tangent = 0.8884 / G0, np.tan(BETA)
-    fine = 4
 
     def rate(alpha: float, v: np.ndarray, e: float) -> float:
         s, c = np.sin(alpha), np.cos(alpha)
@@ -146,21 +146,15 @@ def _integrate_with_harmonics(t, f, force, truth):
         )
         return K * (v[0] + tangent * (v[1] * s - v[2] * c) + e + ripple * G0)
 
-    alpha = np.empty(t.size)
-    alpha[0] = now = 0.4
-    for i in range(t.size - 1):
-        h = (t[i + 1] - t[i]) / fine
-        for j in range(fine):
-            u = [(j + p) / fine for p in (0.0, 0.5, 1.0)]
-            v = [f[i] + p * (f[i + 1] - f[i]) for p in u]
-            e = [force[i] + p * (force[i + 1] - force[i]) for p in u]
-            k1 = rate(now, v[0], e[0])
-            k2 = rate(now + 0.5 * h * k1, v[1], e[1])
-            k3 = rate(now + 0.5 * h * k2, v[1], e[1])
-            k4 = rate(now + h * k3, v[2], e[2])
-            now += h * (k1 + 2 * k2 + 2 * k3 + k4) / 6.0
-        alpha[i + 1] = now
-    return alpha
+    alpha, h = [0.4], 2.0 * step
+    for i in range(0, len(force) - 2, 2):
+        now = alpha[-1]
+        k1 = rate(now, f[i], force[i])
+        k2 = rate(now + 0.5 * h * k1, f[i + 1], force[i + 1])
+        k3 = rate(now + 0.5 * h * k2, f[i + 1], force[i + 1])
+        k4 = rate(now + h * k3, f[i + 2], force[i + 2])
+        alpha.append(now + h * (k1 + 2 * k2 + 2 * k3 + k4) / 6.0)
+    return np.array(alpha)
 
 
 def test_trapezoid_of_the_coupling_would_be_biased() -> None:
@@ -301,7 +295,7 @@ def test_tan_beta_in_the_noise_is_said() -> None:
     alpha = 0.8884 * t + 1e-3 * np.random.default_rng(4).standard_normal(t.size)
     run = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
     notes = " ".join(piga.calibrate(run, ["scale_factor", "tan_beta"]).notes)
-    assert "phi is not determined" in notes
+    assert "phi is hardly determined" in notes
 
 
 def test_type_b_first_order() -> None:

@@ -211,7 +211,10 @@ def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
     )
     own = [c.value for c in found.coefficients if c.name == "phi"]
     assert own == pytest.approx([PHI, PHI + 0.9], abs=1e-5)
-    assert any("run 1" in note and "servo" in note and "alone cannot" in note for note in found.notes)
+    assert any(
+        "run 1" in note and "servo" in note and "alone cannot" in note
+        for note in (*found.notes, *found.remarks)
+    )
     stored = RunSummary.of(runs[0], name="head")
     stored.to_json(tmp_path / "head.json")
     again = calibrate([RunSummary.from_json(tmp_path / "head.json"), runs[1]], terms)

@@ -25,7 +25,7 @@ TRUTH = {"tan_beta": 3.6e-4, "phi": math.radians(27.5), "k0": 1.60e-3, "k1": -2.
 _DIGIT = {"tan_beta": 0.1e-4, "phi": math.radians(0.1), "k0": 1e-5, "k1": 1e-5, "k2": 1e-5}
 _UNITS = {"tan_beta": "1", "phi": "rad", "k0": "g", "k1": "1", "k2": "g/g^2"}
 _INSTRUMENT = Instrument(SCALE, math.atan(TRUTH["tan_beta"]), TRUTH["phi"])
-_STEP, _END = 0.02, 257.0
+_STEP, _END, _FINE = 0.02, 257.0, 16
 _COUNT_NOISE, _WALK = 2e-5, 2e-6
 _START = EstimationTable(x0=(4.5e-3, 0.4, 0.0, 0.0, 0.0))
 _TRIALS = 20
@@ -44,9 +44,10 @@ def profile(t: Array) -> Array:
 @cache
 def real_record() -> Run:
     """Output angle of the exact motion of an instrument with these errors, with noise."""
-    t = np.linspace(0.0, _END, round(_END / _STEP) + 1)
+    fine = np.linspace(0.0, _END, round(_END / _STEP) * _FINE + 1)
+    t = fine[::_FINE]
     model = ErrorModel(k0=TRUTH["k0"] * G0, k1=TRUTH["k1"], k2=TRUTH["k2"] / G0)
-    alpha = propagate(_INSTRUMENT, t, profile(t), error_model=model)
+    alpha = propagate(_INSTRUMENT, fine, profile(fine), error_model=model)[::_FINE]
     stream = np.random.default_rng(_SEED)
     walk = _WALK * math.sqrt(_STEP) * np.cumsum(stream.standard_normal(t.size))
     psi = alpha - alpha[0] + walk + _COUNT_NOISE * stream.standard_normal(t.size)
