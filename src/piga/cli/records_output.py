@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piga.cli.common import note, print_json, print_json_list, say
-from piga.records.coverage import TYPE_A_ONLY
 
 if TYPE_CHECKING:
     from piga.evidence import Reproduced
@@ -104,6 +103,8 @@ def difference_document(found: Difference) -> dict[str, Any]:
 
 def _type_a_only(found: Difference) -> list[str]:
     """What is to be said of the uncertainties."""
+    from piga.records.coverage import TYPE_A_ONLY
+
     return [f"{name}: {TYPE_A_ONLY}" for name in found.type_a_only]
 
 
