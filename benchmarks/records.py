@@ -1,4 +1,4 @@
-"""The ledger at 1e3, 1e4 and 1e5 records: time and memory of each command: ``python benchmarks/records.py [COUNT ...]``.
+"""The ledger at 1e3, 1e4 and 1e5 records: processor time and memory of each command: ``python benchmarks/records.py [COUNT ...]``.
 
 One instrument has up to 3000 records, the rest belong to others, a hundred each. Each record holds a run file and a
 calibration of 5 kB (that of the instrument: 30 kB, as large as a real one). Every command runs in a process of its own.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import random
+import resource
 import subprocess
 import sys
 import tempfile
@@ -84,17 +85,23 @@ def fill(path: Path, count: int, whole: dict[str, Any], small: dict[str, Any]) -
                     store.insert(connection, encode(store._document(connection, place, made)), None)
 
 
+def children() -> float:
+    """Processor time of the child processes so far [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def measured(command: str, store: Path, folder: Path) -> tuple[float, float]:
-    """Seconds and largest resident memory [MB] of a command."""
+    """Processor time [s] and largest resident memory [MB] of a command."""
     words = command.split()
     if words[0] == "export":
         words.insert(1, str(folder / f"{time.monotonic_ns()}.zip"))
-    start = time.perf_counter()
+    start = children()
     done = subprocess.run(
         [sys.executable, "-c", CHILD, "records", *words, "--store", str(store)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=True,
     )  # fmt: skip
-    return time.perf_counter() - start, int(done.stderr.split()[-1]) / 1024.0
+    return children() - start, int(done.stderr.split()[-1]) / 1024.0
 
 
 def main() -> None:
@@ -104,9 +111,9 @@ def main() -> None:
         whole, small = documents(folder)
         for count in counts:
             store = folder / f"{count}.sqlite"
-            start = time.perf_counter()
+            start = time.process_time()
             fill(store, count, whole, small)
-            filled = time.perf_counter() - start
+            filled = time.process_time() - start
             print(f"\n{count} records, {store.stat().st_size / 1e6:.0f} MB, filled in {filled:.0f} s")
             measured("trend --serial A", store, folder)  # compiled kernels are kept from here on
             for command in COMMANDS:

@@ -77,7 +77,8 @@ from piga.errors import (
 )
 
 if TYPE_CHECKING:
-    from piga.calibration import calibrate, compare_models
+    from piga.calibration import compare_models
+    from piga.calibration.calibrate import calibrate
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
     from piga.records import Calibration, Run
@@ -92,7 +93,7 @@ _LAZY = {
     "Run": "piga.records",
     "read_run": "piga.stand",
     "Calibration": "piga.records",
-    "calibrate": "piga.calibration",
+    "calibrate": "piga.calibration.calibrate",
     "compare_models": "piga.calibration",
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",

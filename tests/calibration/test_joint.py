@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import RunSummary
+from piga.calibration.summary import RunSummary
 from piga.records.calibration_json import to_document
 from piga.records.distribution import Spread
 from piga.records.residuals_parquet import write_residuals

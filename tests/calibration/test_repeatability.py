@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import RunSummary
 from piga.calibration.monte_carlo import Contribution, source_draws
 from piga.calibration.planning import plan_test
+from piga.calibration.summary import RunSummary
 from piga.errors import CalibrationError, RunFileError
 from piga.records.run_file import EstimationTable, UncertaintyTable
 from tests.calibration.planning_cases import request

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from piga._kernels.regressors import cubic_moments, servo_columns
-from piga.calibration import RunSummary, calibrate, compare_models
+from piga.calibration.summary import RunSummary, calibrate, compare_models
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
 from piga.records.distribution import Given, GivenParameter
 from piga.records.run_file import EstimationTable, ServoTable

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import RunSummary
+from piga.calibration.summary import RunSummary
 from piga.records.calibration_json import to_document
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0

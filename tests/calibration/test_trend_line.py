@@ -177,3 +177,35 @@ def test_too_few_values():
         fit_line(np.arange(2.0), np.arange(2.0), np.ones(2))
     with pytest.raises(ArgumentError, match="different times"):
         fit_line(np.zeros(4), np.arange(4.0), np.ones(4))
+
+
+def test_each_line_so_far_is_that_of_the_days_merged_anew():
+    """Days with repeats and without, so that the variance inside days changes on the way, and errors shared."""
+    chance = np.random.default_rng(5)
+    days = np.repeat(np.arange(30), np.where(np.arange(30) % 4 == 2, 3, 1))
+    times = days + 0.01 * np.arange(days.size)
+    values, variances = chance.normal(0.0, 1.0, days.size), chance.uniform(0.01, 0.3, days.size)
+    shared = chance.normal(0.0, 0.2, (2, days.size))
+    whole = lines_so_far(times, values, variances, days, shared)
+    for last in range(2, 30):
+        n = int(np.searchsorted(days, last + 1))
+        merged = merge_by_day(times[:n], values[:n], variances[:n], days[:n])
+        model = whole.take(last - 2)
+        line = model.line
+        assert model.within == pytest.approx(merged.within, rel=1e-8, abs=1e-14)
+        assert model.day_variance == pytest.approx(np.median(merged.variances), rel=1e-8)
+        assert line.stated == pytest.approx(np.mean(merged.variances), rel=1e-8)
+        weights = 1.0 / (merged.variances + line.excess)
+        when = merged.time - np.average(merged.time, weights=weights)
+        assert line.level == pytest.approx(np.average(merged.means, weights=weights), rel=1e-8, abs=1e-12)
+        assert line.slope == pytest.approx(
+            np.sum(weights * when * merged.means) / np.sum(weights * when**2), rel=1e-7
+        )
+        own = 1.0 / (variances[:n] + merged.within)
+        for source in range(2):
+            errors = np.bincount(days[:n], own * shared[source, :n]) / np.bincount(days[:n], own)
+            assert line.shared[0, source] == pytest.approx(
+                np.average(errors, weights=weights), rel=1e-7, abs=1e-12
+            )
+            slope = np.sum(weights * when * errors) / np.sum(weights * when**2)
+            assert line.shared[1, source] == pytest.approx(slope, rel=1e-7, abs=1e-12)

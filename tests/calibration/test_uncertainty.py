@@ -11,12 +11,12 @@ import pytest
 
 import piga
 from piga.calibration.budget import propagate
-from piga.calibration.degrees_of_freedom import level_information, welch_satterthwaite
+from piga.calibration.degrees_of_freedom import level_information
 from piga.calibration.noise import Noise
 from piga.calibration.uncertainty import sources
 from piga.errors import RunFileError
 from piga.records import spool
-from piga.records.coverage import coverage_factor
+from piga.records.coverage import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS

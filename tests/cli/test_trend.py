@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +45,23 @@ def test_directories_and_files(folder, tmp_path):
         json.loads(again.stdout)["coefficients"][0]["drift_per_year"]
         == document["coefficients"][0]["drift_per_year"]
     )
+
+
+def test_a_trend_loads_no_estimator(folder):
+    """An instrument of thousands of records has its trend in seconds; the estimator alone takes a tenth of them."""
+    script = (
+        "import sys; from piga.cli.trend import trend\n"
+        "from pathlib import Path; trend([Path(sys.argv[1])])\n"
+        "loaded = sorted(name for name in sys.modules if name.startswith(('piga.calibration', 'piga.stand')))\n"
+        "print(loaded, file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(folder)], capture_output=True, text=True, check=True
+    )
+    loaded = done.stderr.splitlines()[-1]
+    assert "piga.calibration.trend_line" in loaded
+    for heavy in ("calibration.calibrate", "calibration.solution", "calibration.design", "piga.stand"):
+        assert heavy not in loaded, loaded
 
 
 @pytest.mark.parametrize(

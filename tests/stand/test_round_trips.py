@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from piga.calibration import calibrate
+from piga.calibration.calibrate import calibrate
 from piga.instrument import ErrorModel
 from piga.instrument.electronics import Electronics
 from piga.instrument.twin_parameters import PRESETS

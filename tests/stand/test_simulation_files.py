@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piga.calibration import calibrate
+from piga.calibration.calibrate import calibrate
 from piga.errors import PigaError, RunFileError
 from piga.stand import (
     read_scenario,

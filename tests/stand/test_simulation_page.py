@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from piga.calibration import calibrate
+from piga.calibration.calibrate import calibrate
 from piga.cli.main import app
 from piga.instrument.twin_parameters import PRESETS
 from piga.reports.figure import Figure

@@ -77,9 +77,10 @@ def merge_days(
     time: Array,
     means: Array,
     variances: Array,
+    start_day: int = 0,
 ) -> None:
-    """Mean time, weighted mean and its variance of each day."""
-    for day in range(days):
+    """Mean time, weighted mean and its variance of each day from ``start_day`` on."""
+    for day in range(start_day, days):
         start, stop = first[day], first[day + 1]
         weight, mean, when = 0.0, 0.0, 0.0
         for i in range(start, stop):
@@ -93,27 +94,31 @@ def merge_days(
 
 
 @kernel
-def line_through(t: Array, y: Array, v: Array, n: int, excess: float, out: Array) -> tuple[float, float]:
+def line_through(
+    t: Array, y: Array, v: Array, n: int, excess: float, weights: Array, out: Array
+) -> tuple[float, float]:
     """Weighted line through the first ``n`` values; returns the residual sum and its derivative by the excess.
 
-    ``out`` (5,) takes mean time, mean value, slope, sum of the weights, and their second moment about the mean time.
+    ``weights`` takes the weights. ``out`` (5,) takes mean time, mean value, slope, sum of the weights, and their
+    second moment about the mean time.
     """
     weight, when, mean = 0.0, 0.0, 0.0
     for i in range(n):
         w = 1.0 / (v[i] + excess)
+        weights[i] = w
         weight += w
         when += w * (t[i] - t[0])
         mean += w * (y[i] - y[0])
     when, mean = t[0] + when / weight, y[0] + mean / weight
     moment, product = 0.0, 0.0
     for i in range(n):
-        lever = (t[i] - when) / (v[i] + excess)
+        lever = (t[i] - when) * weights[i]
         moment += lever * (t[i] - when)
         product += lever * (y[i] - mean)
     slope = product / moment
     total, change = 0.0, 0.0
     for i in range(n):
-        w = 1.0 / (v[i] + excess)
+        w = weights[i]
         part = w * (y[i] - mean - slope * (t[i] - when)) ** 2
         total += part
         change -= w * part
@@ -122,11 +127,11 @@ def line_through(t: Array, y: Array, v: Array, n: int, excess: float, out: Array
 
 
 @kernel
-def line_excess(t: Array, y: Array, v: Array, n: int, start: float, out: Array) -> float:
-    """Variance about the line beyond the stated one; ``out`` as in :func:`line_through`."""
+def line_excess(t: Array, y: Array, v: Array, n: int, start: float, weights: Array, out: Array) -> float:
+    """Variance about the line beyond the stated one; ``weights`` and ``out`` as in :func:`line_through`."""
     guess = max(start, 0.0)
     for _ in range(STEPS):
-        total, change = line_through(t, y, v, n, guess, out)
+        total, change = line_through(t, y, v, n, guess, weights, out)
         if change == 0.0:
             return 0.0
         step = newton_step(total, change, n - 2)
@@ -162,32 +167,64 @@ def days_so_far(
     known:
         (days + 1 - least, 2, sources) out: mean and slope of the shared errors.
     """
-    days = first.size - 1
+    days, sources = first.size - 1, shared.shape[0]
     time, means, variances = np.empty(days), np.empty(days), np.empty(days)
-    merged, line = np.empty(days), np.empty(5)
-    within, excess = 0.0, 0.0
+    merged, ordered, weights, line = np.empty((days, sources)), np.empty(days), np.empty(days), np.empty(5)
+    within, excess, done = 0.0, 0.0, 0
     for count in range(least, days + 1):
         freedom = first[count] - count
         if freedom > 0:
+            before = within
             within = inner_excess(y, v, first, count, freedom, within)
-        merge_days(t, y, v, first, count, within, time, means, variances)
+            if within != before:
+                done = 0  # another variance inside days: every day is merged anew
+        merge_days(t, y, v, first, count, within, time, means, variances, done)
+        merge_shared(v, first, count, within, shared, merged, done)
+        insert_sorted(variances, ordered, count, done)
+        done = count
         row = figures[count - least]
-        row[7] = line_through(time, means, variances, count, 0.0, line)[0]
-        excess = line_excess(time, means, variances, count, excess, line)
-        row[8] = line_through(time, means, variances, count, excess, line)[0]
+        row[7] = line_through(time, means, variances, count, 0.0, weights, line)[0]
+        excess = line_excess(time, means, variances, count, excess, weights, line)
+        row[8] = line_through(time, means, variances, count, excess, weights, line)[0]
         row[0], row[1:6], row[6] = within, line, excess
-        row[9], row[10] = variances[:count].mean(), np.median(variances[:count])
+        row[9] = variances[:count].mean()
+        row[10] = 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
+        level, slope = known[count - least, 0], known[count - least, 1]
+        level[:], slope[:] = 0.0, 0.0
+        for day in range(count):
+            w = weights[day]
+            lever = w * (time[day] - line[0])
+            for source in range(sources):
+                level[source] += w * merged[day, source]
+                slope[source] += lever * merged[day, source]
+        level /= line[3]
+        slope /= line[4]
+
+
+@kernel
+def merge_shared(
+    v: Array, first: Index, days: int, within: float, shared: Array, merged: Array, start_day: int
+) -> None:
+    """Weighted mean (days, sources) of the shared errors (sources, n) of each day from ``start_day`` on."""
+    for day in range(start_day, days):
         for source in range(shared.shape[0]):
-            for day in range(count):
-                weight, total = 0.0, 0.0
-                for i in range(first[day], first[day + 1]):
-                    w = 1.0 / (v[i] + within)
-                    weight += w
-                    total += w * shared[source, i]
-                merged[day] = total / weight
-            level, slope = 0.0, 0.0
-            for day in range(count):
-                w = merged[day] / (variances[day] + excess)
-                level += w
-                slope += w * (time[day] - line[0])
-            known[count - least, 0, source], known[count - least, 1, source] = level / line[3], slope / line[4]
+            weight, total = 0.0, 0.0
+            for i in range(first[day], first[day + 1]):
+                w = 1.0 / (v[i] + within)
+                weight += w
+                total += w * shared[source, i]
+            merged[day, source] = total / weight
+
+
+@kernel
+def insert_sorted(values: Array, ordered: Array, count: int, start: int) -> None:
+    """Keep the first ``count`` values in rising order; those before ``start`` are there already."""
+    if start == 0:
+        ordered[:count] = np.sort(values[:count])
+        return
+    for new in range(start, count):
+        place = new
+        while place > 0 and ordered[place - 1] > values[new]:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = values[new]

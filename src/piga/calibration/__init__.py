@@ -1,9 +1,29 @@
-"""From a run to coefficients with uncertainty."""
+"""From a run to coefficients with uncertainty. ``piga.calibrate`` is the door; see the page of ``piga``.
 
-from piga.calibration.calibrate import calibrate
-from piga.calibration.model_choice import compare_models
-from piga.calibration.model_comparison import ModelComparison, TermSet
-from piga.calibration.reduction import Reduction
-from piga.calibration.summary import RunSummary
+A module is imported when one of its names is asked for: a trend needs few of them.
+"""
 
-__all__ = ["ModelComparison", "Reduction", "RunSummary", "TermSet", "calibrate", "compare_models"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from piga.calibration.model_choice import compare_models
+    from piga.calibration.model_comparison import ModelComparison, TermSet
+    from piga.calibration.reduction import Reduction
+    from piga.calibration.summary import RunSummary
+
+_LAZY = {
+    "ModelComparison": "model_comparison",
+    "Reduction": "reduction",
+    "RunSummary": "summary",
+    "TermSet": "model_comparison",
+    "compare_models": "model_choice",
+}
+
+__all__ = ["ModelComparison", "Reduction", "RunSummary", "TermSet", "compare_models"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(f"piga.calibration.{_LAZY[name]}"), name)
+    raise AttributeError(f"module 'piga.calibration' has no attribute '{name}'")

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.coefficients import name_coefficients
-from piga.calibration.degrees_of_freedom import welch_satterthwaite
 from piga.calibration.reduction import Reduction
 from piga.calibration.solution import solve
 from piga.calibration.uncertainty import Source, contributions
 from piga.calibration.weighting import reduce_segments
 from piga.records.calibration import Calibration, Coefficient
+from piga.records.coverage import welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
 

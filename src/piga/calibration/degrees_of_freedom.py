@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,29 +32,6 @@ STEP = 0.05
 """Relative step of a noise level for the derivative of the variances."""
 SEEN = 0.05
 """Random walk over its standard uncertainty up to which it makes no difference to the weights."""
-
-
-def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
-    """Degrees of freedom of a sum of independent components (JCGM 100, eq. G.2b).
-
-    Parameters
-    ----------
-    components:
-        (..., n) standard uncertainties of the components, in one unit.
-    degrees:
-        (..., n) their degrees of freedom; ``inf`` where a component is known.
-
-    Returns
-    -------
-    float, or array (...,) where several sums are given.
-    """
-    u, nu = np.abs(np.asarray(components, dtype=float)), np.asarray(degrees, dtype=float)
-    largest = u.max(axis=-1, initial=0.0)
-    share = (u / np.where(largest == 0.0, 1.0, largest)[..., None]) ** 2
-    known = np.sum(share**2 / nu, axis=-1)
-    certain = known == 0.0
-    result = np.where(certain, math.inf, np.sum(share, axis=-1) ** 2 / np.where(certain, 1.0, known))
-    return float(result) if result.ndim == 0 else result
 
 
 def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:

@@ -13,6 +13,7 @@ import datetime as dt
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from piga.calibration.trend_line import (
     merge_by_day,
 )
 from piga.errors import ArgumentError
-from piga.records.calibration import Calibration, CalibrationFigures, Coefficient, TypeB
+from piga.records.calibration import Calibration, CalibrationFigures, Coefficient
 from piga.records.coverage import Coverage, coverage_factor
 from piga.records.run_file import drawn_for
 
@@ -219,12 +220,17 @@ class _Records:
 
     def shared_keys(self) -> list[str]:
         """Coefficients that all records hold, in the order of the last; phases are left out (one per power-up)."""
-        everywhere = set.intersection(*({c.key for c in one.coefficients} for one in self.figures))
-        return [c.key for c in self.figures[-1].coefficients if c.key in everywhere and c.name != "phi"]
+        everywhere = set.intersection(*(set(one) for one in self.by_key))
+        return [key for key, c in self.by_key[-1].items() if key in everywhere and c.name != "phi"]
+
+    @cached_property
+    def by_key(self) -> list[dict[str, Coefficient]]:
+        """Coefficients of each record by their key."""
+        return [{c.key: c for c in one.coefficients} for one in self.figures]
 
     def trend(self, key: str) -> CoefficientTrend:
         """Trend of one coefficient."""
-        held = [next(c for c in one.coefficients if c.key == key) for one in self.figures]
+        held = [one[key] for one in self.by_key]
         values, stds = np.array([c.value for c in held]), np.array([c.std for c in held])
         shared = common_contributions(key, self.figures, self.common)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
@@ -236,10 +242,7 @@ class _Records:
         else:
             forecasts, scores, day_scores = self._expected(model, values, own, shared)
             model = model.take(-1)
-        half = [
-            _own_half_width(c, one.type_b, float(o), self.common)
-            for c, one, o in zip(held, self.figures, own, strict=True)
-        ]
+        half = self._own_half_widths(key, held, own)
         points = tuple(
             Point(
                 self.names[i],
@@ -249,7 +252,7 @@ class _Records:
                 c.std,
                 float(own[i]),
                 c.coverage,
-                half[i],
+                float(half[i]),
                 float(scores[i]),
                 forecasts[i],
             )
@@ -266,6 +269,25 @@ class _Records:
             return lines_so_far(self.years, values, variances, self.days, shared)
         merged = merge_by_day(self.years, values, variances, self.days)
         return Model(None, merged.within, merged.freedom, float(np.median(merged.variances)))
+
+    def _own_half_widths(self, key: str, held: Sequence[Coefficient], own: Array) -> Array:
+        """Half-width for 95 % of each record's own part: k for its own effective degrees of freedom, times ``own``.
+
+        ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The shared part of each source is taken off.
+        """
+        taken_off = {
+            source: 1.0 - (1.0 - _shared_part(self.common, source)) ** 2
+            for source in {row.source for one in self.figures for row in one.type_b}
+        }
+        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in held]) - [
+            sum(
+                taken_off[row.source] * row.contributions.get(key, 0.0) ** 4 / row.degrees_of_freedom
+                for row in one.type_b
+            )
+            for one in self.figures
+        ]
+        degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
+        return np.asarray(coverage_factor(degrees)) * own
 
     def _expected(
         self, model: Model, values: Array, own: Array, shared: Array
@@ -292,19 +314,6 @@ class _Records:
         )
         day_scores[LEAST_DAYS:] = mean.score(np.add.reduceat(weights * values[late], first) / total)
         return forecasts, scores, day_scores
-
-
-def _own_half_width(c: Coefficient, type_b: tuple[TypeB, ...], own: float, common: Common) -> float:
-    """Half-width for 95 % of a record's own part: k for its own effective degrees of freedom, times ``own``.
-
-    ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The shared part of each source is taken off.
-    """
-    doubt = c.std**4 / c.degrees_of_freedom
-    for row in type_b:
-        part = _shared_part(common, row.source)
-        doubt -= (1.0 - (1.0 - part) ** 2) * row.contributions.get(c.key, 0.0) ** 4 / row.degrees_of_freedom
-    degrees = own**4 / doubt if doubt > 0.0 else math.inf
-    return coverage_factor(degrees) * own
 
 
 def _shared_part(common: Common, source: str) -> float:

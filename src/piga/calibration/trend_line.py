@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.trend import days_so_far, inner_excess, merge_days
-from piga.calibration.degrees_of_freedom import welch_satterthwaite
 from piga.errors import ArgumentError
-from piga.records.coverage import coverage_factor
+from piga.records.coverage import coverage_factor, welch_satterthwaite
 
 Array = NDArray[np.float64]
 Values = Any

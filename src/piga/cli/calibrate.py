@@ -12,7 +12,7 @@ from piga.cli.options import ForceOption, JsonOption
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.calibration import RunSummary
+    from piga.calibration.summary import RunSummary
     from piga.records import Calibration, Run
 
 RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
@@ -95,7 +95,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
     from msgspec.structs import replace as replaced
 
-    from piga.calibration import RunSummary
+    from piga.calibration.summary import RunSummary
     from piga.errors import ArgumentError
     from piga.records.terms import check_terms
 
@@ -112,7 +112,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:
     """The runs, and the summaries of runs, that the command names."""
-    from piga.calibration import RunSummary
+    from piga.calibration.summary import RunSummary
     from piga.stand import read_run
 
     with progress("reading"):
@@ -127,7 +127,7 @@ def _estimate(
     phase_source: str | None,
     per_run: list[str] | None,
 ) -> Calibration:
-    from piga.calibration import calibrate as estimate
+    from piga.calibration.calibrate import calibrate as estimate
 
     return estimate(items, terms, method, phase=phase, phase_source=phase_source, per_run=per_run)
 
@@ -143,7 +143,7 @@ def run_calibration(
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:
     """Write the summary of every run whose data were read, with the wishes of its run file."""
-    from piga.calibration import RunSummary
+    from piga.calibration.summary import RunSummary
 
     written = []
     for item in items:

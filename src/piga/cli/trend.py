@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
+import gc
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from piga.records.calibration import CalibrationFigures
 
 MOST_RECORDS = 10_000
+RARELY = (100_000, 50, 100)
+"""Thresholds of the garbage collector: thousands of records are many small objects, and none is garbage."""
 
 
 def register(app: typer.Typer) -> None:
@@ -64,26 +67,28 @@ def trend(
     Stability over time, drift per year, control limits, a forecast, and alarms in words.
     """
     from piga.calibration.trend import find_trend
-    from piga.reports.trend import trend_document, trend_text
+    from piga.reports.trend import trend_text
 
+    gc.set_threshold(*RARELY)
     with progress("reading"):
         found = find_trend(_history(sources or [], store, serial), common=_common(common or []))
     date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
-    document = trend_document(found, at=date)
-    written = [] if out is None else _written(out, _files(sources or []), document, found, date, force)
+    written = [] if out is None else _written(out, _files(sources or []), found, date, force)
     if as_json:
-        print_json(document)
+        from piga.reports.trend import trend_document
+
+        print_json(trend_document(found, at=date))
         return
     say(trend_text(found, at=date))
     for path in written:
         say(f"wrote {path}")
 
 
-def _written(
-    out: Path, inputs: list[Path], document: dict[str, Any], found: Trend, date: dt.datetime, force: bool
-) -> list[Path]:
+def _written(out: Path, inputs: list[Path], found: Trend, date: dt.datetime, force: bool) -> list[Path]:
     """trend.json, and trend.html where the report extra is installed."""
-    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    from piga.reports.trend import trend_document
+
+    text = json.dumps(trend_document(found, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
         paths = [write_text(folder / "trend.json", text)]
         if report_available():

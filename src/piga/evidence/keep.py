@@ -85,7 +85,7 @@ def prepare_run(
     PigaError
         If it cannot be calibrated.
     """
-    from piga.calibration import calibrate
+    from piga.calibration.calibrate import calibrate
     from piga.records.calibration_json import calibration_to_bytes
     from piga.stand import read_run
 

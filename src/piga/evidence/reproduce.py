@@ -56,7 +56,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
     PigaError
         If it cannot be computed any more.
     """
-    from piga.calibration import calibrate
+    from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
 
     record = store.record(name)

@@ -175,6 +175,7 @@ class _Figures(msgspec.Struct, frozen=True):
     model: _Model
     coefficients: tuple[_Coefficient, ...]
     uncertainty_budget: tuple[_Source, ...] = ()
+    schema: Any = None
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -353,7 +354,7 @@ def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
     CalibrationError
         As :func:`read_calibration`.
     """
-    document = _of_schema(raw, path, lambda: msgspec.json.decode(raw, type=_Figures))
+    document = _figures_of(raw) or _of_schema(raw, path, lambda: msgspec.json.decode(raw, type=_Figures))
     coefficients = tuple(_coefficient(c) for c in document.coefficients)
     wrong = next((fault for c in coefficients for fault in _faults(c)), None)
     if wrong is not None:
@@ -370,6 +371,15 @@ def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
         type_b,
         bool(document.uncertainty_budget),
     )
+
+
+def _figures_of(raw: bytes) -> _Figures | None:
+    """The part for a history, decoded once; None for what is not of the known schema."""
+    try:
+        document = msgspec.json.decode(raw, type=_Figures)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+    return document if document.schema == SCHEMA else None
 
 
 def _provenance(found: _Provenance) -> Provenance:

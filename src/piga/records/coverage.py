@@ -10,7 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from piga.records.calibration import Coefficient
@@ -46,15 +49,53 @@ def is_of_reference(source: str) -> bool:
     return not source.startswith(OF_THE_MODEL)
 
 
-def coverage_factor(degrees_of_freedom: float, probability: float = PROBABILITY) -> float:
-    """Student's t for a two-sided interval of this probability (JCGM 100, G.3).
+@overload
+def coverage_factor(degrees_of_freedom: float, probability: float = PROBABILITY) -> float: ...
+
+
+@overload
+def coverage_factor(
+    degrees_of_freedom: NDArray[np.float64], probability: float = PROBABILITY
+) -> NDArray[np.float64]: ...
+
+
+def coverage_factor(
+    degrees_of_freedom: float | NDArray[np.float64], probability: float = PROBABILITY
+) -> float | NDArray[np.float64]:
+    """Student's t for a two-sided interval of this probability (JCGM 100, G.3), one or an array of them.
 
     Infinite degrees of freedom give that of the normal distribution; none, or an unknown number, give nan.
     """
     from scipy.special import ndtri, stdtrit
 
     tail = 0.5 * (1.0 + probability)
+    if isinstance(degrees_of_freedom, np.ndarray):
+        known = np.isinf(degrees_of_freedom)
+        return np.where(known, ndtri(tail), stdtrit(np.where(known, 1.0, degrees_of_freedom), tail))
     return float(ndtri(tail) if math.isinf(degrees_of_freedom) else stdtrit(degrees_of_freedom, tail))
+
+
+def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
+    """Degrees of freedom of a sum of independent components (JCGM 100, eq. G.2b).
+
+    Parameters
+    ----------
+    components:
+        (..., n) standard uncertainties of the components, in one unit.
+    degrees:
+        (..., n) their degrees of freedom; ``inf`` where a component is known.
+
+    Returns
+    -------
+    float, or array (...,) where several sums are given.
+    """
+    u, nu = np.abs(np.asarray(components, dtype=float)), np.asarray(degrees, dtype=float)
+    largest = u.max(axis=-1, initial=0.0)
+    share = (u / np.where(largest == 0.0, 1.0, largest)[..., None]) ** 2
+    known = np.sum(share**2 / nu, axis=-1)
+    certain = known == 0.0
+    result = np.where(certain, math.inf, np.sum(share, axis=-1) ** 2 / np.where(certain, 1.0, known))
+    return float(result) if result.ndim == 0 else result
 
 
 def coverage(coefficient: Coefficient) -> Coverage:

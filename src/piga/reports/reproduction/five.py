@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration import calibrate
+from piga.calibration.calibrate import calibrate
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
 from piga.records.run_file import EstimationTable

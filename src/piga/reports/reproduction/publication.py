@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration import calibrate
+from piga.calibration.calibrate import calibrate
 from piga.compensation import compensate
 from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
