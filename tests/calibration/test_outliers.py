@@ -242,3 +242,18 @@ def slow_counter(rate: float) -> piga.Run:
     alpha = np.append(0.0, np.cumsum(0.005 * (f[1:, 0] + f[:-1, 0])))
     alpha += 0.05 * count * np.random.default_rng(5).standard_normal(n)
     return piga.Run.from_arrays(t, count * np.round(alpha / count), f, scale_factor=1.0, resolution=count)
+
+
+@pytest.mark.parametrize("zero", [0, 2**24 - 3000])
+def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
+    """More than a quarter of the increments lie on the path without any miss: the core has no width."""
+    count = 2.0 * np.pi / 72000.0
+    t = np.arange(40) * 0.05
+    output = (np.rint(10179.0 * t) + zero) * count
+    force = np.tile(G0 * np.array([1.0, 0.1, 0.0]), (40, 1))
+    run = replace(piga.Run.from_arrays(t, output, force, scale_factor=0.8884 / G0), resolution=count)
+    with pytest.warns(piga.PigaWarning, match="Type A only"):
+        calibration = piga.calibrate(run, ["scale_factor"])
+    assert calibration.outliers == ()
+    assert calibration.quality.used == 40
+    assert calibration["scale_factor"].value == pytest.approx(10179.0 * count, rel=1e-3)  # rad/s/g

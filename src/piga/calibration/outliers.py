@@ -204,8 +204,11 @@ def misses_of(design: Design, values: Array) -> Misses:
 
 
 def first_noise(misses: Misses) -> Noise:
-    """Levels for the first look: the core of the increments, half of it angle noise and half random walk."""
-    sigma = float(np.quantile(misses.sizes(), 0.25)) / 0.3186
+    """Levels for the first look: the core of the increments, half of it angle noise and half random walk.
+
+    A core of equal readings has no width; the smallest miss that can be bad stands for it.
+    """
+    sigma = max(float(np.quantile(misses.sizes(), 0.25)) / 0.3186, LEAST)
     if misses.point:
         return Noise(0.0, sigma**2)
     return Noise(sigma**2 / 3.0, sigma**2 / (3.0 * misses.step))
