@@ -13,6 +13,7 @@ from piga.reports.calibration import (
     calibration_text,
     write_calibration_report,
 )
+from piga.reports.calibration_budget import budget_tables
 from piga.reports.calibration_figures import (
     convergence_figure,
     elapsed_time,
@@ -88,12 +89,12 @@ def test_correlations_are_those_of_the_covariance(cal):
 
 
 def test_budget_combines_the_sources(cal):
-    cells = tables(calibration_page(cal))["budget"][0].cells
-    assert [row[0].text for row in cells] == [
-        "Fit to the record", "Reference scale", "Reference misalignment", "Combined",
-    ]  # fmt: skip
-    assert cells[-1][5].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
-    assert cells[-1][-1].text == "9.8"  # hypot(1.3, 9.7) urad
+    sources, *parts = tables(calibration_page(cal))["budget"]
+    cells, names = parts[0].cells, ["Fit to the record", "Reference scale", "Reference misalignment"]
+    assert [row[0].text for row in sources.cells] == names
+    assert [row[0].text for row in cells] == [*names, "Combined"]
+    assert cells[-1][1].text == "9.0\u00a0×\u00a010⁻⁶"  # hypot(1.4e-6, 8.9e-6)
+    assert parts[-1].cells[-1][-1].text == "9.8"  # hypot(1.3, 9.7) urad
 
 
 def with_sensitivities(cal):
@@ -114,8 +115,8 @@ def with_sensitivities(cal):
 
 
 def test_sensitivities_are_per_unit_of_the_source(cal):
-    assert len(tables(calibration_page(cal))["budget"]) == 1, "a record of before has none"
-    table = tables(calibration_page(with_sensitivities(cal)))["budget"][1]
+    assert len(tables(calibration_page(cal))["budget"]) == 3, "a record of before has none"
+    table = tables(calibration_page(with_sensitivities(cal)))["budget"][3]
     assert [row[1].text for row in table.cells] == ["1 ppm", "1 ″"]
     assert table.cells[0][2].text == "8.90\u00a0×\u00a010⁻⁷"  # 8.9e-6 for 10 ppm
     assert table.cells[1][-1].text == "4.85"  # 9.7 urad for 2 arcsec
@@ -127,6 +128,18 @@ def test_the_budget_on_the_terminal_leaves_slight_sources_out(cal):
     assert any("8.90e-7 per ppm" in line and line.endswith("%") for line in lines[start:])
     assert "Reference misalignment" not in "\n".join(lines[start : start + 3])
     assert max(map(len, lines[start:])) <= 80 or any(line.startswith("note") for line in lines)
+
+
+def test_no_table_of_the_budget_is_wider_than_the_page(cal):
+    """Fourteen coefficients: each table holds so many as fit A4, and all of them together hold all."""
+    many = tuple(dataclasses.replace(cal["k0"], name=f"k{i}") for i in range(14))
+    contributions = [row | {"contributions": {c.key: 1e-6 for c in many}} for row in cal.budget]
+    wide = dataclasses.replace(
+        cal, coefficients=many, covariance=np.eye(14) * cal["k0"].std ** 2, budget=tuple(contributions)
+    )
+    _, *parts = budget_tables(wide)
+    assert max(len(part.columns) for part in parts) <= 5
+    assert [column.heading for part in parts for column in part.columns[1:]] == [c.key for c in many]
 
 
 def test_missing_type_b_is_said():

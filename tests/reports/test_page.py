@@ -174,3 +174,15 @@ def test_anchors_are_names_and_unique(anchors, message):
 def test_a_row_of_the_wrong_length_is_refused():
     with pytest.raises(ValueError, match="a row of 1 cells for 2 columns"):
         Table((Column("a"), Column("b")), (("1",),))
+
+
+@pytest.mark.parametrize(("count", "widths"), [(0, [0]), (3, [3]), (4, [4]), (8, [4, 4]), (9, [3, 3, 3])])
+def test_a_wide_table_comes_in_parts(count: int, widths: list[int]) -> None:
+    columns = (Column("Source", align="text"), *(Column(f"c{i}") for i in range(count)))
+    table = Table(columns, (("s", *(str(i) for i in range(count))),), "caption", ("note",))
+    parts = table.parts(1, 4)
+    assert [len(part.columns) - 1 for part in parts] == widths
+    assert [text for part in parts for text in part.rows[0][1:]] == [str(i) for i in range(count)]
+    assert all(part.columns[0].heading == "Source" and part.rows[0][0] == "s" for part in parts)
+    assert [part.caption for part in parts] == ["caption"] + [""] * (len(parts) - 1)
+    assert [part.notes for part in parts] == [()] * (len(parts) - 1) + [("note",)]

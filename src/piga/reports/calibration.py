@@ -9,7 +9,7 @@ from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.terms import meaning_of, shown_unit
 from piga.records.verdict import THRESHOLDS, whitened_rms
-from piga.reports.calibration_budget import budget_table, sensitivity_table
+from piga.reports.calibration_budget import budget_tables, sensitivity_tables
 from piga.reports.calibration_diagnostics import (
     COMPARISON_LEAD,
     LEVERAGE_LEAD,
@@ -280,14 +280,14 @@ def _budget(cal: Calibration) -> Section:
         "(type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
-    blocks: list[Block] = [Text(lead, lead=True), budget_table(cal)]
-    sensitivities = sensitivity_table(cal)
-    if sensitivities is not None:
+    blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
+    sensitivities = sensitivity_tables(cal)
+    if sensitivities:
         text = (
             "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
             "Times the standard uncertainty of the source they are the contributions above."
         )
-        blocks += [Text(text, lead=True), sensitivities]
+        blocks += [Text(text, lead=True), *sensitivities]
     if not any(row.get("type") == "B" for row in cal.budget):
         text = (
             f"{TYPE_A_ONLY}: reference scale, alignment and local gravity are taken as exact. "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from piga.records.calibration import Calibration, Coefficient
@@ -11,8 +12,12 @@ from piga.reports.calibration_tables import SHOWN_NAMES, common_coefficients
 from piga.reports.numbers import pretty_unit, printed, short
 from piga.reports.page import Cell, Column, Table
 
+ACROSS, SENSITIVITIES_ACROSS = 4, 6
+"""Coefficients beside each other in a table of the page: they fit the screen and A4."""
 NOTHING = 1e-3
 """Contribution, in standard uncertainties of the coefficient, below which it says nothing: 0.0001 % of the variance."""
+DESCRIBED = 5
+"""Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
 SLIGHT = 0.01
 """Share of the variance below which a source is left out on the terminal."""
 
@@ -45,6 +50,15 @@ def budget_table(cal: Calibration) -> Table:
         rows.append(_budget_row(combined, coefficients, {}))
     note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
     return Table(columns, tuple(rows), notes=(note,))
+
+
+def budget_tables(cal: Calibration) -> tuple[Table, ...]:
+    """The budget for the page: the sources, then what each adds to the coefficients, as many as fit the page."""
+    whole = budget_table(cal)
+    sources = whole.only(range(DESCRIBED))
+    sources = replace(sources, rows=tuple(row for row in sources.rows if row[1]), notes=())
+    contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
+    return (sources, *contributions.parts(1, ACROSS))
 
 
 def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
@@ -85,11 +99,11 @@ def _budget_row(
     )
 
 
-def sensitivity_table(cal: Calibration) -> Table | None:
-    """Change of each coefficient for one unit of a source; None when no source has a size (or in old files)."""
+def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
+    """Change of each coefficient for one unit of a source; none when no source has a size (or in old files)."""
     rows = [row for row in cal.budget if row.get("sensitivities")]
     if not rows:
-        return None
+        return ()
     coefficients = common_coefficients(cal)[:SHOWN_NAMES]
     units = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
@@ -105,7 +119,7 @@ def sensitivity_table(cal: Calibration) -> Table | None:
         )
         for row in rows
     )
-    return Table(columns, cells)
+    return Table(columns, cells).parts(2, SENSITIVITIES_ACROSS)
 
 
 def _sensitivity(row: dict[str, Any], coefficient: Coefficient, scale: float) -> str | Cell:

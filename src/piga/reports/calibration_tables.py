@@ -143,7 +143,7 @@ def correlation_table(cal: Calibration) -> Table | None:
     for i, name in enumerate(names):
         rows.append((name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))))
     columns = (Column("", align="text"), *(Column(name) for name in names))
-    return Table(columns, tuple(rows))
+    return Table(columns, tuple(rows), upright=True)
 
 
 def _correlation(value: float, diagonal: bool) -> Cell:

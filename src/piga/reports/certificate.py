@@ -6,7 +6,7 @@ marks the end. Nothing is issued while an item is missing: :func:`certificate_ht
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.certificate_file import CertificateFile, missing_items
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.calibration_budget import budget_table
+from piga.reports.calibration_budget import DESCRIBED, budget_table
 from piga.reports.calibration_tables import (
     common_coefficients,
     correlation_table,
@@ -188,22 +188,12 @@ def _results(calibration: Calibration, before: Calibration | None) -> _Part:
         paragraphs.append(
             "Phases of single segments hold for one power-up of the readout each and are not listed."
         )
-    tables += _split(budget_table(calibration), 5, "Standard uncertainty of each coefficient by source")
+    budget = replace(budget_table(calibration), caption="Standard uncertainty of each coefficient by source")
+    tables += replace(budget, notes=()).parts(DESCRIBED, _ACROSS)
     correlation = correlation_table(calibration)
     if correlation is not None:
-        tables += _split(correlation, 1, "Correlation coefficients of the results")
+        tables += replace(correlation, caption="Correlation coefficients of the results").parts(1, _ACROSS)
     return _Part("Results", tuple(paragraphs), tuple(tables))
-
-
-def _split(table: Table, fixed: int, caption: str) -> list[Table]:
-    """A table in parts that fit the paper: the first ``fixed`` columns stand in each."""
-    parts = []
-    for start in range(fixed, len(table.columns), _ACROSS):
-        chosen = [*range(fixed), *range(start, min(start + _ACROSS, len(table.columns)))]
-        rows = tuple(tuple(row[i] for i in chosen) for row in table.rows)
-        parts.append(Table(tuple(table.columns[i] for i in chosen), rows, caption))
-        caption = ""
-    return parts
 
 
 def _result_table(calibration: Calibration, caption: str) -> Table:

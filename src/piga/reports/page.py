@@ -10,10 +10,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -78,7 +81,8 @@ class Cell:
 class Table:
     """Rows of text or :class:`Cell`, as long as ``columns``. The first column names the row.
 
-    ``code`` sets the cells of text columns in fixed-width letters (digests, options).
+    ``code`` sets the cells of text columns in fixed-width letters (digests, options). ``upright`` turns the headings
+    of number columns: a matrix with long names then fits the page.
     """
 
     columns: tuple[Column, ...]
@@ -86,6 +90,7 @@ class Table:
     caption: str = ""
     notes: tuple[str, ...] = ()
     code: bool = False
+    upright: bool = False
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -98,6 +103,25 @@ class Table:
     def cells(self) -> list[list[Cell]]:
         """All rows as cells."""
         return [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in self.rows]
+
+    def only(self, chosen: Sequence[int]) -> Table:
+        """The table with these columns."""
+        columns = tuple(self.columns[index] for index in chosen)
+        return replace(self, columns=columns, rows=tuple(tuple(row[i] for i in chosen) for row in self.rows))
+
+    def parts(self, fixed: int, across: int) -> tuple[Table, ...]:
+        """Tables that fit the page: each has the first ``fixed`` columns and at most ``across`` of the others.
+
+        The caption stands above the first part, the notes below the last.
+        """
+        count = len(self.columns) - fixed
+        tables = max(1, math.ceil(count / across))
+        edges = [fixed + round(index * count / tables) for index in range(tables + 1)]
+        split = [self.only([*range(fixed), *range(*ends)]) for ends in pairwise(edges)]
+        return tuple(
+            replace(part, caption=self.caption * (part is split[0]), notes=self.notes * (part is split[-1]))
+            for part in split
+        )
 
 
 @dataclass(frozen=True)
