@@ -1,5 +1,6 @@
 """The terms of the servo against integrations by SciPy: exact columns, phases, what a record cannot tell."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -230,6 +231,10 @@ def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
         )
 
 
+MEANING = "meaning of the cubic signature: servo or k3"
+DAMPING_LEFT = "servo damping that the model lacks"
+
+
 def on_a_head(terms, s=STIFFNESS, positions=12):
     """Calibration of a noisy head record whose damping is nothing, its noise given."""
     run = recorded(head(positions), seconds=8.0, noise=2e-7, s=s, d=0.0)
@@ -239,8 +244,7 @@ def on_a_head(terms, s=STIFFNESS, positions=12):
 def test_doing_nothing_holds_both_meanings_of_a_cube():
     found = on_a_head(TERMS[:5])
     scale = found["scale_factor"]
-    row = found.budget[-1]
-    assert row["source"] == "meaning of the cubic signature: servo or k3"
+    row = next(row for row in found.budget if row["source"] == MEANING)
     half = row["contributions"]["scale_factor"] * np.sqrt(3.0)
     by_k3 = TRUTH["scale_factor"] * (1.0 - 1.3e-5)
     for meaning in (TRUTH["scale_factor"], by_k3):
@@ -264,12 +268,44 @@ def test_a_sound_record_has_no_such_row():
     assert "missing_terms" not in found.diagnostics
 
 
-def test_an_asked_k3_is_said_to_be_a_choice():
+def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     found = on_a_head([*TERMS[:5], "k3"], positions=8)
     note = next(note for note in found.notes if "k3 may as well be the servo" in note)
     assert "0.8885" in note
+    assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.5)
+    assert "holds both" in note
     assert "centrifuge" in note
-    assert "scale_factor" not in found.budget[-1]["source"]
+    scale = found["scale_factor"]
+    assert scale.value == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
+    assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
+    row = next(row for row in found.budget if row["source"] == MEANING)
+    half = np.sqrt(3.0) * row["contributions"]["scale_factor"]
+    assert half == pytest.approx(TRUTH["scale_factor"] - scale.value, rel=0.02)
+    assert not any(size for key, size in row["contributions"].items() if key != "scale_factor")
+
+
+def test_an_asked_k3_beside_a_given_servo_means_itself():
+    stiff = replace(SERVO[0], value=1e5, standard=0.0)
+    run = replace(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), servo=(stiff, SERVO[2]))
+    found = calibrate(given(run, angle="2e-7 rad"), [*TERMS[:5], "k3"])
+    assert abs(found["k3"].value) > 2.0 * found["k3"].std
+    assert MEANING not in [row["source"] for row in found.budget]
+
+
+def test_phi_holds_the_damping_that_the_model_lacks():
+    terms = [*TERMS[:5], "servo"]
+    run = recorded(head(), seconds=8.0, noise=2e-6)
+    found = calibrate(given(run, angle="2e-6 rad"), terms)
+    phi = found["phi"]
+    row = next(row for row in found.budget if row["source"] == DAMPING_LEFT)
+    plain = found.budget[0]["contributions"]["phi"]
+    assert abs(phi.value - PHI) > 3.0 * plain
+    assert abs(phi.value - PHI) < phi.expanded
+    assert row["contributions"]["phi"] > 3.0 * plain
+    assert any("servo_damping" in note and "hold this" in note for note in found.notes)
+    whole = calibrate(given(run, angle="2e-6 rad"), TERMS)
+    assert DAMPING_LEFT not in [row["source"] for row in whole.budget]
+    assert whole["phi"].std < 0.3 * phi.std
 
 
 def test_comparison_offers_the_servo_first_and_says_what_k_becomes():

@@ -104,3 +104,13 @@ def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
     found = campaign.figures([campaign.one_test(seed, terms) for seed in range(1000)])
     low, high = (0.92, 0.98) if terms == campaign.WITH else (0.906, 1.0)
     assert low <= found["scale_factor"]["coverage"] <= high
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+def test_intervals_of_phi_hold_without_the_terms():
+    """What the damping turns is in the interval of phi: 7 % of the records held before. More than 90 % wanted."""
+    found = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])
+    assert found["phi"]["coverage"] > 0.9
+    assert found["phi"]["rms_error"] > 0.005
+    assert found["phi"]["mean_half_width"] < 2.0 * found["phi"]["rms_error"]

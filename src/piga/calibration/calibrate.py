@@ -23,7 +23,6 @@ from piga.calibration.budget import (
 )
 from piga.calibration.coefficients import name_coefficients
 from piga.calibration.counted import refine_counted
-from piga.calibration.cubic import cubic_doubt, other_meaning
 from piga.calibration.degrees_of_freedom import type_a_degrees
 from piga.calibration.design import Design
 from piga.calibration.faint_walk import include_faint_walk
@@ -37,6 +36,8 @@ from piga.calibration.identifiability import (
 )
 from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees, joint_sources
 from piga.calibration.joint_result import joint_result
+from piga.calibration.left_out import left_out_terms, odd_square
+from piga.calibration.left_out_runs import left_out_of_runs
 from piga.calibration.model_choice import compared_models
 from piga.calibration.propagation import put_to_the_test
 from piga.calibration.published import run_published
@@ -146,8 +147,8 @@ def _calibration(
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
     budget = make_budget(fit, groups, per_segment, coefficients, covariance)
-    doubt = cubic_doubt(without_slow(fit, groups), groups, per_segment, coefficients)
-    if doubt is not None:
+    doubts = left_out_terms(without_slow(fit, groups), groups, per_segment, coefficients)
+    for doubt in doubts:
         budget = budget.with_row(doubt.row(coefficients))
     type_a, whole = budget.covariances(covariance)
     degrees = type_a_degrees(fit, groups, per_segment) * share_of_type_a(type_a, covariance)
@@ -159,10 +160,10 @@ def _calibration(
         residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
         history = _history(fit, groups) if request.method == "recursive" else None
         scatter = segment_scatter(fit.design, residuals, fit.noise)
-        notes = other_meaning(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
+        notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
         result = _assemble(run, request, fit, coefficients, covariance, budget.rows, residuals, notes, history)
     result = replace(result, remarks=remarks_in_words(coefficients, request.phase))
-    result = with_remarks(result, fit, remarks.result(), doubt)
+    result = with_remarks(result, fit, remarks.result(), doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
 
@@ -275,7 +276,14 @@ def _joint_calibration(
     changes = tuple(change for _, change in found)
     type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in found)).covariances(fit.covariance)
     degrees = joint_degrees(fit) * share_of_type_a(type_a, fit.covariance)
-    result = joint_result(fit, whole, budget_rows(fit.coefficients, type_a, found), degrees)
+    doubts = left_out_of_runs(fit)
+    rows = (
+        *budget_rows(fit.coefficients, type_a, found),
+        *(doubt.row(fit.coefficients) for doubt in doubts),
+    )
+    whole = whole + sum((doubt.covariance for doubt in doubts), start=np.zeros_like(whole))
+    result = joint_result(fit, whole, rows, degrees)
+    result = replace(result, notes=(*(doubt.words for doubt in doubts if doubt.words), *result.notes))
     given = dict(fit.summaries[0].known_servo)
     moved = {
         source.name: dict(fit.summaries[index].sources[number].known_servo)

@@ -121,7 +121,7 @@ def fit_jointly(
         live.append(prepared)
         summaries.append(summarise(prepared, own))
     _check_temperature(wish, summaries)
-    found = _merge(wish, summaries, live)
+    found = merge_runs(wish, summaries, live)
     scale_factor = _scale_factor(found)
     stale = [
         i
@@ -132,7 +132,7 @@ def fit_jointly(
         prepared_again = live[i]
         if prepared_again is not None:
             summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
-    return _merge(wish, summaries, live) if stale else found
+    return merge_runs(wish, summaries, live) if stale else found
 
 
 def _wish(
@@ -193,7 +193,7 @@ def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
         )
 
 
-def _layout(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Layout, list[tuple[str, ...]]]:
+def layout_and_columns(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Layout, list[tuple[str, ...]]]:
     """The common layout, and the shared columns of every run."""
     shared = [
         tuple(t for t in wish.terms_of(i) if t != "tan_beta" and harmonic(t) is None)
@@ -230,17 +230,17 @@ def _parts(
     local = layout.columns[: layout.local]
     parts: list[Reduction] = []
     for index, summary in enumerate(summaries):
-        chosen, known = summary.parts, _known_servo(summary, shared[index])
+        chosen, known = summary.parts, known_servo_of(summary, shared[index])
         if source is not None and index in source.moved:
             moved = summary.sources[source.moved[index]]
             chosen = moved.parts
             if segment is not None:
                 group, part = moved.segments[segment]
                 chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
-            known = _known_servo(
+            known = known_servo_of(
                 replace(summary, known_servo=moved.known_servo or summary.known_servo), shared[index]
             )
-        held = summary.choose(chosen, local, _without_phase(shared[index], known))
+        held = summary.choose(chosen, local, without_phase(shared[index], known))
         wanted = summary.columns(local, shared[index])
         if state is not None:
             held = [at_state(part, wanted, state, len(parts) + group, known) for group, part in enumerate(held)]
@@ -248,12 +248,12 @@ def _parts(
     return parts
 
 
-def _known_servo(summary: RunSummary, shared: tuple[str, ...]) -> dict[str, float]:
+def known_servo_of(summary: RunSummary, shared: tuple[str, ...]) -> dict[str, float]:
     """K times the coefficients of the servo that a run gives and that are not estimated."""
     return {name: summary.inner_scale_factor * size for name, size in summary.known_servo if name not in shared}
 
 
-def _without_phase(shared: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
+def without_phase(shared: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
     """Shared columns as summaries hold them."""
     return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns((*shared, *known))
 
@@ -268,7 +268,7 @@ def _servo_state(
     CalibrationError
         If the runs give different parameters of the servo.
     """
-    known = [_known_servo(summary, own) for summary, own in zip(summaries, shared, strict=True)]
+    known = [known_servo_of(summary, own) for summary, own in zip(summaries, shared, strict=True)]
     if not any(known) and not any(name in SERVO_TERMS for names in shared for name in names):
         return None
     for index, given in enumerate(known):
@@ -294,8 +294,17 @@ def _servo_state(
     return find_state(layout, parts, wanted, known[0])
 
 
-def _merge(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
-    layout, shared = _layout(wish, summaries)
+def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
+    """Merge summaries that hold the columns wished for, and solve.
+
+    Raises
+    ------
+    CalibrationError
+        If a summary lacks a column, or the runs give different parameters of the servo.
+    IdentifiabilityError
+        If the runs together cannot separate what is asked.
+    """
+    layout, shared = layout_and_columns(wish, summaries)
     state = _servo_state(layout, shared, summaries)
     parts = _parts(layout, shared, summaries, state)
     examination = examine_parts(layout, parts)
@@ -337,8 +346,8 @@ def _added(
         first = groups.stop
         if not summary.added:
             continue
-        known = _known_servo(summary, shared[index])
-        held = summary.columns(local, _without_phase(shared[index], known))
+        known = known_servo_of(summary, shared[index])
+        held = summary.columns(local, without_phase(shared[index], known))
         wanted = summary.columns(local, shared[index])
         jacobians = [layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
         for noise in summary.added:
@@ -409,7 +418,7 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
 
 def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
     """Changes of the coefficients (draws, n; file units) that each source makes by its standard uncertainty."""
-    layout, shared = _layout(fit.wish, fit.summaries)
+    layout, shared = layout_and_columns(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
     turns = np.array([c.name == "phi" for c in fit.coefficients])
 
@@ -430,7 +439,7 @@ def joint_degrees(fit: JointFit) -> Array:
     The variance is a sum of shares of the runs, each as well known as the noise levels of its run: the share of a run is
     the derivative of the variance by the scale of its noise. Noise that it is not weighted by is a share of its own.
     """
-    layout, shared = _layout(fit.wish, fit.summaries)
+    layout, shared = layout_and_columns(fit.wish, fit.summaries)
     now = np.diag(fit.covariance)
     known = np.zeros(now.size)
     for index, summary in enumerate(fit.summaries):

@@ -128,7 +128,7 @@ def suggest_terms(
             after = after_change(fit, per_segment, best.change, has_phases(layout, groups))
             entry |= _both_meanings(best, after, square, fit.design.scale_factor)
         found.append(entry)
-        pieces = [_with_term(piece, order, best.names) for piece in pieces]
+        pieces = [with_term(piece, order, best.names) for piece in pieces]
         order = [name for name in order if name not in best.names]
         taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
         left = [names for names in left if names != best.names and names[0] not in taken]
@@ -310,7 +310,7 @@ def _difference(coefficient: Coefficient, value: float) -> float:
     return math.remainder(change, 2.0 * math.pi) if coefficient.name == "phi" else change
 
 
-def _with_term(piece: Array, order: list[str], names: Names) -> Array:
+def with_term(piece: Array, order: list[str], names: Names) -> Array:
     """The factor with the columns of a candidate among the parameters."""
     m = piece.shape[1] - len(order) - 1
     taken = [m + order.index(name) for name in names]
@@ -337,8 +337,13 @@ def _as_dict(test: Tested, shift: tuple[float, str], alike: list[str], scale_fac
     }
 
 
-def suggestions_in_words(found: tuple[dict[str, Any], ...], *, held: bool = False) -> tuple[str, ...]:
-    """One sentence for each suggestion; ``held``: both meanings of a cube are in the budget."""
+def suggestions_in_words(
+    found: tuple[dict[str, Any], ...], *, held: bool = False, turned: bool = False
+) -> tuple[str, ...]:
+    """One sentence for each suggestion.
+
+    ``held``, ``turned``: both meanings of a cube, and what ``servo_damping`` would change, are in the budget.
+    """
     notes = []
     for entry in found:
         sizes = ", ".join(
@@ -358,6 +363,8 @@ def suggestions_in_words(found: tuple[dict[str, Any], ...], *, held: bool = Fals
             else ""
         )
         alike = f"; {', '.join(entry['alike'])} would explain nearly as much" if entry["alike"] else ""
+        if turned and entry["terms"] == ["servo_damping"]:
+            meaning += "; the uncertainties hold this shift"
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
             f"{100.0 * entry['chi2_fall']:.2g} % and move {entry['coefficient']} by {entry['largest_shift']:.2g} "

@@ -16,8 +16,8 @@ import numpy as np
 
 from piga.calibration.advice import advise, looks_wrong
 from piga.calibration.coefficients import name_coefficients
-from piga.calibration.cubic import CubicDoubt
 from piga.calibration.fit import Fit
+from piga.calibration.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.leverage import find_leverage
 from piga.calibration.missing_terms import suggest_terms, suggestions_in_words
 from piga.calibration.solution import solve
@@ -66,11 +66,11 @@ def _in_reported_uncertainties(
 
 
 def with_remarks(
-    result: Calibration, fit: Fit, remarks: Remarks, doubt: CubicDoubt | None = None
+    result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...] = ()
 ) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes.
 
-    A doubt about the meaning of a cubic signature is said by the suggestion, or in words of its own.
+    What the servo leaves is said by the suggestion of its term, or in words of its own.
     """
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
@@ -81,9 +81,14 @@ def with_remarks(
         found |= {"missing_terms": list(missing)}
     slow = "bias drift" if fit.noise.drift > 0.0 else "scatter of the segments"
     also = f"; the {slow} found may be the same effect" if fit.noise.slow > 0.0 else ""
-    suggested = tuple(words + also for words in suggestions_in_words(missing, held=doubt is not None))
-    if doubt is not None and not any("scale_factor_under" in entry for entry in missing):
-        suggested = (*suggested, doubt.words())
+    sources = [doubt.source for doubt in doubts]
+    words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
+    said = {CUBIC_SOURCE} if any("scale_factor_under" in entry for entry in missing) else set()
+    said |= {DAMPING_SOURCE} if any(entry["terms"] == ["servo_damping"] for entry in missing) else set()
+    suggested = (
+        *(sentence + also for sentence in words),
+        *(doubt.words for doubt in doubts if doubt.words and doubt.source not in said),
+    )
     cause = (*advice, *suggested) or remarks.moved
     return replace(
         result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=result.diagnostics | found

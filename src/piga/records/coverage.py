@@ -22,7 +22,7 @@ PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
 TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
 """What stands beside every uncertainty of a calibration whose budget has no source of Type B."""
-OF_THE_MODEL = ("servo ", "meaning of ")
+OF_THE_MODEL = ("servo ", "k3 ", "meaning of ")
 """Beginnings of the names of sources of Type B that are of the model: they say nothing of the reference."""
 ALMOST_KNOWN = 1e9
 """Degrees of freedom from which F(n, nu) is that of infinitely many, to every digit that is printed."""
