@@ -77,8 +77,9 @@ def slow(arguments: list[str]) -> None:
 
 
 def docs(arguments: list[str]) -> None:
-    """Build the documentation into site/; a warning is an error."""
+    """Build the documentation into site/; a warning is an error, and so is a picture with other numbers."""
     programs = environment(".venv-docs", "requirements-docs.txt")
+    call([str(programs / "python"), "-m", "builders.build_report_image"])
     call(
         [
             str(programs / "python"),
