@@ -417,6 +417,36 @@ def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
     assert np.mean(scores**2, axis=0) == pytest.approx(np.ones(3), abs=0.5)
 
 
+@pytest.mark.parametrize("terms", ['"scale_factor", "tan_beta", "k0"', '"scale_factor", "k0"'])
+def test_a_given_servo_is_a_source_of_the_plan(tmp_path, terms):
+    """An error of 2 % of the integral gain moves K by 2 % of the servo's part; without a table nothing moves it."""
+    path = request(tmp_path, terms=terms, positions="5:365:60 deg").path
+    text = path.read_text(encoding="utf-8")
+
+    def moved(own):
+        path.write_text(text.replace("[instrument]\n", f"[instrument]\n{own}"), encoding="utf-8")
+        wish = read_plan(path)
+        visits = tuple(Visit(c, 60.0) for c in find_candidates(wish))
+        found = predict(wish, "x", visits)
+        return found.type_b[[c.name for c in found.coefficients].index("scale_factor")]
+
+    table = "servo = {{ integral_gain = {{ value = 3000.0, standard = {} }}, angular_momentum = 0.1 }}\n"
+    plain, exact, known = moved(""), moved(table.format("0.0")), moved(table.format("60.0"))
+    assert exact == pytest.approx(plain, rel=1e-3, abs=1e-12)
+    part = 0.02 * 0.8884**2 * 0.1 / 6000.0 * 0.8884
+    assert 0.1 * part < np.sqrt(known**2 - plain**2) < 0.5 * part
+
+
+def test_a_plan_refuses_a_faulty_servo(tmp_path):
+    path = request(tmp_path).path
+    text = path.read_text(encoding="utf-8")
+    path.write_text(
+        text.replace("[instrument]\n", "[instrument]\nservo = { integral_gain = 3000.0 }\n"), encoding="utf-8"
+    )
+    with pytest.raises(RunFileError, match="one of pendulosity and angular_momentum"):
+        read_plan(path)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

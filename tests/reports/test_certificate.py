@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from piga.calibration.budget import with_given_servo
 from piga.errors import CalibrationError, PigaError, RunFileError
 from piga.records.certificate_file import (
     CertificateFile,
@@ -304,3 +305,15 @@ def test_every_printed_page_carries_the_number(cal, tmp_path):
 
 def test_the_example_is_shipped():
     assert Path(EXAMPLE).is_file()
+
+
+def test_a_given_servo_without_an_uncertainty_is_certified(cal):
+    """``[instrument] servo`` may give it exactly; any other coefficient needs an uncertainty."""
+    exact = with_given_servo(cal, {"servo": 1.3e-7}, {})
+    assert exact["servo"].std == 0.0
+    assert missing_items(complete(), exact) == []
+    assert "12.5021 given µg/g³ – – –" in plain(certificate_html(complete(), exact))
+    k0 = tuple(replace(c, std=0.0) if c.name == "k0" else c for c in exact.coefficients)
+    assert any(
+        "k0 has no uncertainty" in item for item in missing_items(complete(), replace(exact, coefficients=k0))
+    )

@@ -14,14 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from piga.errors import PigaError
+from piga.calibration.budget import with_given_servo
+from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient
 from piga.records.calibration_json import to_document
 from piga.records.certificate_file import ConformityTable
 from piga.records.coverage import joint_factor
 from piga.records.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.records.terms import UNITS, si_factor, unit_of
-from tests.reports.certificate_data import SCHEMAS, changed, complete
+from tests.reports.certificate_data import SCHEMAS, budgeted, changed, complete
 from tests.reports.example import calibration
 
 etree = pytest.importorskip("lxml.etree")
@@ -144,6 +145,17 @@ def test_back_to_the_bit(cal, per_segment, tmp_path):
         found = back(document(used), tmp_path)
         assert to_document(found) == to_document(used)
         assert np.array_equal(found.covariance, used.covariance)
+
+
+def test_a_given_servo_without_an_uncertainty_comes_back(cal, tmp_path):
+    exact = with_given_servo(budgeted(cal), {"servo": 1.3e-7}, {})
+    raw = document(exact)
+    again = back(raw, tmp_path)
+    assert (again["servo"].value, again["servo"].std) == (exact["servo"].value, 0.0)
+    wrong = raw.replace(b"<si:significantDigit>-23<", b"<si:significantDigit>-22<")
+    assert wrong != raw
+    with pytest.raises(DataError, match="significant digit"):
+        back(wrong, tmp_path)
 
 
 def test_conditions_are_si(cal):

@@ -69,6 +69,36 @@ def test_servo_terms_are_prescribed_to_the_quasi_steady_model_and_predicted_of_t
     assert truth["servo_damping", None] == pytest.approx(0.05 * 0.8884**2 / 3000.0)
 
 
+SERVO = (
+    "servo = { integral_gain = { value = 3000.0, standard = 0.0 }, "
+    'damping = { value = "0.05 N m s/rad", standard = "0.005 N m s/rad" }, angular_momentum = 0.1 }\n'
+)
+INSTRUMENT = "[instrument]\n"
+
+
+def test_given_servo_goes_into_the_run_file(tmp_path):
+    own = 'servo = "13 ug/g^3"\nservo_damping = "13 ug/g^3"\nk0 = "3e-4 g"'
+    path = written(tmp_path, terms=('k0 = "3e-4 g"', own), servo=(INSTRUMENT, INSTRUMENT + SERVO))
+    scenario = read_scenario(path)
+    test = run_scenario(scenario)
+    table = tomllib.loads(run_file_text(scenario, test, "run.parquet"))
+    assert table["instrument"]["servo"]["damping"]["standard"] == "0.005 N m s/rad"
+    assert table["model"]["terms"] == ["scale_factor", "tan_beta", "k0"]
+    run = saved(scenario, test, tmp_path)
+    assert {p.name: (p.value, p.standard) for p in run.servo} == {
+        "integral_gain": (3000.0, 0.0),
+        "damping": (0.05, 0.005),
+        "angular_momentum": (0.1, 0.0),
+    }
+
+
+def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
+    path = written(tmp_path, servo=(INSTRUMENT, INSTRUMENT + SERVO.replace("3000.0", "-1.0")))
+    with pytest.raises(RunFileError, match=r"integral_gain: must be positive") as refused:
+        read_scenario(path)
+    assert str(path) in str(refused.value)
+
+
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
     scenario = read_scenario(path)

@@ -8,7 +8,7 @@ averaged over four starting angles of the gimbal, a quarter turn apart, since a 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from piga.calibration.design import Design
 from piga.calibration.noise import Noise
 from piga.calibration.plan_file import PlanRequest
 from piga.calibration.request import Request
+from piga.calibration.servo import with_mean_servo
 from piga.calibration.servo_columns import ServoState
 from piga.calibration.weighting import weighted_blocks, weighting_mode
 from piga.errors import CalibrationError
@@ -129,8 +130,8 @@ def run_of(
     request: PlanRequest, t: Array, output: Array, f: Array, rate: Array, segment: NDArray[np.int32]
 ) -> Run:
     """A record of the planned instrument."""
-    e = request.scenario.electronics
-    return Run.from_arrays(
+    e, servo = request.scenario.electronics, request.table.instrument.servo
+    run = Run.from_arrays(
         t,
         output,
         f,
@@ -140,6 +141,7 @@ def run_of(
         segment=segment,
         serial=request.table.instrument.serial,
     )
+    return run if servo is None else replace(run, servo=servo.parameters())
 
 
 def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...]) -> Array:
@@ -199,6 +201,8 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
     many = (STARTS, 1)
     run = run_of(request, times, np.concatenate(outputs), np.tile(force, many), np.tile(rate, many), segment)
     design = Design(run, model_request(request), run.scale_factor)
+    if "tan_beta" not in design.request.terms:
+        return with_mean_servo(design)
     return design.with_servo(_servo_state(request, design)) if design.turning_servo else design
 
 

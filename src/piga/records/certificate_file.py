@@ -18,7 +18,7 @@ import msgspec
 
 from piga.errors import UnitError
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.terms import meaning_of, unit_of
+from piga.records.terms import SERVO_TERMS, meaning_of, unit_of
 from piga.records.toml_file import read_toml
 from piga.units import to_si
 
@@ -339,8 +339,10 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     for c in calibration.coefficients:
         if not c.degrees_of_freedom >= 1.0:
             yield f"calibration (7.8.4.1 a): too few degrees of freedom for an expanded uncertainty of {c.key}"
-    if not all(c.std > 0.0 and math.isfinite(c.std) for c in calibration.coefficients):
-        yield "calibration (7.8.4.1 a): a coefficient has no uncertainty"
+    for c in calibration.coefficients:
+        exact = c.std == 0.0 and c.name in SERVO_TERMS  # given by [instrument] servo without an uncertainty
+        if not exact and not (c.std > 0.0 and math.isfinite(c.std)):
+            yield f"calibration (7.8.4.1 a): {c.key} has no uncertainty"
     if calibration.type_a_only:
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
         return

@@ -27,7 +27,7 @@ from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration_json import calibration_from_bytes
 from piga.records.certificate_file import WORST, overall, range_sentence, title_of, validity_ranges
 from piga.records.coverage import PROBABILITY, coverage_factor, joint_factor
-from piga.records.dsi_units import dsi_unit, from_dsi, power_of_g, to_dsi
+from piga.records.dsi_units import dsi_unit, from_dsi, power_of_g, significant_digit, to_dsi
 from piga.records.terms import check_name, unit_of
 from piga.records.xml_file import read_xml
 from piga.records.xml_signature import check_profile
@@ -411,7 +411,8 @@ def _check_form(path: Path, quantity: etree._Element, c: Coefficient) -> None:
         or (Decimal(high) - Decimal(low)) / 2
     )
     digit = quantity.findtext("si:real/si:significantDigit", "", _NAMES)
-    near = {str((half * part).adjusted() - 1) for part in (1 - _DIGITS, 1, 1 + _DIGITS)}
+    value = Decimal(to_dsi(c.value, power_of_g(c.unit)))
+    near = {str(significant_digit(half * part, value)) for part in (1 - _DIGITS, 1, 1 + _DIGITS)}
     if digit not in near:
         raise _contradiction(
             path, f"{c.key} has the significant digit {digit[:20]}, its uncertainty {half:.3g}"

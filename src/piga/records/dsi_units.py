@@ -56,6 +56,11 @@ def to_dsi(value: float, power: int = 0) -> str:
     return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), _EXACT.power(G, power))))
 
 
+def significant_digit(half_width: Decimal, value: Decimal) -> int:
+    """Power of ten of the last significant digit: two digits of U; without U, for a value that was given, all digits."""
+    return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)
+
+
 def from_dsi(text: str, power: int = 0) -> float:
     """The number whose SI text this is; undoes :func:`to_dsi`.
 

@@ -228,6 +228,17 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
     scale, unit = shown_unit(c.name, c.unit)
     value, wide = c.value * scale, c.expanded * scale
     number = rounded(value, wide)
+    if c.std == 0.0:
+        return (
+            c.name,
+            meaning_of(c.name),
+            printed(number.value),
+            "given",
+            pretty_unit(unit) or "1",
+            "–",
+            "–",
+            "–",
+        )
     share = relative(value, wide)
     return (
         c.name,

@@ -17,7 +17,7 @@ from piga.records.calibration_json import calibration_to_bytes
 from piga.records.certificate_file import CertificateFile, ConditionTable, quantity_text, title_of
 from piga.records.coverage import PROBABILITY, joint_factor
 from piga.records.dcc_reader import JOINT, RECORD, label_of
-from piga.records.dsi_units import dsi_unit, power_of_g, to_dsi
+from piga.records.dsi_units import dsi_unit, power_of_g, significant_digit, to_dsi
 from piga.reports.certificate_statements import verdicts
 from piga.reports.dcc_elements import dcc, given, rich, si, software, text
 from piga.units import parse_unit
@@ -142,12 +142,12 @@ def _coefficients(title: str, calibration: Calibration, marks: dict[str, str], r
 
 def _quantity(coefficient: Coefficient, mark: str) -> etree._Element:
     power, covered = power_of_g(coefficient.unit), coefficient.coverage
-    expanded = to_dsi(covered.half_width, power)
+    expanded, value = to_dsi(covered.half_width, power), to_dsi(coefficient.value, power)
     real = [
         si("label", coefficient.key),
-        si("value", to_dsi(coefficient.value, power)),
+        si("value", value),
         si("unit", dsi_unit(coefficient.unit)),
-        si("significantDigit", str(Decimal(expanded).adjusted() - 1)),
+        si("significantDigit", str(significant_digit(Decimal(expanded), Decimal(value)))),
         _interval(coefficient, power)
         if covered.monte_carlo
         else _univariate(expanded, f"{covered.factor:.6f}"),

@@ -64,6 +64,11 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
         As :func:`read_scenario`.
     """
     try:
+        if table.instrument.servo is not None:
+            table.instrument.servo.parameters()
+    except (RunFileError, UnitError) as error:
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+    try:
         scenario = Scenario(
             path,
             table,

@@ -10,7 +10,7 @@ import msgspec
 
 from piga.earth import Site
 from piga.errors import ArgumentError
-from piga.records.run_file import Column, Columns, Quantity, Table
+from piga.records.run_file import Column, Columns, Quantity, ServoTable, Table
 from piga.stand.centrifuge import Centrifuge, rates_for_levels
 from piga.stand.composite import Composite
 from piga.stand.dividing_head import DividingHead, position_range
@@ -23,12 +23,13 @@ from piga.units import to_si
 
 
 class InstrumentTable(Table, frozen=True):
-    """``[instrument]``: as in a run file, nominal figures."""
+    """``[instrument]``: as in a run file: nominal figures, and what is known of the servo."""
 
     serial: str
     scale_factor: Quantity
     counts_per_revolution: float = 72000.0
     counter_bits: int | None = None
+    servo: ServoTable | None = None
 
 
 class ElectronicsTable(Table, frozen=True):

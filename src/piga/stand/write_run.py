@@ -12,6 +12,7 @@ import numpy as np
 
 from piga._version import __version__
 from piga.records.arrow_columns import label_column, number_column
+from piga.records.terms import SERVO_TERMS
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
 from piga.stand.truth import coefficients, imperfection_values, predictions, shares_phase
@@ -64,6 +65,8 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
             instrument["counter_bits"] = own.counter_bits
     else:
         output["unit"] = "rad" if electronics.kind == "angle" else "rad/s"
+    if own.servo is not None:
+        instrument["servo"] = given_values(msgspec.to_builtins(own.servo))
     data = {
         "file": data_file,
         "time": {"column": "t_s", "unit": "s"},
@@ -86,13 +89,22 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
 
 
 def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
-    """``[model]`` as the scenario wishes it; else every term that the truth has."""
+    """``[model]`` as the scenario wishes it; else every term that the truth has and the servo's parameters do not give."""
     model = dict(scenario.table.model)
     if "terms" not in model:
-        names = [value.name for value in coefficients(test) if value.name not in ("phi", "k1")]
+        known = _known_servo(scenario)
+        names = [value.name for value in coefficients(test) if value.name not in ("phi", "k1", *known)]
         model["terms"] = names
     model.setdefault("phase", "shared" if shares_phase(test) else "per-segment")
     return model
+
+
+def _known_servo(scenario: Scenario) -> tuple[str, ...]:
+    """Terms that ``[instrument] servo`` gives."""
+    servo = scenario.table.instrument.servo
+    if servo is None:
+        return ()
+    return SERVO_TERMS if servo.damping is not None else SERVO_TERMS[:1]
 
 
 def _stand(scenario: Scenario) -> dict[str, Any]:
