@@ -121,3 +121,21 @@ def test_choices_of_a_stretch():
     assert min(half.choices(first=False), key=half.cost) == (0, 1)
     assert min(ends.choices(first=False), key=ends.cost) == (1, 1)
     assert few.choices(first=True) == [(1, 1)]
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize(("position", "count"), [(3, 2), (3, 7), (7, 7)])
+def test_the_note_of_a_slip_near_the_end_of_a_segment_says_so(position, count, angle):
+    """Nothing follows the last position, where a slip is as good as wrong readings."""
+    slipped = angle.copy()
+    slipped[position, -count:] += 0.3
+    slipped[position + 1 :] += 0.3
+    found = piga.calibrate(BENCH.run(slipped), TERMS)
+    (event,) = [event for event in found.quality.events if event.kind == "outlier-spike"]
+    assert event.count == count
+    assert ("slip of the counter" in event.detail) == (position < 7)
+    assert (f"{count} from t = " in event.detail) == (position < 7)
+    inner = angle.copy()
+    inner[3, 100:103] += 0.3
+    (event,) = piga.calibrate(BENCH.run(inner), TERMS).quality.events
+    assert "slip" not in event.detail

@@ -97,10 +97,10 @@ def leave_out(
     one_sided: dict[int, str] = {}
     if design is not None and noise is not None and count_flags(flags, 2):
         one_sided = settle_jumps(cleaned, run.begins, wrong, flags, design, noise)
-    found, counts = _findings(run, flags, wrong)
+    found, counts, before_gap = _findings(run, flags, wrong)
     quality = run.quality
     count = count_flags(flags, 1)
-    events = _events(found, counts, {int(run.row[at]): words for at, words in one_sided.items()})
+    events = _events(found, counts, {int(run.row[at]): words for at, words in one_sided.items()}, before_gap)
     quality = replace(
         quality, used=quality.used - count, masked=quality.masked + count, events=(*quality.events, *events)
     )
@@ -321,9 +321,15 @@ def _corrections(run: Run, misses: Misses, flags: Flags) -> Array:
     return wrong
 
 
-def _findings(run: Run, flags: Flags, wrong: Array) -> tuple[tuple[Outlier, ...], dict[str, int]]:
-    """Runs of bad samples and jumps, in order of time, at most LISTED; numbers of jumps and of samples of each kind."""
+def _findings(
+    run: Run, flags: Flags, wrong: Array
+) -> tuple[tuple[Outlier, ...], dict[str, int], tuple[Outlier, ...]]:
+    """Runs of bad samples and jumps, in order of time, at most LISTED; numbers of jumps and of samples of each kind.
+
+    Last those of the runs behind which a gap follows and more readings: a slip of the counter looks the same.
+    """
     found: list[Outlier] = []
+    before_gap: list[Outlier] = []
     counts: dict[str, int] = {}
     for start, stop in _runs(flags):
         kind, size = _judge(run, flags, wrong, start, stop)
@@ -333,7 +339,9 @@ def _findings(run: Run, flags: Flags, wrong: Array) -> tuple[tuple[Outlier, ...]
         if len(found) < LISTED:
             samples = 0 if kind == "jump" else stop - start
             found.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
-    return tuple(found), counts
+            if kind == "spike" and stop < flags.size and run.begins[stop]:
+                before_gap.append(found[-1])
+    return tuple(found), counts, tuple(before_gap)
 
 
 def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple[str, float]:
@@ -373,8 +381,17 @@ def _before(wrong: Array, flags: Flags, at: int) -> float:
     return float(wrong[max(0, at - 1000) + good[-1]]) if good.size else 0.0
 
 
-def _events(found: tuple[Outlier, ...], counts: dict[str, int], one_sided: dict[int, str]) -> list[Event]:
-    """What was found by kind; ``one_sided`` says of jumps, by file row, which readings alone they were taken off."""
+def _events(
+    found: tuple[Outlier, ...],
+    counts: dict[str, int],
+    one_sided: dict[int, str],
+    before_gap: tuple[Outlier, ...],
+) -> list[Event]:
+    """What was found by kind.
+
+    ``one_sided`` says of jumps, by file row, which readings alone they were taken off; ``before_gap`` are spikes that a gap
+    follows.
+    """
     words = {
         "spike": "samples off the path of the output are left out",
         "stuck": "samples during which the output stood still are left out",
@@ -393,5 +410,20 @@ def _events(found: tuple[Outlier, ...], counts: dict[str, int], one_sided: dict[
         if those:
             times = ", ".join(f"{outlier.time:.6g}" for outlier in those[:SHOWN])
             more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[:SHOWN]) else ""
-            events.append(Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {text}"))
+            also = _perhaps_a_slip(before_gap) if kind == "spike" else ""
+            events.append(
+                Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {text}{also}")
+            )
     return events
+
+
+def _perhaps_a_slip(before_gap: tuple[Outlier, ...]) -> str:
+    """What is said of spikes that a gap follows."""
+    if not before_gap:
+        return ""
+    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in before_gap[:SHOWN])
+    more = " and more" if len(before_gap) > SHOWN else ""
+    return (
+        f". The last readings before a gap ({listed}{more}) are too few to tell wrong readings from a slip of the counter. "
+        "A slip stays: the phase of what follows is then another, and phase = 'per-segment' shows it"
+    )
