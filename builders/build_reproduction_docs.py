@@ -16,8 +16,6 @@ from piga.reports.static import write_figure
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = "figures/reproduction"
-LONG = 1500
-"""Letters of a path from which on it is a curve."""
 
 
 def escaped(text: str) -> str:
@@ -102,24 +100,6 @@ def errata_page(found: Reproduction) -> list[str]:
     return [*head("Errata of the publications", text), *chapter_lines(chapter), *sources()]
 
 
-def shortened(attribute: re.Match[str]) -> str:
-    """Long curves to a tenth of a point; markers and letters, whose shape would suffer, to a hundredth."""
-    keep = 1 if len(attribute.group(0)) > LONG else 2
-    return re.sub(rf"(\.\d{{{keep}}})\d+", r"\1", attribute.group(0))
-
-
-def write_compact(figure: Figure, path: Path) -> None:
-    """SVG with short coordinates, without line breaks in paths."""
-    write_figure(figure, path)
-    text = path.read_text(encoding="utf-8")
-    text = re.sub(r' (?:d|x|y)="[^"]*"', shortened, text)
-    text = re.sub(r"\s*\n(?=[MLCQz\"])", "", text)
-    text = re.sub(r"\n\s+<", "\n<", text).replace("DejaVuSans-Bold-", "b").replace("DejaVuSans-", "f")
-    text = re.sub(r"<!--.*?-->\n?", "", text, flags=re.DOTALL)
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    path.write_text(text, encoding="utf-8", newline="\n")
-
-
 def main() -> None:
     found = reproduce()
     folder = DOCS / FIGURES
@@ -127,7 +107,7 @@ def main() -> None:
     for old in folder.glob("*.svg"):
         old.unlink()
     for figure in found.figures:
-        write_compact(figure, folder / f"{figure.key}.svg")
+        write_figure(figure, folder / f"{figure.key}.svg")
     for name, lines in (("reproduction.md", reproduction_page(found)), ("errata.md", errata_page(found))):
         (DOCS / name).write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8", newline="\n")
     size = sum(path.stat().st_size for path in folder.glob("*.svg"))

@@ -152,7 +152,9 @@ def test_figures_work_without_scripts_and_are_named_for_screen_readers():
     holder = text[text.index('<figure id="curve"') : text.index("</figure>")]
     assert "<svg" in holder
     assert holder.index("<figcaption>") < holder.index("<svg")
-    assert re.search(r'class="static" role="img" aria-label="Title plain', holder)
+    assert re.search(r'<svg [^>]*role="img" aria-labelledby="curve-title curve-desc"', holder)
+    assert re.search(r'<title id="curve-title">Title plain', holder)
+    assert '<desc id="curve-desc">angle [rad] against time [s]: plain' in holder
 
 
 def test_tables_have_scoped_headings_and_scroll_in_their_own_box():

@@ -1,6 +1,5 @@
 import json
 import math
-import re
 import sys
 from xml.etree import ElementTree as ET
 
@@ -10,9 +9,10 @@ import pytest
 from piga.errors import ArgumentError, PigaError
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.interactive import figure_spec
-from piga.reports.page import json_island
-from piga.reports.palette import LIGHT, css_names
-from piga.reports.static import figure_svg, series_key, write_figure
+from piga.reports.page import FigureBlock, Page, Section, json_island, page_html
+from piga.reports.palette import LIGHT
+from piga.reports.scene import POINT, figure_scene, series_key
+from piga.reports.static import figure_svg, write_figure
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -81,24 +81,6 @@ def test_text_for_plotly_holds_no_markup_of_the_data():
     assert "error &lt;b&gt;" in names
 
 
-def test_static_output_is_deterministic_and_leaves_no_global_style():
-    import matplotlib as mpl
-
-    before = dict(mpl.rcParams)
-    assert figure_svg(every_mark()) == figure_svg(every_mark())
-    assert dict(mpl.rcParams) == before
-
-
-def test_static_colours_follow_the_theme_and_ids_are_the_figures_own():
-    svg = figure_svg(every_mark())
-    assert not [colour for colour in css_names() if colour in svg]
-    assert "var(--role-model)" in svg
-    assert all(name.startswith("marks-") for name in re.findall(r'\bid="([^"]+)"', svg))
-    targets = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg))
-    assert targets <= set(re.findall(r'\bid="([^"]+)"', svg))
-    assert "<style" not in svg
-
-
 def test_palette_tells_before_from_after_in_grey_print():
     def grey(colour):
         red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
@@ -115,10 +97,42 @@ def test_figure_files_are_written_and_repeat(tmp_path, ending):
     assert len(first) > 5000
 
 
-def test_missing_matplotlib_is_one_clear_message(monkeypatch):
+def test_pictures_leave_no_global_style(tmp_path):
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    write_figure(every_mark(), tmp_path / "a.png", dpi=50)
+    assert dict(mpl.rcParams) == before
+
+
+def test_a_picture_shows_what_the_svg_shows(tmp_path):
+    """Pixels of a PNG have the colours of the scene at its places, the right way up."""
+    from matplotlib.image import imread
+
+    bars = Series(np.arange(4.0), np.array([1.0, 2.0, 3.0, 4.0]), mark="bars", role="before")
+    figure = Figure("bars", "Bars.", (Panel(Axis("number", "1"), Axis("size", "1"), (bars,)),))
+    picture = imread(write_figure(figure, tmp_path / "a.png", dpi=144))
+    scene = figure_scene(figure, 7.2 / POINT)
+    assert picture.shape[:2] == pytest.approx((2 * scene.height, 2 * scene.width), abs=1.0)
+    (shape,) = next(group.shapes for group in scene.groups if group.key == "bars-p0-s0")
+    colour = [int(LIGHT["before"][i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    for outline in shape.paths:
+        (x, y), top = outline.mean(axis=0), outline[:, 1].min()
+        assert picture[round(2 * y), round(2 * x), :3] == pytest.approx(colour, abs=0.01)
+        assert picture[round(2 * top) + 3, round(2 * x), :3] == pytest.approx(colour, abs=0.01)
+        assert picture[round(2 * top) - 3, round(2 * x), :3] != pytest.approx(colour, abs=0.3)
+
+
+def test_only_pictures_need_matplotlib(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PigaError, match=r"piga\[report\]"):
-        figure_svg(every_mark())
+    for ending in ("png", "pdf"):
+        with pytest.raises(PigaError, match="need Matplotlib") as caught:
+            write_figure(every_mark(), tmp_path / f"a.{ending}")
+        assert "piga[report]" in (caught.value.remedy or "")
+        assert not (tmp_path / f"a.{ending}").exists()
+    assert write_figure(every_mark(), tmp_path / "a.svg").exists()
+    page = Page("Marks", sections=(Section("Marks", "part", (FigureBlock(every_mark()),)),))
+    assert "<svg" in page_html(page)
 
 
 def test_other_file_types_are_refused(tmp_path):

@@ -66,7 +66,7 @@ def test_axes_have_quantity_and_unit():
             assert panel.y.unit
 
 
-@pytest.mark.parametrize(("days", "step", "form"), [(9, 150, r"20\d\d"), (4, 20, r"2020-\d\d(-\d\d)?")])
+@pytest.mark.parametrize(("days", "step", "form"), [(9, 150, r"20\d\d-0[17]"), (4, 20, r"2020-\d\d(-\d\d)?")])
 def test_time_is_shown_as_dates(days, step, form):
     """Every tick is a whole date; points lie at the days of their records, under the pointer, too."""
     found = instrument(days=days, step=step)

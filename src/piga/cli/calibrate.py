@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, report_available, say
+from piga.cli.common import files_named_in, print_json, progress, say
 from piga.cli.options import ForceOption, JsonOption
 from piga.output import results
 
@@ -155,10 +155,7 @@ def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path
 
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> list[Path]:
-    """Write the results; says so when the report extra is not installed.
-
-    A calibration of summaries alone has no residuals to write.
-    """
+    """Write the results. A calibration of summaries alone has no residuals to write."""
     from concurrent.futures import ThreadPoolExecutor
 
     from piga.records.residuals_parquet import write_residuals
@@ -170,7 +167,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
         if calibration.residuals is not None:
             written.append(directory / "residuals.parquet")
             job = beside.submit(write_residuals, calibration, written[-1])
-        if report and report_available():
+        if report:
             from piga.reports.calibration import write_calibration_report
 
             written.append(directory / "report.html")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, report_available, say, write_by_rename
+from piga.cli.common import files_named_in, print_json, progress, say, write_by_rename
 from piga.cli.options import ForceOption, JsonOption, RunFileArgument
 from piga.errors import PigaError
 from piga.output import check_outputs, results
@@ -45,7 +45,7 @@ def check(
         _print_check(run, record, document)
     if fix_suggestions and not as_json:
         _print_suggestions(suggestions.from_run(record))
-    if out is not None and report_available():
+    if out is not None:
         from piga.reports.check import write_check
 
         with results(out, "check", ("check.html",), files_named_in(run), force=force) as folder:

@@ -142,16 +142,6 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
-def report_available() -> bool:
-    """True when the report extra is installed; otherwise a note says how to get it."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None:
-        note("piga: no report.html: figures need the extra 'report' (pip install 'piga[report]')")
-        return False
-    return True
-
-
 class Advance(Protocol):
     """Tells a progress bar how much was done since the last call, and how much there is, where that is known."""
 

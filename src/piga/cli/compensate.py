@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import files_named_in, note, print_json, progress, report_available, say, write_by_rename
+from piga.cli.common import files_named_in, note, print_json, progress, say, write_by_rename
 from piga.cli.options import ForceOption
 from piga.errors import ArgumentError
 from piga.output import check_outputs
@@ -151,14 +151,14 @@ def _refuse(live: bool, **options: object) -> None:
 
 
 def _page(report: Path | None, resume: bool) -> Path | None:
-    """Where the page goes; None when none is wanted or the report extra is not installed."""
+    """Where the page goes; None when none is wanted."""
     if report is None:
         return None
     if resume:
         raise ArgumentError("--report does not go with --resume", remedy="leave one of them out")
     if report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
-    return report if report_available() else None
+    return report
 
 
 def _is_triad(path: Path) -> bool:

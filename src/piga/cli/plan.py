@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, report_available, say, write_text
+from piga.cli.common import files_named_in, print_json, progress, say, write_text
 from piga.cli.options import ForceOption, JsonOption
 from piga.output import results
 
@@ -48,9 +48,8 @@ def plan(
             write_text(stage / "scenario.toml", scenario_text(found)),
             write_text(stage / "plan.json", text),
         ]
-        if report_available():
-            written.append(stage / "report.html")
-            write_plan_report(found, mounting, written[-1])
+        written.append(stage / "report.html")
+        write_plan_report(found, mounting, written[-1])
     if as_json:
         print_json(document)
         return

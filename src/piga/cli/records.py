@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import output_directory, print_json, progress, report_available, say
+from piga.cli.common import output_directory, print_json, progress, say
 from piga.cli.groups import Group
 from piga.cli.options import JsonOption, RunFileArgument
 from piga.cli.records_output import (
@@ -98,7 +98,7 @@ def add(
         else:
             prepared = prepare_run(
                 run, operator, reason, terms=wanted, method=method, phase=phase, phase_source=phase_source,
-                measured=measured, supersedes=supersedes, report=report and report_available(),
+                measured=measured, supersedes=supersedes, report=report,
             )  # fmt: skip
     with opened(store, create=True) as kept:
         print_added(kept, prepared.keep(kept), as_json=as_json)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import print_json, progress, say
+from piga.cli.common import note, print_json, progress, say
 from piga.cli.options import ForceOption
 from piga.output import results
 
@@ -52,9 +52,7 @@ def reproduce(
         with results(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force) as folder:
             _write(found, folder)
         if not json:
-            say(
-                f"wrote {out}/reproduction.html and {len(found.figures)} figures (SVG, PNG) in {out / 'figures'}"
-            )
+            say(f"wrote {out}/reproduction.html and {len(found.figures)} figures in {out / 'figures'}")
     if found.failed:
         raise typer.Exit(1)
 
@@ -71,6 +69,8 @@ def _print_table(found: Reproduction) -> None:
 
 
 def _write(found: Reproduction, folder: Path) -> None:
+    from importlib.util import find_spec
+
     from piga.reports.page import write_page
     from piga.reports.reproduction.page import reproduction_page
     from piga.reports.static import write_figure
@@ -78,8 +78,11 @@ def _write(found: Reproduction, folder: Path) -> None:
     pictures = folder / "figures"
     pictures.mkdir()
     write_page(reproduction_page(found), folder / "reproduction.html")
+    kinds = ("svg", "png") if find_spec("matplotlib") else ("svg",)
+    if "png" not in kinds:
+        note("piga: no PNG figures: they need the extra 'report' (pip install 'piga[report]')")
     with progress("drawing", len(found.figures)) as advance:
         for figure in found.figures:
-            for kind in ("svg", "png"):
+            for kind in kinds:
                 write_figure(figure, pictures / f"{figure.key}.{kind}")
             advance(1)

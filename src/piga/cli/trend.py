@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import print_json, progress, report_available, say, write_text
+from piga.cli.common import print_json, progress, say, write_text
 from piga.cli.options import ForceOption, JsonOption
 from piga.errors import PigaError
 from piga.output import is_staged, results
@@ -85,17 +85,14 @@ def trend(
 
 
 def _written(out: Path, inputs: list[Path], found: Trend, date: dt.datetime, force: bool) -> list[Path]:
-    """trend.json, and trend.html where the report extra is installed."""
-    from piga.reports.trend import trend_document
+    """trend.json and trend.html."""
+    from piga.reports.trend import trend_document, write_trend_report
 
     text = json.dumps(trend_document(found, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
         paths = [write_text(folder / "trend.json", text)]
-        if report_available():
-            from piga.reports.trend import write_trend_report
-
-            paths.append(folder / "trend.html")
-            write_trend_report(found, paths[-1], at=date)
+        paths.append(folder / "trend.html")
+        write_trend_report(found, paths[-1], at=date)
     return [out / path.name for path in paths]
 
 

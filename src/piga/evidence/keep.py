@@ -78,7 +78,7 @@ def prepare_run(
     supersedes:
         Name of the record that this one amends.
     report:
-        Make the report too (it needs the extra ``report``).
+        Make the report too.
 
     Raises
     ------
@@ -160,12 +160,8 @@ def _request(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _report(calibration: Calibration, draft: Draft) -> str | None:
+def _report(calibration: Calibration, draft: Draft) -> str:
     """The report with blanks for what is known only when the record gets its place."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None:
-        return None
     from piga.reports.calibration import calibration_page
     from piga.reports.calibration_tables import facts_table
     from piga.reports.page import Section, Text, page_html

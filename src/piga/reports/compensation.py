@@ -14,7 +14,6 @@ from piga.compensation.flags import FLAGS, MEANING
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
 from piga.records.terms import shown_unit, si_factor
-from piga.reports.apart import write_page_apart
 from piga.reports.calibration_tables import judgement
 from piga.reports.compensation_errors import error_figures
 from piga.reports.compensation_figures import (
@@ -38,6 +37,7 @@ from piga.reports.page import (
     Text,
     Tile,
     Tone,
+    write_page,
 )
 
 
@@ -75,7 +75,7 @@ def write_compensation_report(
     whole: tuple[Run, Compensated] | None = None,
 ) -> Path:
     """Write the page as one HTML file that opens offline; ``whole`` adds the error against the reference."""
-    return write_page_apart(compensation_page(found, facts, whole), path)
+    return write_page(compensation_page(found, facts, whole), path)
 
 
 def compensation_page(

@@ -11,7 +11,6 @@ from pathlib import Path
 from piga._version import __version__
 from piga.compensation import Mounted
 from piga.compensation.flags import MEANING
-from piga.reports.apart import write_page_apart
 from piga.reports.calibration_tables import judgement
 from piga.reports.compensation import coefficient_words
 from piga.reports.compensation_figures import MICRO_G, flag_figure
@@ -31,6 +30,7 @@ from piga.reports.page import (
     Text,
     Tile,
     Tone,
+    write_page,
 )
 
 
@@ -45,7 +45,7 @@ class SetFacts:
 
 def write_set_report(found: SetOutline, facts: SetFacts, path: Path) -> Path:
     """Write the page as one HTML file that opens offline."""
-    return write_page_apart(set_page(found, facts), path)
+    return write_page(set_page(found, facts), path)
 
 
 def set_page(found: SetOutline, facts: SetFacts) -> Page:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from piga.reports.decimate import envelope_rows
 from piga.reports.figure import Axis, Figure, Panel, Series
 from piga.reports.palette import GRID, INK, LIGHT, SOFT
-from piga.reports.static import rows_and_columns, series_key, shares_x
+from piga.reports.scene import rows_and_columns, series_key, shares_x
 
 _PIXELS_PER_INCH = 96
 _GAP_X, _GAP_Y, _GAP_TITLED = 0.11, 0.11, 0.22
@@ -24,7 +24,7 @@ _DAY = 86.4e6
 def figure_spec(figure: Figure) -> dict[str, Any]:
     """The figure as a plotly.js document: ``data``, ``layout`` and ``narrow`` (layout changes for a phone).
 
-    The traces carry the names of :func:`piga.reports.static.series_key` as ``uid``. Numbers keep six
+    The traces carry the names of :func:`piga.reports.scene.series_key` as ``uid``. Numbers keep six
     significant digits of their own spread; the values shown under the pointer carry their units.
     """
     traces, layout, shown = [], _layout(figure), set()

@@ -144,9 +144,14 @@ def relative(value: float, uncertainty: float) -> str:
 
 def printed(number: str) -> str:
     """A number as it is printed: ``3.5876(12)e-4`` becomes ``3.5876(12) × 10⁻⁴``, with a true minus sign."""
-    mantissa, mark, power = number.partition("e")
+    mantissa, mark, exponent = number.partition("e")
     text = mantissa.replace("-", "−")
-    return f"{text} × 10{power.translate(_SUPERSCRIPT)}" if mark and power.lstrip("-").isdigit() else text
+    return f"{text} × {power(exponent)}" if mark and exponent.lstrip("-").isdigit() else text
+
+
+def power(exponent: int | str) -> str:
+    """A power of ten as it is printed, e.g. ``10⁻⁴``."""
+    return f"10{str(exponent).translate(_SUPERSCRIPT)}"
 
 
 def pretty_unit(unit: str) -> str:

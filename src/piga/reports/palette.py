@@ -51,6 +51,19 @@ def css_names() -> dict[str, str]:
     return names | {colour: f"--role-{role}" for role, colour in LIGHT.items()}
 
 
+def light_colour(name: str) -> str:
+    """Colour on white paper by its name: ``ink``, ``soft``, ``grid`` or ``role-`` and a role."""
+    return _LIGHT_BY_NAME[name]
+
+
+def css_variable(name: str) -> str:
+    """The same as a variable of a page, which follows its theme."""
+    return f"var(--{name})"
+
+
+_LIGHT_BY_NAME = {name.removeprefix("--"): colour for colour, name in css_names().items()}
+
+
 def css_variables(*, dark: bool) -> str:
     """Declarations of all colours, for the light or the dark theme of a page."""
     chrome = {f"--{name}": pair[dark] for name, pair in _CHROME.items()}
