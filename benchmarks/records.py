@@ -32,8 +32,9 @@ from pathlib import Path
 from piga.cli.main import main
 try:
     main()
-except SystemExit:
-    pass
+except SystemExit as done:
+    if done.code:
+        raise
 peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
 print(peak.split()[1], file=sys.stderr)
 """

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +15,7 @@ from piga.compensation import parts, set_files
 from piga.compensation.rate_angle import RateAngle, integrated_rate
 from piga.compensation.resample import Resampler
 from piga.compensation.triad_file import orthogonal_triad
+from tests.output.kills import kills
 
 from .test_command import CAL, KERNEL, command, small_chunks, write
 from .twin_data import calibration_of
@@ -140,27 +137,24 @@ def test_a_stop_while_parts_are_deleted_does_not_matter(tmp_path, monkeypatch, c
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kill -9 is POSIX")
 def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
-    run = write(tmp_path, rows=200_000)
-    script = (
-        "import sys\nfrom piga.compensation import parts\n"
-        "from piga.cli.main import main\nfrom piga.records import spool\n"
-        "parts.PART_ROWS = 20_000\nspool.BLOCK = 5000\n"
-        f"sys.argv = ['piga', 'compensate', {str(run)!r}, '--calibration', {str(tmp_path / 'run.json')!r}, '--out',"
-        " *sys.argv[1:]]\nmain()\n"
+    run, out = write(tmp_path, rows=200_000), tmp_path / "o.parquet"
+    small = (
+        "from piga.compensation import parts; from piga.records import spool; "
+        "parts.PART_ROWS = 20_000; spool.BLOCK = 5000"
     )
-    words = [sys.executable, "-c", script]
-    started = time.monotonic()
-    subprocess.run([*words, str(tmp_path / "whole.parquet")], check=True)
-    usual = time.monotonic() - started
-    rng = np.random.default_rng(1)
-    for _ in range(12):
-        child = subprocess.Popen([*words, str(tmp_path / "o.parquet"), "--resume", "--force"])
-        time.sleep(usual * rng.uniform(0.3, 1.1))
-        os.kill(child.pid, signal.SIGKILL)
-        child.wait()
-    subprocess.run([*words, str(tmp_path / "o.parquet"), "--resume", "--force"], check=True)
-    assert (tmp_path / "o.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
+    words = ["compensate", str(run), "--calibration", str(tmp_path / "run.json"), "--out", str(out)]
+    whole, killed, resumed = None, 0, 0
+    for fate in kills(50, [*words, "--resume", "--force"], small):
+        whole = whole or out.read_bytes()
+        assert out.read_bytes() == whole
+        killed += fate == "killed"
+        resumed += bool(list(tmp_path.glob(".o*")))
+    assert killed > 25
+    assert resumed > 10
+    assert out.read_bytes() == whole
+    assert not list(tmp_path.glob(".o*"))
 
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])

@@ -16,7 +16,7 @@ import pytest
 import piga
 from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_triad
 from piga.compensation.flags import MEANING, describe
-from piga.compensation.live import compensate_arrow, compensate_lines
+from piga.compensation.live import Bounded, compensate_arrow, compensate_lines, unpacked_size
 from piga.compensation.published_set import PublishedSet
 from piga.compensation.triad_file import read_triad
 from piga.compensation.validity import age_in_days
@@ -426,6 +426,41 @@ def test_cut_and_damaged_arrow_streams(compression: str | None) -> None:
                 compensate_arrow(io.BytesIO(case), io.BytesIO(), piga.Compensator(cal))
         except piga.DataError as error:
             assert str(error).startswith("standard input: ")  # noqa: PT017 - either outcome is right
+
+
+def packed_stream(rows: int, compression: str | None = "zstd") -> bytes:
+    """One batch of columns that hold one value."""
+    table = pa.table({name: np.zeros(rows) for name in ("t", "output", "fx", "fy", "fz")})
+    sent, options = io.BytesIO(), pa.ipc.IpcWriteOptions(compression=compression)
+    with pa.ipc.new_stream(sent, table.schema, options=options) as writer:
+        writer.write_table(table)
+    return sent.getvalue()
+
+
+def test_an_arrow_batch_is_measured_before_it_is_unpacked() -> None:
+    """80 MB in a few kB: refused without being unpacked; the same without compression is taken."""
+    stream = piga.Compensator(calibration_of(CAL))
+    before = pa.total_allocated_bytes()
+    with pytest.raises(piga.DataError, match=r"a batch of [0-9]+ bytes unpacks to 160000000"):
+        compensate_arrow(io.BytesIO(packed_stream(2_000_000)), io.BytesIO(), stream)
+    assert pa.total_allocated_bytes() - before < 1 << 20
+    assert compensate_arrow(io.BytesIO(packed_stream(2000)), io.BytesIO(), stream) == 2000
+    assert compensate_arrow(io.BytesIO(packed_stream(1_000_000, None)), io.BytesIO(), stream) == 1_000_000
+
+
+def test_size_of_an_arrow_batch() -> None:
+    """Its rows as doubles, and its buffers as they will be, whatever the packing."""
+    for compression in ("zstd", "lz4", None):
+        for rows in (1, 1000):
+            reader = pa.ipc.MessageReader.open_stream(packed_stream(rows, compression))
+            reader.read_next_message()
+            message = reader.read_next_message()
+            assert unpacked_size(bytes(message.metadata), message.body) == 2 * 5 * 8 * rows
+
+
+def test_lengths_that_are_damage_cost_no_memory() -> None:
+    with pytest.raises(OSError, match="more than 2048 MiB"):
+        Bounded(io.BytesIO()).read(1 << 40)
 
 
 def test_arrow_columns_that_hold_no_numbers() -> None:

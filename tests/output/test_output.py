@@ -18,6 +18,7 @@ from piga.output import check_outputs, results, settle
 from piga.records.toml_file import files_named_in
 from tests.compensation.test_command import command as compensate
 from tests.compensation.test_command import write
+from tests.output.kills import kills
 from tests.records.test_one_reader import command
 
 Capture = pytest.CaptureFixture[str]
@@ -246,35 +247,41 @@ def test_many_kills_in_a_folder(tmp_path: Path) -> None:
     killed_at_random(tmp_path, 50)
 
 
-COMMAND = "import sys; from piga.cli.main import main; sys.argv = ['piga', *sys.argv[1:]]; main()"
-SCENARIO = Path(__file__).parents[2] / "examples" / "dividing-head.toml"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENARIO = EXAMPLES / "dividing-head.toml"
 
 
 @pytest.mark.slow
 @pytest.mark.only_compiled
-@pytest.mark.parametrize("name", ["simulate", "calibrate", "demo"])
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kill -9 is POSIX")
+@pytest.mark.parametrize("name", ["simulate", "calibrate", "platform", "demo"])
 def test_many_kills_of_a_command(tmp_path: Path, name: str) -> None:
     """Fifty kills each; the folder holds the files of one run, by their times, and a last run leaves nothing hidden."""
     out = tmp_path / "out"
-    subprocess.run([sys.executable, "-c", COMMAND, "demo", "--out", str(tmp_path / "demo")], check=True)
     more: dict[str, list[str]] = {
-        "simulate": [str(SCENARIO)], "calibrate": [str(tmp_path / "demo" / "tumble-a.toml")], "demo": [],
-    }  # fmt: skip
-    words = [sys.executable, "-c", COMMAND, name, *more[name], "--out", str(out), "--force"]
-    started = time.monotonic()
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
-    usual, first = time.monotonic() - started, sorted(held_names(out))
-    rng = np.random.default_rng(2)
-    for _ in range(50):
-        child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        time.sleep(usual * rng.uniform(0.5, 1.1))
-        os.kill(child.pid, signal.SIGKILL)
-        child.wait()
-        settle(out)
-        mark = output.json.loads((out / output._mark_name(name)).read_text())
-        assert {path: output._state(out / path) for path in mark["files"]} == mark["files"]
-        assert held_names(out) == first
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+        "simulate": ["simulate", str(SCENARIO)],
+        "calibrate": ["calibrate", str(tmp_path / "demo" / "tumble-a.toml")],
+        "platform": ["platform", "simulate", str(EXAMPLES / "platform-published.toml")],
+        "demo": ["demo"],
+    }
+    if name == "calibrate":
+        words = [sys.executable, "-m", "piga", "demo", "--out", str(tmp_path / "demo")]
+        subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    words = [*more[name], "--out", str(out), "--force"]
+    first: list[str] = []
+    states, killed = set(), 0
+    for fate in kills(50, words):
+        killed += fate == "killed"
+        if out.exists():
+            settle(out)
+            (mark,) = out.glob(".piga-results-*.json")
+            files = output.json.loads(mark.read_text())["files"]
+            assert {path: output._state(out / path) for path in files} == files
+            first = first or held_names(out)
+            assert held_names(out) == first
+            states.add(str(files))
+    assert killed > 25
+    assert states
     assert not list(tmp_path.glob(".*")) + list(out.glob(".piga-stage*"))
 
 

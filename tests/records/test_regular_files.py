@@ -163,3 +163,21 @@ def test_labels_of_parquet_in_their_order(tmp_path: Path) -> None:
         run = piga.read_run(write_run(tmp_path, "run.parquet", data='segment = "seg"'))
         assert run.labels == ("b", "a", "c")
         assert np.bincount(run.segment).tolist() == [20, 10, 10]
+
+
+def test_labels_come_from_the_file_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another file under the name, put there after the check, is not read."""
+    path, other = tmp_path / "a.parquet", tmp_path / "b.parquet"
+    parquet.write_table(pa.table({"s": ["first"]}), path)
+    parquet.write_table(pa.table({"s": ["second"]}), other)
+    opened = []
+
+    def swapped(name: Path, *words: object, **more: object) -> object:
+        stream = open_regular(name, *words, **more)  # type: ignore[arg-type]
+        opened.append(name)
+        other.replace(name)
+        return stream
+
+    monkeypatch.setattr("piga.records.parquet_reader.open_regular", swapped)
+    assert read_labels(path, (), "s").labels["s"][1] == ("first",)
+    assert opened == [path]

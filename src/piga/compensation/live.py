@@ -6,8 +6,10 @@ Columns are in SI and named ``t, output, fx, fy, fz`` and, if there are, ``wx, w
 
 from __future__ import annotations
 
+import io
 import math
 import re
+import struct
 from collections.abc import Iterator, Mapping
 from typing import IO, Any
 
@@ -19,7 +21,7 @@ from piga.compensation.result import Compensated
 from piga.compensation.writers import schema_of
 from piga.errors import ArgumentError, DataError
 from piga.records.arrow_columns import number_column
-from piga.records.limits import first_line
+from piga.records.limits import FREE_UNPACKED, MAX_RATIO, MAX_UNPACKED, first_line
 from piga.records.stream import numbers_of
 
 FORCE = ("fx", "fy", "fz")
@@ -132,16 +134,20 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
     import pyarrow as pa
 
     try:
-        with pa.ipc.open_stream(source) as reader:
-            _check_names(reader.schema.names)
-            for field in reader.schema:
-                if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-                    raise DataError(
-                        f"standard input: column '{field.name}' holds {str(field.type)[:60]}, not numbers",
-                        remedy="send doubles or integers",
-                    )
-            while (batch := _next(reader)) is not None:
-                yield batch
+        reader = pa.ipc.MessageReader.open_stream(Bounded(source))
+        first = _message(reader)
+        if first is None:
+            raise EOFError("it is empty")
+        schema = pa.ipc.read_schema(first)
+        _check_names(schema.names)
+        for field in schema:
+            if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+                raise DataError(
+                    f"standard input: column '{field.name}' holds {str(field.type)[:60]}, not numbers",
+                    remedy="send doubles or integers",
+                )
+        while (batch := _next(reader, schema)) is not None:
+            yield batch
     except (pa.ArrowException, OSError, EOFError, ValueError, MemoryError) as error:
         raise DataError(
             f"standard input: no Arrow stream, or one that is cut off or damaged ({first_line(error)[:200]})",
@@ -149,14 +155,103 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
         ) from None
 
 
-def _next(reader: Any) -> Any:
-    """The next batch, its buffers checked against its lengths; None at the end of the stream."""
-    try:
-        batch = reader.read_next_batch()
-    except StopIteration:
+def _next(reader: Any, schema: Any) -> Any:
+    """The next batch, its size known before it is unpacked, its buffers checked; None at the end of the stream."""
+    import pyarrow as pa
+
+    message = _message(reader)
+    if message is None:
         return None
+    if message.type != "record batch":
+        raise ValueError(f"a {message.type} among the batches")
+    packed = 0 if message.body is None else message.body.size
+    unpacked = unpacked_size(bytes(message.metadata), b"" if message.body is None else message.body)
+    if unpacked > MAX_UNPACKED or (unpacked > FREE_UNPACKED and unpacked > MAX_RATIO * packed):
+        raise DataError(
+            f"standard input: a batch of {packed} bytes unpacks to {unpacked}",
+            remedy="send smaller batches, without compression",
+        )
+    batch = pa.ipc.read_record_batch(message, schema)
     batch.validate(full=True)
     return batch
+
+
+def _message(reader: Any) -> Any:
+    """The next message; None at the end of the stream."""
+    try:
+        return reader.read_next_message()
+    except StopIteration:
+        return None
+
+
+class Bounded(io.RawIOBase):
+    """A source that is not asked for more at once than a batch may have: a length that is damage costs no memory."""
+
+    def __init__(self, source: IO[bytes]) -> None:
+        self._source = source
+
+    def readable(self) -> bool:
+        """True: Arrow asks."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """Bytes of the source; OSError for more than a batch may have."""
+        if not 0 <= size <= MAX_UNPACKED:
+            raise OSError(f"a message of {size} bytes, more than {MAX_UNPACKED >> 20} MiB")
+        return self._source.read(size)
+
+
+def unpacked_size(metadata: bytes, body: Any) -> int:
+    """Bytes that a record batch unpacks to, from its metadata: ``Message`` of Arrow's ``Message.fbs``.
+
+    That of its rows as doubles, and that of its buffers; a compressed buffer begins with its unpacked length.
+
+    Raises
+    ------
+    ValueError
+        If the metadata or a buffer lead outside of the message.
+    """
+    try:
+        root = struct.unpack_from("<I", metadata)[0]
+        batch = _place(metadata, _field(metadata, root, 2))
+        rows = struct.unpack_from("<q", metadata, _field(metadata, batch, 0))[0]
+        columns = struct.unpack_from("<I", metadata, _place(metadata, _field(metadata, batch, 1)))[0]
+        buffers = _place(metadata, _field(metadata, batch, 2))
+        count = struct.unpack_from("<I", metadata, buffers)[0]
+        places = [struct.unpack_from("<qq", metadata, buffers + 4 + 16 * k) for k in range(count)]
+        compressed = _field(metadata, batch, 3) != 0
+        total = 8 * rows * columns
+        for start, length in places:
+            if min(start, length) < 0 or start + length > len(body):
+                raise ValueError("a buffer outside of its message")
+            size = length
+            if compressed and length:
+                size = struct.unpack_from("<q", body, start)[0]
+                size = length - 8 if size == -1 else size
+            if size < 0:
+                raise ValueError("a buffer of negative length")
+            total += size
+    except struct.error:
+        raise ValueError("damaged metadata") from None
+    if rows < 0:
+        raise ValueError("a negative number of rows")
+    return int(total)
+
+
+def _field(data: bytes, table: int, index: int) -> int:
+    """Place of a field of a flatbuffer's table; 0 where the table does not have it."""
+    entries = table - struct.unpack_from("<i", data, table)[0]
+    if entries < 0 or 4 + 2 * index >= struct.unpack_from("<H", data, entries)[0]:
+        return 0
+    place = struct.unpack_from("<H", data, entries + 4 + 2 * index)[0]
+    return table + place if place else 0
+
+
+def _place(data: bytes, reference: int) -> int:
+    """What a reference of a flatbuffer points to."""
+    if not reference:
+        raise ValueError("damaged metadata")
+    return int(reference + struct.unpack_from("<I", data, reference)[0])
 
 
 def _batch(columns: Mapping[str, NDArray], schema: Any) -> Any:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.array_columns import PIECE_ROWS, as_numbers, long_column, split_name
+from piga.records.limits import open_regular
 
 HEAD = 128
 """Bytes before the first element."""
@@ -153,7 +154,7 @@ class MatColumns:
         self._path, self._order = path, order
         self._places: dict[str, tuple[int, int, bool]] = {}
         self.plain: set[str] = set()
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             stream.seek(HEAD)
             while len(tag := stream.read(8)) == 8:
                 kind, size = struct.unpack(order + "II", tag)
@@ -189,7 +190,7 @@ class MatColumns:
         first, *fields = plain.split(".")
         if first not in self._places or len(fields) > MOST_LEVELS:
             raise OtherKindError
-        with self._path.open("rb") as stream:
+        with open_regular(self._path) as stream:
             source, array = self._open(stream, *self._places[first])
             for field in fields:
                 array = source.field(array, field)

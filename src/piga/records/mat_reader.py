@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError
 from piga.records.array_columns import Label, as_label, as_numbers, make_table, no_column, split_name, vector
 from piga.records.hdf5_reader import read_hdf5
-from piga.records.limits import check_unpacked, first_line
+from piga.records.limits import check_unpacked, first_line, open_regular
 from piga.records.mat_elements import MatColumns, OtherKindError
 from piga.records.table import RawTable
 
@@ -37,7 +37,7 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
     DataError
         If the file is damaged, unpacks to too much, lacks a variable, or one is no plain column.
     """
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         head = stream.read(520)
     if HDF5_MARK in (head[:8], head[512:520]):
         return read_hdf5(path, numeric, label)
@@ -120,7 +120,7 @@ def _check_unpacked(path: Path, head: bytes) -> None:
     order = "<" if head[126:128] == b"IM" else ">"
     packed = path.stat().st_size
     unpacked = 0
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         stream.seek(128)
         while len(tag := stream.read(8)) == 8:
             kind, size = struct.unpack(order + "II", tag)

@@ -120,10 +120,12 @@ def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
     from pyarrow import parquet
 
     try:
-        open_regular(path, wanted="the data file in [data] file").close()
-        with parquet.ParquetFile(
-            path, pre_buffer=False, buffer_size=1 << 18, read_dictionary=list(labels)
-        ) as source:
+        with (
+            open_regular(path, wanted="the data file in [data] file") as stream,
+            parquet.ParquetFile(
+                stream, pre_buffer=False, buffer_size=1 << 18, read_dictionary=list(labels)
+            ) as source,
+        ):
             yield source
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise DataError(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.records.array_columns import Label, as_label, as_numbers, long_column, make_table, no_column
-from piga.records.limits import MAX_UNPACKED, check_unpacked, extra_missing, first_line
+from piga.records.limits import MAX_UNPACKED, check_unpacked, extra_missing, first_line, open_regular
 from piga.records.table import RawTable
 
 UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit")
@@ -32,7 +32,7 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
     labels: dict[str, Label] = {}
     units: dict[str, str] = {}
     try:
-        with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as source:
+        with open_regular(path) as stream, nptdms.TdmsFile.open(stream) as source:
             channels = [channel for group in source.groups() for channel in group.channels()]
             _check_size(path, channels, (*numeric, *([label] if label else [])))
             for name in dict.fromkeys(numeric):

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from piga.errors import DataError
 from piga.records.array_columns import label_codes
 from piga.records.calibration import Event
-from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line
+from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
 from piga.records.spool import Arrays
 from piga.records.table import RawTable, column_letter
 from piga.records.text_format import INFINITE, MISSING, check_names, is_units_row, units_in_names
@@ -50,9 +51,10 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
         import openpyxl
     except ImportError:
         raise extra_missing(path, "XLSX", "xlsx") from None
-    events = _examine(path)
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
+            events = _examine(path, stream)
+            stream.seek(0)
             book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
             rows = _sheet(path, book, sheet).iter_rows(values_only=True)
             return _Sheet(path, numeric, label, events).read(rows)
@@ -64,12 +66,12 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
         ) from None
 
 
-def _examine(path: Path) -> list[Event]:
+def _examine(path: Path, stream: BinaryIO) -> list[Event]:
     """Unpack every part in passing: sizes, names, no document types; counts formulas and hidden rows."""
-    packed = path.stat().st_size
+    packed = os.fstat(stream.fileno()).st_size
     unpacked, formulas, hidden = 0, 0, 0
     try:
-        with zipfile.ZipFile(path) as container:
+        with zipfile.ZipFile(stream) as container:
             parts = container.infolist()
             if len(parts) > MAX_MEMBERS:
                 raise DataError(
@@ -78,9 +80,9 @@ def _examine(path: Path) -> list[Event]:
             check_unpacked(path, sum(part.file_size for part in parts), packed)
             for part in parts:
                 _check_part(path, part)
-                with container.open(part) as stream:
+                with container.open(part) as unpacking:
                     kept = b""
-                    while piece := stream.read(1 << 18):
+                    while piece := unpacking.read(1 << 18):
                         unpacked += len(piece)
                         check_unpacked(path, unpacked, packed)
                         window = kept + piece

@@ -131,17 +131,16 @@ def _batches(path: Path, wanted: list[str]) -> Iterator[Iterator[pa.RecordBatch]
     import pyarrow as pa
     from pyarrow import csv, parquet
 
-    open_regular(path).close()
     if path.suffix == ".parquet":
-        with parquet.ParquetFile(path, pre_buffer=False) as source:
+        with open_regular(path) as stream, parquet.ParquetFile(stream, pre_buffer=False) as source:
             _check_columns(path, wanted, source.schema_arrow)
             yield source.iter_batches(1 << 15, columns=wanted)
         return
     read = csv.ReadOptions(block_size=1 << 16, use_threads=False)
-    with csv.open_csv(path, read) as head:
+    with open_regular(path) as stream, csv.open_csv(stream, read) as head:
         _check_columns(path, wanted, head.schema)
     as_numbers = csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64()))
-    with csv.open_csv(path, read, convert_options=as_numbers) as source:
+    with open_regular(path) as stream, csv.open_csv(stream, read, convert_options=as_numbers) as source:
         yield iter(source)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from piga.errors import PigaError, StoreError
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.store import Draft, DraftFile, Store, open_store
 from piga.records.store import documents as documents_module
+from piga.records.store.export import Export
 from piga.records.store.transfer import export_records, import_records
 from piga.records.store.verify import verify
 from tests.calibration.history import record
@@ -88,15 +91,15 @@ def test_names_that_are_none(tmp_path: Path, local: Store, monkeypatch: pytest.M
         import_records(local, path, "A", "merge")
 
 
-def test_a_key_that_is_there_twice(tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_that_no_piga_wrote(tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     original = documents_module.encode
 
-    def doubled(document):  # type: ignore[no-untyped-def]
+    def spaced(document):  # type: ignore[no-untyped-def]
         raw = original(document)
-        return raw.replace(b'{"after"', b'{"reason":"other","after"') if b'"after"' in raw else raw
+        return raw.replace(b'{"after"', b'{ "after"') if b'"after"' in raw else raw
 
     with monkeypatch.context() as patch:
-        patch.setattr("piga.records.store.store.encode", doubled)
+        patch.setattr("piga.records.store.store.encode", spaced)
         path = forged(tmp_path, draft, monkeypatch)
     with pytest.raises(StoreError, match="not written as piga writes records"):
         import_records(local, path, "A", "merge")
@@ -143,3 +146,51 @@ def test_a_store_that_holds_such_a_record_can_still_be_read(
         assert len([record.measured for record in store.each()]) == 3
         with pytest.warns(match="left out: record .*: no calibration record"):
             assert len(list(store.figures("T-1"))) == 1
+
+
+@pytest.mark.parametrize("which", ["link", "record"])
+def test_a_document_that_names_a_key_twice_is_not_sound(
+    tmp_path: Path, which: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Programs differ in which of the two they take; the chain over the bytes holds all the same."""
+    number = {"link": 2, "record": 1}[which]
+    written = 0
+
+    def doubled(document: object) -> bytes:
+        nonlocal written
+        written += 1
+        raw = documents_module.encode(document)  # type: ignore[arg-type]
+        return b'{"schema":"another",' + raw[1:] if written == number else raw
+
+    monkeypatch.setattr("piga.records.store.store.encode", doubled)
+    with open_store(tmp_path / "forged.sqlite", create=True) as store:
+        store.append(lambda _place: draft())
+        assert written >= number
+    found = verify(tmp_path / "forged.sqlite")
+    assert not found.sound
+    assert any("the key 'schema' is there twice" in problem for problem in found.problems), found.problems
+
+
+def test_what_is_read_of_an_export_is_what_was_sealed(tmp_path: Path, local: Store) -> None:
+    """An export that is put in place of another after its seal was checked is not read."""
+    first, second = tmp_path / "first.zip", tmp_path / "second.zip"
+    export_records(local, first)
+    with filled(tmp_path / "other.sqlite", 1) as other:
+        export_records(other, second)
+    with Export(first) as export:
+        identity = export.identity()
+        second.replace(first)
+        assert export.identity() == identity
+        assert len(list(export.entries())) == 2
+        for name in export.file_names():
+            assert b"".join(export.file(name))
+
+
+def test_a_database_put_in_place_of_a_store_is_refused(tmp_path: Path, local: Store) -> None:
+    path = local.database.path
+    assert path is not None
+    with closing(sqlite3.connect(tmp_path / "foreign.sqlite")) as foreign:
+        foreign.execute("CREATE TABLE piga_head (a)")
+    (tmp_path / "foreign.sqlite").replace(path)
+    with pytest.raises(StoreError, match="a SQLite database of another program"):
+        list(local.records())

@@ -19,6 +19,7 @@ from sqlalchemy.pool import NullPool, StaticPool
 
 from piga.errors import StoreError
 from piga.output import remove_leftovers, write_whole
+from piga.records.limits import open_regular
 from piga.records.store.documents import new_identity, sha256
 from piga.records.store.tables import HEAD, STORE
 
@@ -136,7 +137,9 @@ def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
     _check_file(path)
     mode = "rw" if writable else "ro"
     uri = f"{path.resolve().as_uri()}?mode={mode}"
-    database = Database(str(path), _sqlite_engine(lambda: connect_sqlite(uri), NullPool), path)
+    database = Database(
+        str(path), _sqlite_engine(lambda: _of_a_store(path, connect_sqlite(uri)), NullPool), path
+    )
     if writable and path.with_name(f"{path.name}-journal").exists():
         _roll_back(uri)
     _check_version(database, writable)
@@ -160,7 +163,7 @@ def _check_file(path: Path) -> None:
     try:
         if not path.is_file():
             raise StoreError(f"{path}: no such store", remedy="check --store; piga records add makes a new one")
-        with path.open("rb") as stream:
+        with open_regular(path, error=StoreError) as stream:
             header = stream.read(100)
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
@@ -169,7 +172,7 @@ def _check_file(path: Path) -> None:
             f"{path}: no store of records (no SQLite database)", remedy="check --store, or restore a backup"
         )
     if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
-        raise StoreError(f"{path}: a SQLite database of another program", remedy="check --store")
+        raise _foreign(path)
 
 
 def connect_sqlite(uri: str) -> sqlite3.Connection:
@@ -178,6 +181,18 @@ def connect_sqlite(uri: str) -> sqlite3.Connection:
     for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
         connection.execute(f"PRAGMA {setting}")
     return connection
+
+
+def _of_a_store(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
+    """The connection, once the file that it opened bears our mark: another one may lie there since the check."""
+    if connection.execute("PRAGMA application_id").fetchone() != (APPLICATION_ID,):
+        connection.close()
+        raise _foreign(path)
+    return connection
+
+
+def _foreign(path: Path) -> StoreError:
+    return StoreError(f"{path}: a SQLite database of another program", remedy="check --store")
 
 
 def _sqlite_engine(connect: Callable[[], sqlite3.Connection], pool: Any) -> sa.Engine:

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
+from piga.records.json_file import JsonError, decode_json
 from piga.records.limits import check_label
 from piga.records.store.file_names import safe_name
 
@@ -106,8 +107,8 @@ def encode(document: msgspec.Struct) -> bytes:
     ).encode()
 
 
-def decode(raw: bytes, kind: type[T], schema: str, what: str) -> T:
-    """Read a document of a known schema.
+def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = False) -> T:
+    """Read a document of a known schema; ``strict`` also refuses a key that is there twice, as for all JSON from outside.
 
     Raises
     ------
@@ -121,8 +122,8 @@ def decode(raw: bytes, kind: type[T], schema: str, what: str) -> T:
                 f"{what}: schema '{found}', '{schema}' is needed",
                 remedy="a newer schema needs a newer piga; anything else is damage: run piga records verify",
             )
-        return msgspec.json.decode(raw, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        return decode_json(raw, kind) if strict else msgspec.json.decode(raw, type=kind)
+    except (msgspec.DecodeError, JsonError, UnicodeDecodeError, RecursionError) as error:
         raise StoreError(
             f"{what}: is damaged ({error})", remedy="run piga records verify; restore a backup"
         ) from None

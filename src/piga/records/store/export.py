@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import zipfile
 import zlib
@@ -133,14 +134,14 @@ def _member(name: str, kind: int) -> zipfile.ZipInfo:
 def _seal(path: Path) -> None:
     """Put the SHA-256 of everything before the comment into the comment."""
     with path.open("r+b") as stream:
-        digest = _sealed_digest(stream, path)
+        digest = _sealed_digest(stream)
         stream.seek(len(SEAL), 1)
         stream.write(digest.encode())
 
 
-def _sealed_digest(stream: BinaryIO, path: Path) -> str:
+def _sealed_digest(stream: BinaryIO) -> str:
     """SHA-256 of everything before the comment; the stream stands behind it then."""
-    digest, length = hashlib.sha256(), path.stat().st_size - len(SEAL) - 64
+    digest, length = hashlib.sha256(), os.fstat(stream.fileno()).st_size - len(SEAL) - 64
     while length > 0:
         part = stream.read(min(PART, length))
         digest.update(part)
@@ -168,20 +169,24 @@ class Export:
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
-        if not path.exists():
-            raise StoreError(f"{path}: no such file", remedy="check the name")
-        if not is_export(path):
-            raise StoreError(f"{path}: no export of records (no ZIP file)", remedy="check the name")
-        self._check_seal(path)
         try:
-            self.zip = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
-            raise self._damaged(str(error)) from None
+            self._stream = open_regular(path, error=StoreError)
+        except FileNotFoundError:
+            raise StoreError(f"{path}: no such file", remedy="check the name") from None
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
         try:
+            if self._stream.read(4) != b"PK\x03\x04":
+                raise StoreError(f"{path}: no export of records (no ZIP file)", remedy="check the name")
+            self._check_seal()
+            try:
+                self.zip = zipfile.ZipFile(self._stream)  # what was opened: a file put in its place is not read
+            except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+                raise self._damaged(str(error)) from None
             self.members = self._checked_members()
             self._check_manifest()
         except StoreError:
-            self.zip.close()
+            self._stream.close()
             raise
 
     def __enter__(self) -> Self:
@@ -191,6 +196,7 @@ class Export:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.zip.close()
+        self._stream.close()
 
     def identity(self) -> bytes:
         """The identity document of the store it comes from."""
@@ -225,10 +231,10 @@ class Export:
             else:
                 yield name, None if whole else self._damaged(f"file {name[:12]} was altered")
 
-    def _check_seal(self, path: Path) -> None:
-        with path.open("rb") as stream:
-            digest = _sealed_digest(stream, path)
-            comment = stream.read()
+    def _check_seal(self) -> None:
+        self._stream.seek(0)
+        digest = _sealed_digest(self._stream)
+        comment = self._stream.read()
         if comment != SEAL + digest.encode():
             raise self._damaged("its SHA-256 is not the one in its seal")
 

@@ -153,14 +153,14 @@ def check_chain(
 ) -> None:
     """Check links, records and files of a chain; problems are added to ``found``."""
     identity = source.identity()
-    store = decode(identity, Identity, IDENTITY, "identity").store
+    store = decode(identity, Identity, IDENTITY, "identity", strict=True).store
     head, expected = sha256(identity), 1
     seen: dict[str, int] = {head: 0}
     names: set[str] = set()
     wanted: dict[str, int] = {}
     for entry in source.entries():
         try:
-            link = decode(entry.link, Link, LINK, f"link {entry.number}")
+            link = decode(entry.link, Link, LINK, f"link {entry.number}", strict=True)
             if entry.number != expected or link.number != expected:
                 found.problem(f"record {expected} is missing: {entry.number} follows")
             if link.previous != head:
@@ -188,7 +188,7 @@ def _check_document(
     raw = entry.document or b""
     if sha256(raw) != link.record:
         found.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
-    document = decode(raw, RecordDocument, RECORD, f"record {entry.number}")
+    document = decode(raw, RecordDocument, RECORD, f"record {entry.number}", strict=True)
     place = (store, link.number, link.previous)
     if link.taken_over is not None:
         place = _place_of_origin(link.taken_over, link.record)
@@ -204,8 +204,8 @@ def _check_document(
 
 def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
     """Store, number and head before it, of an imported record where it comes from."""
-    identity = decode(taken_over.identity.encode(), Identity, IDENTITY, "identity of the origin")
-    link = decode(taken_over.link.encode(), Link, LINK, "link of the origin")
+    identity = decode(taken_over.identity.encode(), Identity, IDENTITY, "identity of the origin", strict=True)
+    link = decode(taken_over.link.encode(), Link, LINK, "link of the origin", strict=True)
     return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
 
 
