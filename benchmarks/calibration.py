@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 import piga
-from piga._kernels.published import published_recursion
-from piga._kernels.square_root import absorb_rows
+from piga._kernels.estimation.published import published_recursion
+from piga._kernels.estimation.square_root import absorb_rows
 from piga.units import G0
 
 ROWS = 1_000_000

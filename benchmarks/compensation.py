@@ -25,7 +25,7 @@ import numpy as np
 
 import piga
 from piga.compensation import Mounted, SetCompensator
-from piga.compensation.file_to_file import HELD_ROWS, compensate_to_file
+from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file
 from piga.compensation.model import Model, make_model
 from piga.compensation.step import (
     NO_FLAGS,

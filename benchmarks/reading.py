@@ -12,7 +12,7 @@ import numpy as np
 from pyarrow import csv
 
 import piga
-from piga.records.text_reader import TextStream
+from piga.formats.text.reader import TextStream
 
 ROWS = 2_000_000
 PASSES = 9

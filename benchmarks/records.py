@@ -19,11 +19,11 @@ from typing import Any
 
 import piga
 from piga.cli.demo import copy_example
+from piga.ledger.store import Draft, DraftFile, open_store
+from piga.ledger.store.chain import read_head, read_identity
+from piga.ledger.store.documents import IDENTITY, Identity, decode, encode, new_id
+from piga.ledger.store.record import Position
 from piga.records.calibration_json import to_document
-from piga.records.store import Draft, DraftFile, open_store
-from piga.records.store.chain import read_head, read_identity
-from piga.records.store.documents import IDENTITY, Identity, decode, encode, new_id
-from piga.records.store.record import Position
 
 MOST = 3000
 CHILD = """

@@ -24,9 +24,9 @@ import numba
 import numpy as np
 
 from piga import earth
-from piga.stable_platform import Navigator, compare, compensator, simulate, true_knowledge
-from piga.stable_platform.navigation import true_start
-from piga.stable_platform.scenario import Gyro, Harmonic, Place, Rotation, Scenario, Sensors
+from piga.platform import Navigator, compare, compensator, simulate, true_knowledge
+from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Scenario, Sensors
+from piga.platform.navigation.navigator import true_start
 
 DAY = 86400.0
 DEG = math.pi / 180.0

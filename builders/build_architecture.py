@@ -64,7 +64,7 @@ def graph() -> dict[str, list[str]]:
 
 
 def room_of(module: str) -> str:
-    """``piga.instrument.twin`` is in the room ``instrument``."""
+    """``piga.instrument.twin.run`` is in the room ``instrument``."""
     return [*module.split("."), ""][1]
 
 

@@ -1,6 +1,6 @@
 """Reference values of the nulled platform at 50 digits: the four null conditions solved as equations.
 
-Run: python builders/build_platform_geometry.py > tests/stable_platform/data/geometry.json
+Run: python builders/build_platform_geometry.py > tests/platform/data/geometry.json
 
 Unknown are a rotation vector of P against G and the ring angle; the conditions say that each momentum
 lies along its tip. Nothing of the closed solution of the package is used.

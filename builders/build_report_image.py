@@ -20,8 +20,8 @@ from typing import Any
 from PIL import Image
 
 from piga.records.calibration import Calibration
-from piga.reports.calibration import calibration_page
-from piga.reports.page import Page, Table
+from piga.reports.calibration.page import calibration_page
+from piga.reports.render.page import Page, Table
 
 OUT = Path(__file__).parents[1] / "docs" / "images" / "report.png"
 SIZE = (1000, 1480)

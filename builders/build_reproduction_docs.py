@@ -1,6 +1,6 @@
 """docs/reproduction.md, docs/errata.md and their figures: run ``python builders/build_reproduction_docs.py``.
 
-Everything on both pages comes from one run of ``piga.reports.reproduction``.
+Everything on both pages comes from one run of ``piga.studies``.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ import re
 import sys
 from pathlib import Path
 
-from piga.reports.figure import Figure
-from piga.reports.reproduction import Chapter, Reproduction, reproduce
-from piga.reports.reproduction.page import SOURCES, difference, number, short_id, summary
-from piga.reports.static import write_figure
+from piga.reports.render.figure import Figure
+from piga.reports.render.static import write_figure
+from piga.studies import Chapter, Reproduction, reproduce
+from piga.studies.page import SOURCES, difference, number, short_id, summary
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = "figures/reproduction"

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from tests.compensation.twin_triad import run, spectrum
 
-from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.static import write_figure
+from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.static import write_figure
 from piga.units import G0
 
 OUT = Path(__file__).parents[1] / "docs" / "figures"

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 import piga
-from piga.evidence import prepare_run
-from piga.records.store import Draft, DraftFile
-from piga.records.store.documents import encode, sha256
-from piga.records.store.transfer import export_records, import_records
+from piga.ledger import prepare_run
+from piga.ledger.store import Draft, DraftFile
+from piga.ledger.store.documents import encode, sha256
+from piga.ledger.store.transfer import export_records, import_records
 
 CORPUS = Path(__file__).parent.parent / "tests" / "records" / "corpus"
 
@@ -81,7 +81,7 @@ def build(folder: Path) -> None:
         (folder / "expected.json").write_text(json.dumps(expected(store), indent=1, ensure_ascii=False) + "\n")
 
 
-def expected(store: piga.records.store.Store) -> dict[str, object]:
+def expected(store: piga.ledger.store.Store) -> dict[str, object]:
     """What must be read for ever."""
     records = []
     for record in store.records():

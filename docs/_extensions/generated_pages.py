@@ -16,11 +16,11 @@ import typer
 from sphinx.application import Sphinx
 
 import piga
-from piga.calibration.plan_file import PlanTable
 from piga.cli.main import app as command_line
-from piga.compensation.triad_file import TriadFile
+from piga.compensation.sets.triad_file import TriadFile
+from piga.planning.plan_file import PlanTable
+from piga.platform.model.scenario_file import ScenarioFile
 from piga.records.run_file import RunFile
-from piga.stable_platform.scenario_file import ScenarioFile
 from piga.stand.scenario_tables import ScenarioTable
 
 PLAIN = ("units", "frames", "earth", "errors")

@@ -81,8 +81,8 @@ if TYPE_CHECKING:
     from piga.calibration.calibrate import calibrate
     from piga.compensation import Compensated, Compensator, compensate
     from piga.instrument import Instrument, closed_form, propagate, regime
+    from piga.ledger.store import open_store
     from piga.records import Calibration, Run
-    from piga.records.store import open_store
     from piga.stand import read_run
 
 _LAZY = {
@@ -98,7 +98,7 @@ _LAZY = {
     "compensate": "piga.compensation",
     "Compensated": "piga.compensation",
     "Compensator": "piga.compensation",
-    "open_store": "piga.records.store",
+    "open_store": "piga.ledger.store",
 }
 
 _NEEDS = {"read_run": "pyarrow", "calibrate": "scipy", "compare_models": "scipy"}

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 import piga
-from piga.instrument.twin import run_twin
-from piga.instrument.twin_parameters import PRESETS, TwinParameters
-from piga.instrument.twin_predictions import servo_terms
+from piga.instrument.twin.parameters import PRESETS, TwinParameters
+from piga.instrument.twin.predictions import servo_terms
+from piga.instrument.twin.run import run_twin
 from piga.units import G0
 
 DESIGNS = 25

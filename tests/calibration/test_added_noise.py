@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import slow_noise
-from piga.calibration.added_noise import AddedNoise
-from piga.calibration.slow_noise import include_slow_noise
-from piga.calibration.summary import RunSummary
+from piga.calibration.intervals import slow_noise
+from piga.calibration.intervals.added_noise import AddedNoise
+from piga.calibration.intervals.slow_noise import include_slow_noise
+from piga.calibration.joint.summary import RunSummary
 from piga.errors import CalibrationError
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import advice
-from piga.calibration.request import make_request
+from piga.calibration.model.request import make_request
+from piga.calibration.remarks import advice
 from piga.errors import PigaError
 from tests.calibration.scenarios import SCENARIOS, Scenario
 from tests.calibration.synthetic_terms import TERMS, around
@@ -176,7 +176,7 @@ def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(go
 
 @pytest.mark.only_compiled
 def test_a_good_record_is_not_even_tried(good, monkeypatch):
-    monkeypatch.setattr("piga.calibration.advice._trials", None)
+    monkeypatch.setattr("piga.calibration.remarks.advice._trials", None)
     assert "advice" not in piga.calibrate(good, TERMS).diagnostics
 
 

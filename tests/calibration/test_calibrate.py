@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.design import Design
-from piga.calibration.request import make_request
+from piga.calibration.model.design import Design
+from piga.calibration.model.request import make_request
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0, parse_unit
 from tests.calibration.independent import Bench, head

@@ -10,18 +10,18 @@ import pytest
 
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
-from piga.calibration.coefficients import name_coefficients
-from piga.calibration.counted import refine_counted
-from piga.calibration.degrees_of_freedom import type_a_degrees
-from piga.calibration.design import Design
-from piga.calibration.fit import Fit, fit_run, phase_groups
-from piga.calibration.noise import Noise
-from piga.calibration.request import make_request
-from piga.calibration.slow_bases import DriftBasis
-from piga.calibration.slow_noise import include_slow_noise, quick_look
-from piga.calibration.solution import solve
-from piga.calibration.summary import RunSummary
-from piga.calibration.weighting import reduce_segments
+from piga.calibration.fit.one_run import Fit, fit_run, phase_groups
+from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
+from piga.calibration.intervals.slow_noise import include_slow_noise, quick_look
+from piga.calibration.joint.summary import RunSummary
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.design import Design
+from piga.calibration.model.request import make_request
+from piga.calibration.model.solution import solve
+from piga.calibration.noise.counted import refine_counted
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.slow_bases import DriftBasis
+from piga.calibration.noise.weighting import reduce_segments
 from piga.units import G0, to_si
 from tests.calibration.scenarios import SCALE, SCENARIOS, Scenario
 

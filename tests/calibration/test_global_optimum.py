@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 import piga
-from piga.calibration.published import run_published
-from piga.calibration.request import make_request
+from piga.calibration.classical.published import run_published
+from piga.calibration.model.request import make_request
 from piga.records.run_file import EstimationTable
 from piga.units import G0
 

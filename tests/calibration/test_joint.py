@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.summary import RunSummary
+from piga.calibration.joint.summary import RunSummary
+from piga.formats.residuals_parquet import write_residuals
 from piga.records.calibration_json import to_document
 from piga.records.distribution import Spread
-from piga.records.residuals_parquet import write_residuals
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS
 from tests.calibration.scenarios_joint import TERMS, joint_test, scores

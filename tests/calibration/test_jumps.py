@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.cleaning import Stretch
+from piga.calibration.fit.cleaning import Stretch
 from tests.calibration.independent import Bench, head
 
 TERMS = ("scale_factor", "tan_beta", "k0")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from piga._kernels.regressors import CODES, coupling_columns, half_angle_moments, product_column
-from piga._kernels.square_root import absorb, absorb_rows
-from piga._kernels.statistics import lagged_products
-from piga._kernels.whitening import LANES, innovation_weights, likelihoods, whiten
-from piga.calibration.noise import Noise, find_noise
+from piga._kernels.arithmetic.statistics import lagged_products
+from piga._kernels.estimation.regressors import CODES, coupling_columns, half_angle_moments, product_column
+from piga._kernels.estimation.square_root import absorb, absorb_rows
+from piga._kernels.estimation.whitening import LANES, innovation_weights, likelihoods, whiten
+from piga.calibration.noise.levels import Noise, find_noise
 
 pytestmark = pytest.mark.compiled
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.cross_validation import fold_of
-from piga.calibration.design import Design
-from piga.calibration.noise import Noise
-from piga.calibration.request import make_request
-from piga.calibration.weighting import weighted_blocks
+from piga.calibration.choice.cross_validation import fold_of
+from piga.calibration.model.design import Design
+from piga.calibration.model.request import make_request
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.weighting import weighted_blocks
 from piga.units import G0
 from tests.calibration.synthetic import TERMS, record
 

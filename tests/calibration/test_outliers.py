@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.outliers import correct_samples
-from piga.calibration.cleaning import leave_out
-from piga.calibration.outliers import Misses, limit
+from piga._kernels.estimation.outliers import correct_samples
+from piga.calibration.fit.cleaning import leave_out
+from piga.calibration.fit.outliers import Misses, limit
 from piga.records import spool
 from piga.units import G0
 from tests.calibration.synthetic import BETA, SCALE, TERMS, errors, record

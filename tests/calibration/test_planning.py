@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import piga
-from piga.calibration.candidates import coefficient_names, find_candidates, information_tables
-from piga.calibration.criterion import Criterion, best_mixture
-from piga.calibration.mounting import plan_mounting
-from piga.calibration.plan_export import plan_document, scenario_text
-from piga.calibration.plan_file import read_plan
-from piga.calibration.planning import plan_test
-from piga.calibration.prediction import Visit, noiseless_run, predict
 from piga.cli.main import app
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError
-from piga.reports.page import page_html
-from piga.reports.planning import plan_page, plan_text
+from piga.planning.candidates import coefficient_names, find_candidates, information_tables
+from piga.planning.criterion import Criterion, best_mixture
+from piga.planning.mounting import plan_mounting
+from piga.planning.plan import plan_test
+from piga.planning.plan_export import plan_document, scenario_text
+from piga.planning.plan_file import read_plan
+from piga.planning.prediction import Visit, noiseless_run, predict
+from piga.reports.planning.page import plan_page, plan_text
+from piga.reports.render.page import page_html
 from piga.stand import read_scenario, run_scenario
 from tests.calibration.planning_cases import request
 

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piga._kernels.square_root import absorb
-from piga.calibration.reduction import Reduction, solve_upper
+from piga._kernels.estimation.square_root import absorb
+from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import ArgumentError
 
 pytestmark = pytest.mark.compiled

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.monte_carlo import Contribution, source_draws
-from piga.calibration.planning import plan_test
-from piga.calibration.summary import RunSummary
+from piga.calibration.budget.monte_carlo import Contribution, source_draws
+from piga.calibration.joint.summary import RunSummary
 from piga.errors import CalibrationError, RunFileError
+from piga.planning.plan import plan_test
 from piga.records.run_file import EstimationTable, UncertaintyTable
 from tests.calibration.planning_cases import request
 from tests.calibration.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head

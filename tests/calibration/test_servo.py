@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from piga._kernels.regressors import cubic_moments, servo_columns
-from piga.calibration.summary import RunSummary, calibrate, compare_models
+from piga._kernels.estimation.regressors import cubic_moments, servo_columns
+from piga.calibration.joint.summary import RunSummary, calibrate, compare_models
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
 from piga.records.distribution import Given, GivenParameter
 from piga.records.run_file import EstimationTable, ServoTable

@@ -12,23 +12,23 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import degrees_of_freedom
-from piga.calibration.advice import with_advice
-from piga.calibration.candidates import _without_phase, coefficient_names
-from piga.calibration.coefficients import name_parameters
-from piga.calibration.counted import count_of
-from piga.calibration.cross_validation import predict
-from piga.calibration.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
-from piga.calibration.monte_carlo import standard_draws
-from piga.calibration.mounting import plan_mounting
-from piga.calibration.noise import Noise
-from piga.calibration.reduction import Reduction
-from piga.calibration.slow_bases import KNOTS, DriftBasis
-from piga.calibration.slow_noise import _whitened_means, quick_look
-from piga.calibration.solution import Estimate, Layout
-from piga.calibration.trend import Forecast
+from piga.calibration.budget.monte_carlo import standard_draws
+from piga.calibration.choice.cross_validation import predict
+from piga.calibration.intervals import degrees_of_freedom
+from piga.calibration.intervals.slow_noise import _whitened_means, quick_look
+from piga.calibration.model.coefficients import name_parameters
+from piga.calibration.model.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.solution import Estimate, Layout
+from piga.calibration.noise.counted import count_of
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.slow_bases import KNOTS, DriftBasis
+from piga.calibration.remarks.advice import with_advice
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.planning.candidates import _without_phase, coefficient_names
+from piga.planning.mounting import plan_mounting
 from piga.records.calibration import Coefficient
+from piga.trend.history import Forecast
 from piga.units import G0
 from tests.calibration.planning_cases import request
 from tests.calibration.synthetic import BETA, SCALE, TERMS, record

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from piga.calibration.plan_export import plan_document, scenario_text
-from piga.calibration.planning import Plan, plan_test
 from piga.cli.main import app
-from piga.reports.planning import plan_text
+from piga.planning.plan import Plan, plan_test
+from piga.planning.plan_export import plan_document, scenario_text
+from piga.reports.planning.page import plan_text
 from piga.stand import read_scenario
 from tests.calibration.planning_cases import request
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.plan_file import read_plan
 from piga.errors import RunFileError
+from piga.planning.plan_file import read_plan
 from piga.records.run_file import EstimationTable, UncertaintyTable
 from piga.units import G0
 from tests.calibration.planning_cases import request

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from piga.calibration.control_chart import moving_average
-from piga.calibration.trend import YEAR, find_trend
 from piga.errors import ArgumentError
 from piga.records.coverage import TYPE_A_ONLY
+from piga.trend.control_chart import moving_average
+from piga.trend.history import YEAR, find_trend
 from tests.calibration.history import START, history, record
 
 

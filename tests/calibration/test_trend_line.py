@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from piga.calibration.trend_line import Line, lines_so_far, merge_by_day
 from piga.errors import ArgumentError
+from piga.trend.trend_line import Line, lines_so_far, merge_by_day
 
 NORRIS = np.array([
     [0.1, 0.2], [338.8, 337.4], [118.1, 118.2], [888.0, 884.6], [9.2, 10.1], [228.1, 226.5], [668.5, 666.3],

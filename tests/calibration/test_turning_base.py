@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import piga
-from piga._kernels.regressors import CODES, add_coupling_bows, add_product_bows, smooth_bows
-from piga.calibration.design import Design
-from piga.calibration.request import Request
+from piga._kernels.estimation.regressors import CODES, add_coupling_bows, add_product_bows, smooth_bows
+from piga.calibration.model.design import Design
+from piga.calibration.model.request import Request
 from piga.units import G0
 
 K_G, TAN_BETA, BIAS, PHI = 0.8884, 5e-3, 1e-4, 0.3

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.budget import propagate
-from piga.calibration.degrees_of_freedom import level_information
-from piga.calibration.noise import Noise
-from piga.calibration.uncertainty import sources
+from piga.calibration.budget.rows import propagate
+from piga.calibration.budget.uncertainty import sources
+from piga.calibration.intervals.degrees_of_freedom import level_information
+from piga.calibration.noise.levels import Noise
 from piga.errors import RunFileError
 from piga.records import spool
 from piga.records.coverage import coverage_factor, welch_satterthwaite
@@ -168,7 +168,7 @@ def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
 
 def test_counts_are_seen_in_a_log_of_angles() -> None:
     """An angle rounded to counts is found out; a continuous one is not."""
-    from piga.calibration.counted import count_of
+    from piga.calibration.noise.counted import count_of
 
     scenario = SCENARIOS["coarse"]
     run = scenario.record(np.random.default_rng(1))
@@ -180,7 +180,7 @@ def test_counts_are_seen_in_a_log_of_angles() -> None:
 
 def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
     """JCGM 101, 9.2: four normal or rectangular inputs summed; published intervals +-3.92 and +-3.88."""
-    from piga.calibration.monte_carlo import Contribution, propagate_distributions
+    from piga.calibration.budget.monte_carlo import Contribution, propagate_distributions
 
     def total(draws: np.ndarray) -> np.ndarray:
         return draws.sum(axis=1, keepdims=True)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import monte_carlo
-from piga.calibration.propagation import size_limits
+from piga.calibration.budget import monte_carlo
+from piga.calibration.budget.propagation import size_limits
 from tests.calibration.independent import Bench
 
 TERMS = ("scale_factor", "tan_beta", "k0")

@@ -96,8 +96,8 @@ def expired(lab):
     from cryptography.x509 import load_pem_x509_certificate
     from signxml.signer import XMLSigner
 
-    from piga.records.xml_signature import written
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.xml_signature import written
 
     key, certificate = (path.read_bytes() for path in key_pair(lab, "expired", start=-2000, days=1700))
     root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))
@@ -129,8 +129,8 @@ def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, t
 
 
 def test_what_is_not_signed_is_called_so(expired, tmp_path):
-    from piga.records.xml_signature import written
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.xml_signature import written
 
     root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))
     (tmp_path / "plain.xml").write_bytes(written(root))

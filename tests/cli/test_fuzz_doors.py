@@ -17,7 +17,7 @@ import pyarrow as pa
 import pytest
 
 import piga
-from piga.compensation.live import compensate_arrow, compensate_lines
+from piga.compensation.files.live import compensate_arrow, compensate_lines
 from piga.compensation.model import make_model
 from piga.records.calibration_json import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import read_run_file
@@ -102,9 +102,9 @@ def test_live_streams(kind: str) -> None:
 
 def test_certificates() -> None:
     etree = pytest.importorskip("lxml.etree")
-    from piga.records.dcc_reader import calibration_of as calibration_in
-    from piga.records.xml_file import parse_xml
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.reader import calibration_of as calibration_in
+    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.xml_file import parse_xml
 
     draw = seeded(24)
     cal = budgeted(calibration(serial="G-0417", with_residuals=False))
@@ -121,9 +121,9 @@ def test_imports(tmp_path: Path) -> None:
     import hashlib
     import zipfile
 
-    from piga.records.store import open_store
-    from piga.records.store.export import SEAL
-    from piga.records.store.transfer import import_records
+    from piga.ledger.store import open_store
+    from piga.ledger.store.export import SEAL
+    from piga.ledger.store.transfer import import_records
 
     draw = seeded(IMPORT_SEED)
     source = Path(__file__).parents[1] / "records" / "corpus" / "0.1.0" / "export.zip"

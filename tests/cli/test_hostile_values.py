@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piga.certificate.dcc import writer as dcc
 from piga.compensation.writers import TableWriter
 from piga.errors import DataError, StoreError
-from piga.records import container
+from piga.formats.containers import container
+from piga.ledger.store.file_names import write_new
 from piga.records.limits import FULL
-from piga.records.store.file_names import write_new
-from piga.reports import dcc
 from piga.units import parse_unit, to_si
 from tests.cli.runner import exit_code
 from tests.records.containers import WRITERS, columns

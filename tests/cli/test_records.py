@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from piga.cli import main as entry
+from piga.ledger.store import Draft, DraftFile, open_store
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.coverage import TYPE_A_ONLY
-from piga.records.store import Draft, DraftFile, open_store
-from tests.evidence.test_keep_and_reproduce import small_run
-from tests.records.store.drafts import add, filled
+from tests.ledger.store.drafts import add, filled
+from tests.ledger.test_keep_and_reproduce import small_run
 from tests.reports.example import calibration
 
 
@@ -141,7 +141,7 @@ def test_missing_extra_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     import importlib.util
 
     from piga.errors import StoreError
-    from piga.records.store import open_store
+    from piga.ledger.store import open_store
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(StoreError, match="needs the extra 'records'"):

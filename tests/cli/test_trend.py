@@ -59,7 +59,7 @@ def test_a_trend_loads_no_estimator(folder):
         [sys.executable, "-c", script, str(folder)], capture_output=True, text=True, check=True
     )
     loaded = done.stderr.splitlines()[-1]
-    assert "piga.calibration.trend_line" in loaded
+    assert "piga.trend.trend_line" in loaded
     for heavy in ("calibration.calibrate", "calibration.solution", "calibration.design", "piga.stand"):
         assert heavy not in loaded, loaded
 
@@ -95,7 +95,7 @@ def test_exit_code_of_wrong_use():
 
 def test_records_of_a_store(tmp_path):
     pytest.importorskip("sqlalchemy")
-    from piga.records.store import Draft, DraftFile, open_store
+    from piga.ledger.store import Draft, DraftFile, open_store
 
     path = tmp_path / "lab.sqlite"
     with open_store(path, create=True) as store:

@@ -13,8 +13,8 @@ import pytest
 
 import piga
 from piga.cli.main import main
-from piga.compensation import file_to_file
-from piga.compensation.live import compensate_arrow, compensate_lines
+from piga.compensation.files import file_to_file
+from piga.compensation.files.live import compensate_arrow, compensate_lines
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -62,12 +62,12 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 
 def small_chunks(monkeypatch, rows: int) -> None:
     """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
-    monkeypatch.setattr("piga.compensation.set_files.READINGS", 3 * rows)
-    monkeypatch.setattr("piga.compensation.set_files.HELD_ROWS", 0)
-    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * rows)
+    monkeypatch.setattr("piga.compensation.sets.set_files.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
     monkeypatch.setattr("piga.records.spool.BLOCK", rows)
-    monkeypatch.setattr("piga.records.stream.CHUNK_ROWS", rows)
-    monkeypatch.setattr("piga.records.text_source.PIECE_BYTES", 100 * rows)
+    monkeypatch.setattr("piga.formats.stream.CHUNK_ROWS", rows)
+    monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", 100 * rows)
 
 
 def to_file(path, calibration, out, **options):

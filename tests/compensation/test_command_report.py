@@ -13,10 +13,11 @@ import piga
 from piga.compensation import FLAGS, Compensated
 from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
-from piga.reports import compensation, compensation_outline
-from piga.reports.compensation import outline_of
-from piga.reports.compensation_errors import in_windows
-from piga.reports.compensation_figures import correction_spectrum, flag_figure, force_figure
+from piga.reports.compensation import outline as compensation_outline
+from piga.reports.compensation import page as compensation
+from piga.reports.compensation.errors import in_windows
+from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure
+from piga.reports.compensation.page import outline_of
 from piga.units import G0
 
 from .test_command import command, small_chunks, write
@@ -47,7 +48,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     if streamed:
-        monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
+        monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
         small_chunks(monkeypatch, 211)
     code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
@@ -68,7 +69,7 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
     run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
-    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
     small_chunks(monkeypatch, 211)
     compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz", "--force")
     whole, streamed = watched[0][0], watched[1][0]
@@ -155,7 +156,7 @@ def test_memory_is_bounded_and_extremes_are_kept():
     [("--report", ()), ("--out", ()), ("--out", ("--resume",))],
 )
 def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option, more):
-    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
     run, bad = write(tmp_path), tmp_path / "none" / ("page.html" if option == "--report" else "x.parquet")
     code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *more, option, bad)
     assert code == 2

@@ -10,8 +10,8 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import set_files
-from piga.compensation.triad_file import orthogonal_triad
+from piga.compensation.sets import set_files
+from piga.compensation.sets.triad_file import orthogonal_triad
 from piga.units import G0
 
 from .test_command import CAL, small_chunks, to_file

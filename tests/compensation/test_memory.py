@@ -12,7 +12,7 @@ import pyarrow.parquet
 import pytest
 from scipy.io import savemat
 
-from piga.compensation.triad_file import is_triad_file
+from piga.compensation.sets.triad_file import is_triad_file
 from piga.units import G0
 
 from .test_command import CAL
@@ -35,7 +35,7 @@ MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperatur
 READ = """
 import sys
 from pathlib import Path
-from piga.records.container_child import READERS
+from piga.formats.containers.container_child import READERS
 path = Path(sys.argv[1])
 assert READERS[path.suffix](path, ("t", "psi", "fx", "fy", "fz"), None).rows == int(sys.argv[2])
 with open("/proc/self/status") as status:

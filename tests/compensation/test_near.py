@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels import compensate_layout as at
+from piga._kernels.compensation import layout as at
 from piga.compensation import Compensator, Mounted, PublishedSet, compensate_triad
 from piga.compensation.model import make_model
 from piga.units import G0

@@ -15,10 +15,10 @@ import pytest
 
 import piga
 from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_triad
+from piga.compensation.files.live import Bounded, compensate_arrow, compensate_lines, unpacked_size
 from piga.compensation.flags import MEANING, describe
-from piga.compensation.live import Bounded, compensate_arrow, compensate_lines, unpacked_size
-from piga.compensation.published_set import PublishedSet
-from piga.compensation.triad_file import read_triad
+from piga.compensation.sets.published_set import PublishedSet
+from piga.compensation.sets.triad_file import read_triad
 from piga.compensation.validity import age_in_days
 from piga.units import G0
 

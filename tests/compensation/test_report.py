@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 import piga
-from piga.reports.compensation_errors import compensation_errors, error_figures
-from piga.reports.orders import order_spectrum
+from piga.reports.compensation.errors import compensation_errors, error_figures
+from piga.reports.render.orders import order_spectrum
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensate_layout import TILE
+from piga._kernels.compensation.layout import TILE
 from piga.compensation import Mounted, SetCompensator, compensate_triad, identify_phase
 from piga.units import G0
 

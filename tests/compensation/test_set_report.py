@@ -10,14 +10,14 @@ import pyarrow.parquet
 import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_triad
-from piga.compensation.set_files import Rows
+from piga.compensation.sets.set_files import Rows
 from piga.records.coverage import TYPE_A_ONLY
-from piga.reports import compensation_set
-from piga.reports.compensation_figures import correction_spectrum
-from piga.reports.compensation_set import SetFacts, set_page
-from piga.reports.compensation_set_figures import misfit_figure, set_force_figure, set_orders_figure
-from piga.reports.compensation_set_outline import SetOutline
-from piga.reports.page import page_html
+from piga.reports.compensation import set_page as compensation_set
+from piga.reports.compensation.figures import correction_spectrum
+from piga.reports.compensation.set_figures import misfit_figure, set_force_figure, set_orders_figure
+from piga.reports.compensation.set_outline import SetOutline
+from piga.reports.compensation.set_page import SetFacts, set_page
+from piga.reports.render.page import page_html
 from piga.units import G0
 
 from .test_command import command, small_chunks, write
@@ -153,7 +153,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
     for streamed in (False, True):
         if streamed:
             small_chunks(monkeypatch, 70)
-            monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", 0)
+            monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
         code, text, said = command(monkeypatch, capsys, *words)
         assert code == 0, said
         assert json.loads(text)["rows"] == 400

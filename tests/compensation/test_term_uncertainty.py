@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensate_layout import TERMS
-from piga._kernels.sine_cosine import LIMIT
+from piga._kernels.arithmetic.sine_cosine import LIMIT
+from piga._kernels.compensation.layout import TERMS
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, run_of

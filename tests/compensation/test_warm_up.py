@@ -36,7 +36,7 @@ def test_a_process_that_has_grown_leaves_when_a_kernel_is_done(monkeypatch):
     left = []
     ours, other = (
         SimpleNamespace(data={"dispatcher": SimpleNamespace(py_func=SimpleNamespace(__module__=name))})
-        for name in ("piga._kernels.motion", "numba.np.arraymath")
+        for name in ("piga._kernels.motion.step", "numba.np.arraymath")
     )
     monkeypatch.setattr(os, "_exit", left.append)
     monkeypatch.setattr(warm_up, "_memory", lambda: warm_up.MOST_BYTES + 1)

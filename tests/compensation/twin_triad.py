@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation import Mounted, SetCompensator, compensate
-from piga.instrument.electronics import random_walk
-from piga.instrument.twin import run_twin
-from piga.instrument.twin_parameters import PRESETS, TwinParameters
-from piga.instrument.twin_predictions import predicted_k2
+from piga.instrument.twin.electronics import random_walk
+from piga.instrument.twin.parameters import PRESETS, TwinParameters
+from piga.instrument.twin.predictions import predicted_k2
+from piga.instrument.twin.run import run_twin
 from piga.records import Run
 from piga.units import G0
 

@@ -1,6 +1,6 @@
 """The twin's equations once more, written another way: vectors, a float tensor, Euler's law.
 
-Used as the outside authority of the twin tests; shares no formula with ``piga._kernels.servo``.
+Used as the outside authority of the twin tests; shares no formula with ``piga._kernels.motion.servo``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from piga.instrument.twin_parameters import PRESETS
+from piga.instrument.twin.parameters import PRESETS
 
 RICH = replace(
     PRESETS["example-floated"],

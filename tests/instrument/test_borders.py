@@ -12,10 +12,10 @@ import pytest
 from piga.errors import ArgumentError, PigaError
 from piga.instrument import Instrument, closed_form, propagate_function, propagate_segments
 from piga.instrument.checks import float_array
-from piga.instrument.fleet import available_cores
-from piga.instrument.twin import run_twin
-from piga.instrument.twin_linear import analyse_loop
-from piga.instrument.twin_parameters import PRESETS
+from piga.instrument.motion.fleet import available_cores
+from piga.instrument.twin.linear import analyse_loop
+from piga.instrument.twin.parameters import PRESETS
+from piga.instrument.twin.run import run_twin
 from piga.units import G0
 
 INST = Instrument("0.8884 rad/s/g", "74 arcsec", 0.3)

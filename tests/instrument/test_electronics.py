@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError
-from piga.instrument.electronics import (
+from piga.instrument.twin.electronics import (
     Electronics,
     Temperature,
     held_noise,

@@ -71,7 +71,7 @@ def long_record():
 @pytest.mark.parametrize("least", [256, 1024, 5120])
 def test_one_record_in_any_number_of_chunks(long_record, least, monkeypatch):
     t, f, alpha, rate = long_record
-    monkeypatch.setattr("piga.instrument.sampled_motion._STRETCH", least)
+    monkeypatch.setattr("piga.instrument.motion.sampled_motion._STRETCH", least)
     for workers in (2, 3, 8):
         parts, part_rate = propagate(FLEET[2], t, f, with_rate=True, workers=workers)
         assert np.abs(parts - alpha).max() < 1e-12 + 4e-16 * np.abs(alpha).max()
@@ -80,7 +80,7 @@ def test_one_record_in_any_number_of_chunks(long_record, least, monkeypatch):
 
 
 def test_chunks_agree_on_constant_locked_and_large_step_input(monkeypatch):
-    monkeypatch.setattr("piga.instrument.sampled_motion._STRETCH", 256)
+    monkeypatch.setattr("piga.instrument.motion.sampled_motion._STRETCH", 256)
     for force, h in (((0.01, 40.0, 3.0), 0.05), ((-3.0, 40.0, 3.0), 1.0), ((-30.0, 40.0, 3.0), 3.0)):
         t, f = np.arange(3000) * h, np.tile(force, (3000, 1))
         whole = propagate(FLEET[2], t, f)

@@ -208,7 +208,7 @@ def test_function_passes_over_a_jump(jump):
 
 
 def test_a_tolerance_that_noise_forbids_is_refused(monkeypatch):
-    monkeypatch.setattr("piga.instrument.function_input._MOST_EVALUATIONS", 30_000)
+    monkeypatch.setattr("piga.instrument.motion.function_input._MOST_EVALUATIONS", 30_000)
     with pytest.raises(piga.ArgumentError, match="cannot be reached at t = "):
         propagate_function(INST, [0.0, 1.0], lambda s: (0.0, 50.0 * math.sin(1e18 * s), 0.0), tolerance=1e-12)
 

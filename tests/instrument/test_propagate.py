@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import piga
-from piga._kernels.motion import split_turns
+from piga._kernels.motion.step import split_turns
 from piga.instrument import ErrorModel, Instrument, closed_form, propagate, propagate_rate
 from piga.units import G0
 

@@ -10,17 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from piga._kernels import servo
+from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
 from piga.instrument import ErrorModel, Instrument, propagate
-from piga.instrument.twin import quasi_steady_state, run_twin, slow_manifold
-from piga.instrument.twin_parameters import PRESETS, TwinParameters, parameter_table, twin_parameters
-from piga.instrument.twin_predictions import (
+from piga.instrument.twin.parameters import PRESETS, TwinParameters, parameter_table, twin_parameters
+from piga.instrument.twin.predictions import (
     predicted_k2,
     predicted_rate_error,
     predicted_rectification,
     predicted_second_harmonic,
 )
+from piga.instrument.twin.run import quasi_steady_state, run_twin, slow_manifold
 from piga.units import G0
 
 from .rigid_body import RICH, accelerations, solve

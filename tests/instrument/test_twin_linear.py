@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga._kernels import servo
-from piga.instrument.twin import run_twin
-from piga.instrument.twin_linear import (
+from piga._kernels.motion import servo
+from piga.instrument.twin.linear import (
     UnstableDesignError,
     analyse_loop,
     loop_poles,
@@ -18,7 +17,8 @@ from piga.instrument.twin_linear import (
     step_response,
     tilt_compliance,
 )
-from piga.instrument.twin_parameters import PRESETS
+from piga.instrument.twin.parameters import PRESETS
+from piga.instrument.twin.run import run_twin
 from piga.units import G0
 
 

@@ -9,13 +9,12 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from piga._kernels import double_double as dd
-from piga._kernels import motion_blocks as blocks
-from piga._kernels import motion_increments as increments
-from piga._kernels import transfer as block
-from piga._kernels.motion import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
-from piga._kernels.motion_sensitivity import unimodular_functions
-from piga._kernels.trig import double_arctangent
+from piga._kernels.arithmetic import double_double as dd
+from piga._kernels.arithmetic.trig import double_arctangent
+from piga._kernels.motion import blocks, increments
+from piga._kernels.motion import transfer as block
+from piga._kernels.motion.sensitivity import unimodular_functions
+from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
 
 pytestmark = pytest.mark.compiled
 

@@ -15,7 +15,7 @@ from nptdms import ChannelObject, TdmsWriter
 from pyarrow import parquet
 
 import piga
-from piga.records.container_child import READERS
+from piga.formats.containers.container_child import READERS
 from tests.records.containers import columns, write_h5
 from tests.records.files import write_run
 
@@ -23,7 +23,7 @@ SCARCE = """
 import resource, sys
 from pathlib import Path
 from piga.errors import DataError
-from piga.records.container import read_container
+from piga.formats.containers.container import read_container
 resource.setrlimit(resource.RLIMIT_AS, (1300 << 20, 1300 << 20))
 try:
     read_container(Path(sys.argv[1]), ".h5", ("t",), None)

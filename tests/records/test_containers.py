@@ -15,10 +15,11 @@ import pytest
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
 import piga
-from piga.records import array_columns, container, hdf5_reader, limits, xlsx_reader
-from piga.records.container_child import READERS
+from piga.formats.containers import array_columns, container, hdf5_reader, xlsx_reader
+from piga.formats.containers.container_child import READERS
+from piga.formats.containers.xlsx_reader import read_xlsx
+from piga.records import limits
 from piga.records.spool import arrays_like
-from piga.records.xlsx_reader import read_xlsx
 from tests.records.containers import WRITERS, columns, write_h5, write_mat, write_mat73, write_tdms, write_xlsx
 from tests.records.files import events, lines, read, write_run
 
@@ -311,7 +312,7 @@ def test_memory_of_the_reading_process_is_limited() -> None:
     import subprocess
 
     code = (
-        "from piga.records.container_child import limit_resources; import numpy as np\n"
+        "from piga.formats.containers.container_child import limit_resources; import numpy as np\n"
         "limit_resources(5.0)\n"
         "try:\n    np.zeros(1 << 40)\nexcept MemoryError:\n    print('refused')\n"
     )

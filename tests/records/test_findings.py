@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import piga
-from piga.records.container import read_container
-from piga.records.parquet_reader import ParquetStream
+from piga.formats.containers.container import read_container
+from piga.formats.containers.parquet_reader import ParquetStream
+from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
-from piga.records.text_reader import TextStream
 
 FOLDER = Path(__file__).parent / "findings"
 NAMES = ("t", "n", "fx", "fy", "fz")

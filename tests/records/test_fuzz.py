@@ -16,9 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.records.container_child import READERS
+from piga.formats.containers.container_child import READERS
+from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
-from piga.records.text_reader import TextStream
 from tests.records.containers import WRITERS, columns
 from tests.records.files import lines, write_run
 

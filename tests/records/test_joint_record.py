@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from piga.errors import CalibrationError
+from piga.formats.residuals_parquet import write_residuals
 from piga.records import calibration_json
 from piga.records.calibration import (
     Calibration,
@@ -21,7 +22,6 @@ from piga.records.calibration import (
     RunRecord,
 )
 from piga.records.coverage import coverage_factor
-from piga.records.residuals_parquet import write_residuals
 from tests.reports.example import calibration
 
 

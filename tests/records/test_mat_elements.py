@@ -11,8 +11,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from piga.errors import DataError
-from piga.records import array_columns, mat_elements, mat_reader
-from piga.records.mat_elements import MatColumns, OtherKindError
+from piga.formats.containers import array_columns, mat_elements, mat_reader
+from piga.formats.containers.mat_elements import MatColumns, OtherKindError
 from piga.records.spool import arrays_like
 
 ROWS = 300

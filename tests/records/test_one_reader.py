@@ -14,7 +14,7 @@ import pytest
 from builders.build_damaged_files import HEADER, RUN, Case, cases, rows, text
 
 from piga.cli.main import main
-from piga.records import raw_columns
+from piga.reading import raw_columns
 from tests.compensation.twin_data import K_G, calibration_of
 
 Capture = pytest.CaptureFixture[str]
@@ -33,7 +33,7 @@ def as_long(monkeypatch: pytest.MonkeyPatch, length: str) -> None:
     """Limits as they are for a record of this length."""
     read, compensated, block = LENGTHS[length]
     monkeypatch.setattr(raw_columns, "LARGE_ROWS", read)
-    monkeypatch.setattr("piga.compensation.file_to_file.HELD_ROWS", compensated)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", compensated)
     monkeypatch.setattr("piga.records.spool.BLOCK", block)
 
 

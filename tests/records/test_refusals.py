@@ -17,13 +17,13 @@ from pyarrow import parquet
 from scipy.io import savemat
 
 import piga
+from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi
+from piga.formats.containers.array_columns import label_text
+from piga.formats.containers.container import read_container
+from piga.formats.containers.container_child import READERS
 from piga.records import Run, read_run_file
-from piga.records.array_columns import label_text
-from piga.records.container import read_container
-from piga.records.container_child import READERS
 from piga.records.counter import unwrap
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
-from piga.records.dsi_units import dsi_unit, from_dsi
 from piga.records.terms import check_terms, meaning_of
 from piga.units import G0
 from tests.records.containers import columns, write_h5, write_tdms, write_xlsx
@@ -254,7 +254,7 @@ def test_workbooks_of_too_many_or_encrypted_parts(tmp_path: Path, monkeypatch: p
         READERS[".xlsx"](tmp_path / "locked.xlsx", NAMES, None, sheet=None)
     with zipfile.ZipFile(path) as source:
         count = len(source.infolist())
-    monkeypatch.setattr("piga.records.xlsx_reader.MAX_MEMBERS", count - 1)
+    monkeypatch.setattr("piga.formats.containers.xlsx_reader.MAX_MEMBERS", count - 1)
     with pytest.raises(piga.DataError, match=f"{count} parts, at most {count - 1} are read"):
         READERS[".xlsx"](path, NAMES, None, sheet=None)
 
@@ -284,7 +284,7 @@ def test_the_digest_beside_a_log_counts(tmp_path: Path) -> None:
 
 
 def test_a_log_that_changes_or_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga.records import raw_columns
+    from piga.reading import raw_columns
 
     path = write_log(tmp_path, lines())
     states = iter([(1, 0, 0, 0), (2, 0, 0, 0)])

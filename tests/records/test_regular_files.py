@@ -14,16 +14,16 @@ import pytest
 from pyarrow import parquet
 
 import piga
-from piga.calibration.summary_json import read_summary
-from piga.compensation.triad_file import is_triad_file
+from piga.calibration.joint.summary_json import read_summary
+from piga.certificate.certificate_file import read_certificate_file
+from piga.certificate.dcc.xml_file import read_xml
+from piga.certificate.dcc.xml_signature import load_certificate
+from piga.compensation.sets.triad_file import is_triad_file
 from piga.errors import PigaError
-from piga.records.certificate_file import read_certificate_file
+from piga.formats.containers.parquet_reader import read_labels
+from piga.formats.text.reader import TextStream
 from piga.records.limits import open_regular, read_whole
-from piga.records.parquet_reader import read_labels
 from piga.records.run_file import read_run_file
-from piga.records.text_reader import TextStream
-from piga.records.xml_file import read_xml
-from piga.records.xml_signature import load_certificate
 from tests.cli.runner import exit_code
 from tests.records.files import lines, write_log, write_run
 
@@ -178,6 +178,6 @@ def test_labels_come_from_the_file_that_was_checked(tmp_path: Path, monkeypatch:
         other.replace(name)
         return stream
 
-    monkeypatch.setattr("piga.records.parquet_reader.open_regular", swapped)
+    monkeypatch.setattr("piga.formats.containers.parquet_reader.open_regular", swapped)
     assert read_labels(path, (), "s").labels["s"][1] == ("first",)
     assert opened == [path]

@@ -14,7 +14,9 @@ import pytest
 from pyarrow import csv, parquet
 
 import piga
-from piga.records import raw_columns, spool, text_source
+from piga.formats.text import source as text_source
+from piga.reading import raw_columns
+from piga.records import spool
 from tests.records.files import lines, write_log, write_run
 
 

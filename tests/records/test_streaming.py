@@ -18,11 +18,13 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
-from piga.records import raw_columns, spool, text_source
+from piga.formats.stream import open_stream
+from piga.formats.text import source as text_source
+from piga.formats.text.reader import TextStream
+from piga.reading import raw_columns
+from piga.records import spool
 from piga.records.median import exact_median
 from piga.records.run_file import read_run_file
-from piga.records.stream import open_stream
-from piga.records.text_reader import TextStream
 from tests.records.files import lines, write_log, write_run
 from tests.records.test_fuzz import LOG, NAMES, mutated, seeded
 

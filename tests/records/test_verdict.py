@@ -15,9 +15,9 @@ import piga
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.verdict import THRESHOLDS, verdict
-from piga.reports.calibration import calibration_page, calibration_text
-from piga.reports.page import page_html
-from piga.reports.trend import trend_document, trend_page, trend_text
+from piga.reports.calibration.page import calibration_page, calibration_text
+from piga.reports.render.page import page_html
+from piga.reports.trend.page import trend_document, trend_page, trend_text
 from piga.units import G0
 from tests.reports.example import calibration
 
@@ -98,7 +98,7 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
         again = piga.calibrate(rate_log(), TERMS, "rate")
     import datetime as dt
 
-    from piga.calibration.trend import find_trend
+    from piga.trend.history import find_trend
 
     times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
     found = find_trend([("a", times[0], alone), ("b", times[1], again)])
@@ -114,7 +114,7 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
     for name, text in outputs.items():
         assert TYPE_A_ONLY in text, name
         assert "expanded" not in text.lower(), name
-    from piga.records.certificate_file import missing_items
+    from piga.certificate.certificate_file import missing_items
     from tests.reports.certificate_data import complete
 
     assert any("no source of Type B" in item for item in missing_items(complete("G-1"), alone))

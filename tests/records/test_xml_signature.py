@@ -15,10 +15,10 @@ from tests.reports.certificate_data import complete, key_pair
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
 
-from piga.records import xml_file  # noqa: E402
-from piga.records.dcc_reader import calibration_of, read_dcc  # noqa: E402
-from piga.records.xml_signature import sign_xml, verify_signature, written  # noqa: E402
-from piga.reports.dcc import dcc_document  # noqa: E402
+from piga.certificate.dcc import xml_file
+from piga.certificate.dcc.reader import calibration_of, read_dcc  # noqa: E402
+from piga.certificate.dcc.writer import dcc_document  # noqa: E402
+from piga.certificate.dcc.xml_signature import sign_xml, verify_signature, written  # noqa: E402
 from tests.reports.example import calibration  # noqa: E402
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from piga.records.certificate_file import CertificateFile, read_certificate_file
+from piga.certificate.certificate_file import CertificateFile, read_certificate_file
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "certificate.toml"
 SCHEMAS = Path(__file__).parents[3] / "shared" / "reference" / "dcc"

@@ -7,22 +7,22 @@ import pytest
 
 from piga.records.calibration import Outlier, RunRecord
 from piga.records.terms import shown_unit
-from piga.reports.calibration import (
-    calibration_figures,
-    calibration_page,
-    calibration_text,
-    write_calibration_report,
-)
-from piga.reports.calibration_budget import budget_tables
-from piga.reports.calibration_figures import (
+from piga.reports.calibration.budget import budget_tables
+from piga.reports.calibration.figures import (
     convergence_figure,
     elapsed_time,
     residual_angles,
     residual_figure,
     scale_factor,
 )
-from piga.reports.calibration_tables import coefficient_table, residual_quantity, scalars
-from piga.reports.page import Notice, Table, page_html
+from piga.reports.calibration.page import (
+    calibration_figures,
+    calibration_page,
+    calibration_text,
+    write_calibration_report,
+)
+from piga.reports.calibration.tables import coefficient_table, residual_quantity, scalars
+from piga.reports.render.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker
 

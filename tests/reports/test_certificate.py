@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from piga.calibration.budget import with_given_servo
-from piga.errors import CalibrationError, PigaError, RunFileError
-from piga.records.certificate_file import (
+from piga.calibration.budget.rows import with_given_servo
+from piga.certificate.certificate_file import (
     CertificateFile,
     ConditionTable,
     ConformityTable,
@@ -24,8 +23,9 @@ from piga.records.certificate_file import (
     quantity_text,
     read_certificate_file,
 )
-from piga.reports.certificate import certificate_html
-from piga.reports.certificate_statements import verdicts
+from piga.certificate.page import certificate_html
+from piga.certificate.statements import verdicts
+from piga.errors import CalibrationError, PigaError, RunFileError
 from tests.reports.certificate_data import EXAMPLE, budgeted, changed, complete
 from tests.reports.example import calibration
 

@@ -14,22 +14,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from piga.calibration.budget import with_given_servo
+from piga.calibration.budget.rows import with_given_servo
+from piga.certificate.certificate_file import ConformityTable
+from piga.certificate.dcc.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient
 from piga.records.calibration_json import to_document
-from piga.records.certificate_file import ConformityTable
 from piga.records.coverage import joint_factor
-from piga.records.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.records.terms import UNITS, si_factor, unit_of
 from tests.reports.certificate_data import SCHEMAS, budgeted, changed, complete
 from tests.reports.example import calibration
 
 etree = pytest.importorskip("lxml.etree")
 
-from piga.records.dcc_reader import calibration_of, label_of, read_dcc  # noqa: E402
-from piga.records.xml_signature import written  # noqa: E402
-from piga.reports.dcc import dcc_document  # noqa: E402
+from piga.certificate.dcc.reader import calibration_of, label_of, read_dcc  # noqa: E402
+from piga.certificate.dcc.writer import dcc_document  # noqa: E402
+from piga.certificate.dcc.xml_signature import written  # noqa: E402
 
 N = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 needs_schemas = pytest.mark.skipif(

@@ -1,6 +1,6 @@
 """The comparison of term sets fits a terminal of 80 columns, whatever its figures."""
 
-from piga.reports.model_choice import comparison_text
+from piga.reports.calibration.model_choice import comparison_text
 
 TERMS = ["scale_factor", "tan_beta", "k0", "m_Y"]
 LONG = [*TERMS, "k2", "k3", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "m_Z"]

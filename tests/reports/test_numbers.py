@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from piga.records.terms import shown_unit
-from piga.reports.numbers import (
+from piga.reports.render.numbers import (
     count,
     fixed,
     pretty_unit,

@@ -20,16 +20,16 @@ import pytest
 from scipy import stats
 
 import piga
-from piga.calibration.trend import find_trend
+from piga.certificate.certificate_file import ConformityTable
+from piga.certificate.page import certificate_html
+from piga.certificate.statements import verdicts
 from piga.records.calibration import Calibration
 from piga.records.calibration_json import calibration_to_bytes, to_document
-from piga.records.certificate_file import ConformityTable
 from piga.records.run_file import UncertaintyTable
-from piga.reports.calibration import calibration_page, calibration_text
-from piga.reports.certificate import certificate_html
-from piga.reports.certificate_statements import verdicts
-from piga.reports.page import page_html
-from piga.reports.trend import trend_document, trend_page
+from piga.reports.calibration.page import calibration_page, calibration_text
+from piga.reports.render.page import page_html
+from piga.reports.trend.page import trend_document, trend_page
+from piga.trend.history import find_trend
 from piga.units import G0
 from tests.reports.certificate_data import changed, complete
 
@@ -128,9 +128,9 @@ def test_certificate(calibrated):
 
 def test_dcc_and_read_back(calibrated, tmp_path):
     etree = pytest.importorskip("lxml.etree")
-    from piga.records.dcc_reader import read_dcc
-    from piga.records.xml_signature import written
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.reader import read_dcc
+    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.xml_signature import written
 
     freedom, cal = calibrated
     raw = written(dcc_document(complete(), cal))
@@ -152,8 +152,8 @@ def test_dcc_and_read_back(calibrated, tmp_path):
 def test_a_certificate_with_k_from_the_rows_is_read_with_a_warning(calibrated, tmp_path):
     """As piga 0.1 wrote it; any other U is a contradiction."""
     pytest.importorskip("lxml")
-    from piga.records.dcc_reader import calibration_of
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.reader import calibration_of
+    from piga.certificate.dcc.writer import dcc_document
 
     _, cal = calibrated
     cal = replace(cal, surplus_observations=5000.0)
@@ -182,7 +182,7 @@ def test_a_certificate_with_k_from_the_rows_is_read_with_a_warning(calibrated, t
 
 def test_ledger(calibrated, tmp_path):
     pytest.importorskip("sqlalchemy")
-    from piga.records.store import Draft, DraftFile, open_store
+    from piga.ledger.store import Draft, DraftFile, open_store
 
     freedom, cal = calibrated
     raw = calibration_to_bytes(cal)
@@ -230,9 +230,9 @@ def test_conformity(calibrated, rule):
 def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(calibrated, tmp_path):
     """An interval that is not symmetric: limits, guard band and DCC take its ends, not value -+ U."""
     etree = pytest.importorskip("lxml.etree")
-    from piga.records.dcc_reader import read_dcc
-    from piga.records.xml_signature import written
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.reader import read_dcc
+    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.xml_signature import written
 
     _, cal = calibrated
     ends = (cal["k0"].value - 1e-6, cal["k0"].value + 3e-6)

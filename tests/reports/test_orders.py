@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from piga.records.calibration import Residuals
-from piga.reports import orders
-from piga.reports.orders import order_spectrum, ripple
+from piga.reports.render import orders
+from piga.reports.render.orders import order_spectrum, ripple
 from piga.units import ARCSEC, G0
 from tests.reports.example import TAN_BETA, K, residuals, ripple_integral
 

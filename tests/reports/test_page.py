@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.page import (
+from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.page import (
     Cell,
     Column,
     FigureBlock,

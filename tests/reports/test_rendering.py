@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError, PigaError
-from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.interactive import figure_spec
-from piga.reports.page import FigureBlock, Page, Section, json_island, page_html
-from piga.reports.palette import LIGHT
-from piga.reports.scene import POINT, figure_scene, series_key
-from piga.reports.static import figure_svg, write_figure
+from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.interactive import figure_spec
+from piga.reports.render.page import FigureBlock, Page, Section, json_island, page_html
+from piga.reports.render.palette import LIGHT
+from piga.reports.render.scene import POINT, figure_scene, series_key
+from piga.reports.render.static import figure_svg, write_figure
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -29,7 +29,7 @@ def every_mark():
 
 
 def test_static_and_interactive_show_the_same_series(cal):
-    from piga.reports.calibration import calibration_figures
+    from piga.reports.calibration.page import calibration_figures
 
     for figure in (*calibration_figures(cal), every_mark()):
         keys = {

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piga.reports.figure import Axis
-from piga.reports.scales import Scale, Ticks, axis_label, axis_ticks, extent, fitting_ticks
+from piga.reports.render.figure import Axis
+from piga.reports.render.scales import Scale, Ticks, axis_label, axis_ticks, extent, fitting_ticks
 
 from .test_svg import value_of
 

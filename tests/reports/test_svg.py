@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.palette import css_names
-from piga.reports.scene import figure_scene, series_key, text_width
-from piga.reports.static import figure_svg, write_figure
+from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.palette import css_names
+from piga.reports.render.scene import figure_scene, series_key, text_width
+from piga.reports.render.static import figure_svg, write_figure
 
 SVG = "{http://www.w3.org/2000/svg}"
 NEAR = 0.1

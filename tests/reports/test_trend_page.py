@@ -9,12 +9,12 @@ import re
 import numpy as np
 import pytest
 
-from piga.calibration.trend import find_trend
-from piga.reports.interactive import figure_spec
-from piga.reports.page import page_html
-from piga.reports.static import figure_svg
-from piga.reports.trend import trend_document, trend_page, trend_text
-from piga.reports.trend_figures import scale_of, trend_figure
+from piga.reports.render.interactive import figure_spec
+from piga.reports.render.page import page_html
+from piga.reports.render.static import figure_svg
+from piga.reports.trend.figures import scale_of, trend_figure
+from piga.reports.trend.page import trend_document, trend_page, trend_text
+from piga.trend.history import find_trend
 from tests.calibration.history import START, history, record
 
 AT = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)

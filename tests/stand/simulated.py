@@ -4,7 +4,7 @@ import math
 
 from piga.earth import Site
 from piga.instrument import Instrument
-from piga.instrument.electronics import Electronics
+from piga.instrument.twin.electronics import Electronics
 from piga.stand import (
     DividingHead,
     read_run,

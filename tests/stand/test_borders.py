@@ -13,7 +13,7 @@ import pytest
 from piga.earth import Site
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.instrument.parameters import ErrorModel
-from piga.instrument.twin_parameters import PRESETS
+from piga.instrument.twin.parameters import PRESETS
 from piga.stand import (
     Centrifuge,
     Composite,
@@ -27,7 +27,7 @@ from piga.stand import (
     simulate_test,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.logged import read_profile
+from piga.stand.machines.logged import read_profile
 from piga.stand.run_reference import _followed
 from piga.stand.truth import coefficients, predicted_angle_error
 from piga.stand.write_run import run_file_text, toml_table, truth_document

@@ -14,8 +14,8 @@ from piga.stand import (
     force_change,
     sample_stand,
 )
-from piga.stand.dividing_head import position_range
 from piga.stand.imperfections import NONE
+from piga.stand.machines.dividing_head import position_range
 from piga.units import ARCSEC, G0
 
 from .stands import HEAD, SITE

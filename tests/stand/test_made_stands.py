@@ -9,17 +9,10 @@ from pyarrow import csv, parquet
 
 from piga.errors import ArgumentError, DataError
 from piga.records.spool import arrays_like
-from piga.stand import (
-    Centrifuge,
-    Composite,
-    Imperfections,
-    LoggedProfile,
-    force_change,
-    logged,
-    sample_stand,
-)
+from piga.stand import Centrifuge, Composite, Imperfections, LoggedProfile, force_change, sample_stand
 from piga.stand.imperfections import NONE
-from piga.stand.logged import read_profile
+from piga.stand.machines import logged
+from piga.stand.machines.logged import read_profile
 from piga.units import G0
 
 from .stands import HEAD, SITE, SPIN

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from piga.earth import Site
 from piga.instrument import ErrorModel, Instrument
-from piga.instrument.electronics import Electronics, Temperature
+from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.stand import (
     DividingHead,
     Imperfections,

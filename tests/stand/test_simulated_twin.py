@@ -8,8 +8,8 @@ import pytest
 
 from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument
-from piga.instrument.twin_linear import UnstableDesignError
-from piga.instrument.twin_parameters import PRESETS
+from piga.instrument.twin.linear import UnstableDesignError
+from piga.instrument.twin.parameters import PRESETS
 from piga.stand import (
     DividingHead,
     Specimen,

@@ -8,11 +8,11 @@ from typer.testing import CliRunner
 
 from piga.calibration.calibrate import calibrate
 from piga.cli.main import app
-from piga.instrument.twin_parameters import PRESETS
-from piga.reports.figure import Figure
-from piga.reports.page import page_html
-from piga.reports.simulation import simulation_page, simulation_text
-from piga.reports.simulation_figures import simulation_figures
+from piga.instrument.twin.parameters import PRESETS
+from piga.reports.render.figure import Figure
+from piga.reports.render.page import page_html
+from piga.reports.stand.simulation import simulation_page, simulation_text
+from piga.reports.stand.simulation_figures import simulation_figures
 from piga.stand import (
     DividingHead,
     Imperfections,

@@ -14,8 +14,8 @@ from piga.stand import (
     SpinPlan,
     force_change,
 )
-from piga.stand.centrifuge import rates_for_levels
 from piga.stand.imperfections import NONE
+from piga.stand.machines.centrifuge import rates_for_levels
 from piga.units import G0
 
 from .stands import SITE, SPIN, derivative

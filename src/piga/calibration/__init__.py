@@ -7,10 +7,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from piga.calibration.model_choice import compare_models
-    from piga.calibration.model_comparison import ModelComparison, TermSet
-    from piga.calibration.reduction import Reduction
-    from piga.calibration.summary import RunSummary
+    from piga.calibration.choice.model_choice import compare_models
+    from piga.calibration.choice.model_comparison import ModelComparison, TermSet
+    from piga.calibration.joint.summary import RunSummary
+    from piga.calibration.model.reduction import Reduction
 
 _LAZY = {
     "ModelComparison": "model_comparison",

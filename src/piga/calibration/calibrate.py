@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.advice import advise, with_advice
-from piga.calibration.budget import (
+from piga.calibration.budget.propagation import put_to_the_test
+from piga.calibration.budget.rows import (
     Budget,
     budget_row,
     budget_rows,
@@ -21,31 +21,11 @@ from piga.calibration.budget import (
     share_of_type_a,
     with_given_servo,
 )
-from piga.calibration.coefficients import name_coefficients
-from piga.calibration.counted import refine_counted
-from piga.calibration.degrees_of_freedom import type_a_degrees
-from piga.calibration.design import Design
-from piga.calibration.faint_walk import include_faint_walk
-from piga.calibration.fit import Fit, fit_run, noise_of, phase_groups
-from piga.calibration.identifiability import (
-    Examination,
-    examine,
-    notes_in_words,
-    refuse_useless,
-    remarks_in_words,
-)
-from piga.calibration.joint import check_items, fit_jointly, joint_contributions, joint_degrees, joint_sources
-from piga.calibration.joint_result import joint_result
-from piga.calibration.left_out import left_out_terms, odd_square
-from piga.calibration.left_out_runs import left_out_of_runs
-from piga.calibration.model_choice import compared_models
-from piga.calibration.propagation import put_to_the_test
-from piga.calibration.published import run_published
-from piga.calibration.recursive import recursive_history
-from piga.calibration.remarks import find_remarks, with_remarks, without_slow
-from piga.calibration.request import Request, make_request
-from piga.calibration.residuals import diagnose, find_residuals, segment_scatter, segment_table
-from piga.calibration.revolutions import (
+from piga.calibration.budget.uncertainty import contributions, sources, stated_scatter
+from piga.calibration.choice.model_choice import compared_models
+from piga.calibration.classical.published import run_published
+from piga.calibration.classical.recursive import recursive_history
+from piga.calibration.classical.revolutions import (
     clean_record,
     estimate_again,
     fit_revolutions,
@@ -53,17 +33,43 @@ from piga.calibration.revolutions import (
     revolutions_degrees,
     revolutions_result,
 )
-from piga.calibration.servo_columns import given_servo
-from piga.calibration.slow_noise import include_slow_noise, include_stated_scatter
-from piga.calibration.solution import Solution, solve
-from piga.calibration.summary import RunSummary, now, residual_figures, validity_ranges
-from piga.calibration.uncertainty import contributions, sources, stated_scatter
-from piga.calibration.weighting import weighting_mode
-from piga.calibration.workers import beside
+from piga.calibration.fit.one_run import Fit, fit_run, noise_of, phase_groups
+from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
+from piga.calibration.intervals.faint_walk import include_faint_walk
+from piga.calibration.intervals.slow_noise import include_slow_noise, include_stated_scatter
+from piga.calibration.joint.joint_fit import (
+    check_items,
+    fit_jointly,
+    joint_contributions,
+    joint_degrees,
+    joint_sources,
+)
+from piga.calibration.joint.joint_result import joint_result
+from piga.calibration.joint.summary import RunSummary, now, residual_figures, validity_ranges
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.design import Design
+from piga.calibration.model.identifiability import (
+    Examination,
+    examine,
+    notes_in_words,
+    refuse_useless,
+    remarks_in_words,
+)
+from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.servo_columns import given_servo
+from piga.calibration.model.solution import Solution, solve
+from piga.calibration.model.workers import beside
+from piga.calibration.noise.counted import refine_counted
+from piga.calibration.noise.weighting import weighting_mode
+from piga.calibration.remarks.advice import advise, with_advice
+from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, without_slow
+from piga.calibration.remarks.left_out import left_out_terms, odd_square
+from piga.calibration.remarks.left_out_runs import left_out_of_runs
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
+from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
 from piga.records.run import Run
-from piga.records.signal_checks import largest_size
 from piga.records.spool import extent
 from piga.records.terms import si_factor, unit_of
 

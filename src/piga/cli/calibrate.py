@@ -12,7 +12,7 @@ from piga.cli.options import ForceOption, JsonOption
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.calibration.summary import RunSummary
+    from piga.calibration.joint.summary import RunSummary
     from piga.records import Calibration, Run
 
 RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
@@ -74,11 +74,11 @@ def calibrate(
 
         print_json(to_document(calibration))
         return
-    from piga.reports.calibration import calibration_text
+    from piga.reports.calibration.page import calibration_text
 
     say(calibration_text(calibration))
     if "model_comparison" in calibration.diagnostics:
-        from piga.reports.model_choice import comparison_text
+        from piga.reports.calibration.model_choice import comparison_text
 
         say("\n".join(comparison_text(calibration.diagnostics["model_comparison"])))
     for path in written:
@@ -95,7 +95,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
     from msgspec.structs import replace as replaced
 
-    from piga.calibration.summary import RunSummary
+    from piga.calibration.joint.summary import RunSummary
     from piga.errors import ArgumentError
     from piga.records.terms import check_terms
 
@@ -112,7 +112,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:
     """The runs, and the summaries of runs, that the command names."""
-    from piga.calibration.summary import RunSummary
+    from piga.calibration.joint.summary import RunSummary
     from piga.stand import read_run
 
     with progress("reading"):
@@ -143,7 +143,7 @@ def run_calibration(
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:
     """Write the summary of every run whose data were read, with the wishes of its run file."""
-    from piga.calibration.summary import RunSummary
+    from piga.calibration.joint.summary import RunSummary
 
     written = []
     for item in items:
@@ -158,7 +158,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
     """Write the results. A calibration of summaries alone has no residuals to write."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from piga.records.residuals_parquet import write_residuals
+    from piga.formats.residuals_parquet import write_residuals
 
     job = None
     with ThreadPoolExecutor(1) as beside:
@@ -168,7 +168,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
             written.append(directory / "residuals.parquet")
             job = beside.submit(write_residuals, calibration, written[-1])
         if report:
-            from piga.reports.calibration import write_calibration_report
+            from piga.reports.calibration.page import write_calibration_report
 
             written.append(directory / "report.html")
             write_calibration_report(calibration, written[-1])

@@ -15,8 +15,8 @@ from piga.errors import PigaError
 from piga.output import check_outputs, results
 
 if TYPE_CHECKING:
+    from piga.certificate.certificate_file import CertificateFile
     from piga.records.calibration import Calibration
-    from piga.records.certificate_file import CertificateFile
 
 
 RESULTS = ("certificate.html", "working-copy.html", "certificate.xml")
@@ -83,9 +83,9 @@ def issue(
     """
     import hashlib
 
+    from piga.certificate.certificate_file import read_certificate_file
+    from piga.certificate.page import certificate_html, write_certificate
     from piga.records.calibration_json import calibration_from_bytes
-    from piga.records.certificate_file import read_certificate_file
-    from piga.reports.certificate import certificate_html, write_certificate
 
     if (key is None) != (certificate is None):
         raise PigaError("--key and --certificate belong together", remedy="give both, or none")
@@ -155,8 +155,8 @@ def _xml(
     key: Path | None,
     certificate: Path | None,
 ) -> bytes:
-    from piga.records.xml_signature import sign_xml, written
-    from piga.reports.dcc import dcc_document
+    from piga.certificate.dcc.writer import dcc_document
+    from piga.certificate.dcc.xml_signature import sign_xml, written
 
     root = dcc_document(file, found, before)
     if key is not None and certificate is not None:
@@ -178,8 +178,8 @@ def verify(
     Its signature against the laboratory's certificate, and that it agrees with itself. A certificate that is not in
     force ends it with exit code 2.
     """
-    from piga.records.dcc_reader import calibration_of, date_of_issue
-    from piga.records.xml_signature import verify_signature
+    from piga.certificate.dcc.reader import calibration_of, date_of_issue
+    from piga.certificate.dcc.xml_signature import verify_signature
 
     day = _day(at)
     signed = verify_signature(file, certificate)
@@ -242,9 +242,9 @@ def read(
 
     Ready for 'piga compensate'; --certificate verifies it first.
     """
-    from piga.records.dcc_reader import calibration_of
-    from piga.records.xml_file import read_xml
-    from piga.records.xml_signature import check_profile, verify_signature
+    from piga.certificate.dcc.reader import calibration_of
+    from piga.certificate.dcc.xml_file import read_xml
+    from piga.certificate.dcc.xml_signature import check_profile, verify_signature
 
     check_outputs([out], [file, *([] if certificate is None else [certificate])], force=force)
     day = _day(at)

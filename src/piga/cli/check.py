@@ -28,7 +28,7 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Show what is found in a recorded test; nothing is calibrated."""
-    from piga.records import suggestions
+    from piga.reading import suggestions
     from piga.stand import read_run
 
     try:
@@ -63,7 +63,7 @@ def convert(
 
     Units and everything that was found are in the file, too.
     """
-    from piga.records.run_parquet import data_table, write_run_parquet
+    from piga.formats.run_parquet import data_table, write_run_parquet
     from piga.stand import read_run
 
     if out.suffix != ".parquet":

@@ -74,8 +74,8 @@ def compensate(
 
     Columns t, ax, dv, u_ax, flags of one run; several instruments are solved together.
     """
+    from piga.compensation.files.parts import was_begun
     from piga.compensation.model import Phase
-    from piga.compensation.parts import was_begun
     from piga.records import Calibration
     from piga.units import to_si
 
@@ -162,7 +162,7 @@ def _page(report: Path | None, resume: bool) -> Path | None:
 
 
 def _is_triad(path: Path) -> bool:
-    from piga.compensation.triad_file import is_triad_file
+    from piga.compensation.sets.triad_file import is_triad_file
 
     return is_triad_file(path)
 
@@ -232,8 +232,13 @@ def _single(
     """One recorded run, of any length; with ``restart`` parts of another one go."""
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensate import compensate
-    from piga.compensation.file_to_file import HELD_ROWS, FileSummary, compensate_to_file, found_while_reading
-    from piga.compensation.parts import Parts, key_of
+    from piga.compensation.files.file_to_file import (
+        HELD_ROWS,
+        FileSummary,
+        compensate_to_file,
+        found_while_reading,
+    )
+    from piga.compensation.files.parts import Parts, key_of
     from piga.compensation.validity import age_flag
     from piga.compensation.warm_up import compile_apart
     from piga.compensation.writers import format_of
@@ -301,8 +306,8 @@ def _together(
     runs: list[Path], sources: list[Path], calibrations: list[Calibration], out: Path, options: _Options,
     page: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
-    from piga.compensation.set_files import compensate_set_files
-    from piga.compensation.triad_file import calibration_files, orthogonal_triad, read_triad
+    from piga.compensation.sets.set_files import compensate_set_files
+    from piga.compensation.sets.triad_file import calibration_files, orthogonal_triad, read_triad
     from piga.compensation.warm_up import compile_apart
     from piga.compensation.writers import format_of
 
@@ -353,7 +358,7 @@ def _live(
     max_age: float | None,
 ) -> None:
     from piga.compensation import Compensator
-    from piga.compensation.live import compensate_arrow, compensate_lines
+    from piga.compensation.files.live import compensate_arrow, compensate_lines
 
     stream = Compensator(
         calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age

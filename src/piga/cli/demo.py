@@ -25,7 +25,7 @@ def demo(
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
     from piga.compensation import compensate
-    from piga.reports.calibration import calibration_text
+    from piga.reports.calibration.page import calibration_text
     from piga.stand import read_run
 
     names = (*RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")

@@ -30,11 +30,11 @@ def plan(
     """
     import json
 
-    from piga.calibration.mounting import plan_mounting
-    from piga.calibration.plan_export import plan_document, scenario_text
-    from piga.calibration.plan_file import read_plan
-    from piga.calibration.planning import plan_test
-    from piga.reports.planning import plan_text, write_plan_report
+    from piga.planning.mounting import plan_mounting
+    from piga.planning.plan import plan_test
+    from piga.planning.plan_export import plan_document, scenario_text
+    from piga.planning.plan_file import read_plan
+    from piga.reports.planning.page import plan_text, write_plan_report
 
     folder = out or plan_file.with_name(f"{plan_file.stem}-plan")
     with results(folder, "plan", RESULTS, files_named_in(plan_file), force=force) as stage:

@@ -16,10 +16,10 @@ from piga.output import results
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from piga.stable_platform.analysis import Array
-    from piga.stable_platform.chain import Comparison
-    from piga.stable_platform.scenario import Model
-    from piga.stable_platform.simulate import Run
+    from piga.platform.model.scenario import Model
+    from piga.platform.model.simulate import Run
+    from piga.platform.navigation.analysis import Array
+    from piga.platform.runs.chain import Comparison
 
 app = typer.Typer(
     name="platform",
@@ -41,8 +41,8 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Leaves readouts.parquet, truth.parquet and a page.
     """
-    from piga.reports.platform import simulation_page
-    from piga.stable_platform.output import readouts_table, truth_table
+    from piga.platform.runs.output import readouts_table, truth_table
+    from piga.reports.platform.page import simulation_page
 
     run = _simulated(scenario)
     with _results(out, "simulate", scenario, force, "readouts.parquet", "truth.parquet") as folder:
@@ -69,10 +69,10 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
     Leaves alignment.json and a page.
     """
     from piga.errors import PigaError
-    from piga.reports.platform import alignment_page
-    from piga.stable_platform.alignment import align as align_platform
-    from piga.stable_platform.chain import prepare
-    from piga.stable_platform.output import alignment_document
+    from piga.platform.identification.alignment import align as align_platform
+    from piga.platform.runs.chain import prepare
+    from piga.platform.runs.output import alignment_document
+    from piga.reports.platform.page import alignment_page
 
     run = _simulated(scenario)
     if not run.truth.motion.at_rest:
@@ -101,12 +101,12 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Leaves identification.json and a page.
     """
-    from piga.reports.numbers import rounded
-    from piga.reports.platform import identification_page
-    from piga.stable_platform.chain import identified
-    from piga.stable_platform.observability import observability
-    from piga.stable_platform.output import identification_document
-    from piga.stable_platform.recursion import identify_recursively
+    from piga.platform.identification.observability import observability
+    from piga.platform.identification.recursion import identify_recursively
+    from piga.platform.runs.chain import identified
+    from piga.platform.runs.output import identification_document
+    from piga.reports.platform.page import identification_page
+    from piga.reports.render.numbers import rounded
 
     run = _simulated(scenario)
     s = run.scenario
@@ -130,8 +130,8 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Leaves navigation-MODEL.parquet and a page.
     """
-    from piga.reports.platform_models import navigation_page
-    from piga.stable_platform.output import navigation_table
+    from piga.platform.runs.output import navigation_table
+    from piga.reports.platform.models import navigation_page
 
     comparison = _compared(scenario)
     with _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder:
@@ -160,8 +160,8 @@ def compare(
 
     Leaves comparison.json and a page, day by day.
     """
-    from piga.stable_platform.budget import error_budget, line_budget, monte_carlo, standard_sources
-    from piga.stable_platform.output import budget_document, line_budget_document, scatter_document
+    from piga.platform.runs.budget import error_budget, line_budget, monte_carlo, standard_sources
+    from piga.platform.runs.output import budget_document, line_budget_document, scatter_document
 
     comparison = _compared(scenario)
     s = comparison.run.scenario
@@ -177,9 +177,9 @@ def compare(
     if scatter is not None:
         document["scatter"] = scatter_document(scatter)
     if out is not None:
-        from piga.reports.platform_capstone import capstone_page
-        from piga.reports.platform_models import comparison_page
-        from piga.stable_platform.capstone import capstone
+        from piga.platform.runs.capstone import capstone
+        from piga.reports.platform.capstone import capstone_page
+        from piga.reports.platform.models import comparison_page
 
         with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder:
             _write_json(folder / "comparison.json", document)
@@ -191,8 +191,8 @@ def compare(
 
 
 def _simulated(scenario: Path) -> Run:
-    from piga.stable_platform.scenario import load_scenario
-    from piga.stable_platform.simulate import simulate as simulate_platform
+    from piga.platform.model.scenario import load_scenario
+    from piga.platform.model.simulate import simulate as simulate_platform
 
     read = load_scenario(scenario)
     with progress("simulating"):
@@ -200,8 +200,8 @@ def _simulated(scenario: Path) -> Run:
 
 
 def _compared(scenario: Path) -> Comparison:
-    from piga.stable_platform.chain import compare as compare_models
-    from piga.stable_platform.scenario import load_scenario
+    from piga.platform.model.scenario import load_scenario
+    from piga.platform.runs.chain import compare as compare_models
 
     read = load_scenario(scenario)
     with progress("simulating and navigating"):
@@ -241,7 +241,7 @@ def _results(out: Path, command: str, scenario: Path, force: bool, *names: str) 
 
 
 def _page(folder: Path, page: Any, name: str = "report.html") -> None:
-    from piga.reports.page import page_html
+    from piga.reports.render.page import page_html
 
     write_text(folder / name, page_html(page))
 

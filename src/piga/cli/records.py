@@ -29,7 +29,7 @@ from piga.cli.records_output import (
 from piga.errors import PigaError
 
 if TYPE_CHECKING:
-    from piga.records.store import Store
+    from piga.ledger.store import Store
 
 app = typer.Typer(
     name="records",
@@ -53,7 +53,7 @@ ReasonOption = Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why
 @contextmanager
 def opened(where: str, *, create: bool = False) -> Iterator[Store]:
     """The store that a command works on."""
-    from piga.records.store import open_store
+    from piga.ledger.store import open_store
 
     with open_store(where, create=create) as store:
         yield store
@@ -84,7 +84,7 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate a run and keep it: inputs, result and report. Makes the store when there is none."""
-    from piga.evidence import prepare_results, prepare_run
+    from piga.ledger import prepare_results, prepare_run
 
     wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
     if results is not None and any(option is not None for option in (wanted, method, phase, phase_source)):
@@ -106,7 +106,7 @@ def add(
 
 def _check_usable(where: str) -> None:
     """Refuse a store that cannot be used before the work begins; a new one is made only when there is a record."""
-    from piga.records.store.database import is_url
+    from piga.ledger.store.database import is_url
 
     if is_url(where) or Path(where).exists():
         with opened(where, create=True):
@@ -154,7 +154,7 @@ def show(
         return
     say_record(found)
     if calibration is not None:
-        from piga.reports.calibration import calibration_text
+        from piga.reports.calibration.page import calibration_text
 
         say("")
         say(calibration_text(calibration))
@@ -171,7 +171,7 @@ def diff(
 
     Coefficients with the uncertainty of the difference, inputs, software.
     """
-    from piga.records.store.difference import difference
+    from piga.ledger.store.difference import difference
 
     with opened(store) as kept:
         found, head = difference(kept, first, second), kept.head()
@@ -201,8 +201,8 @@ def verify(
 
     Exit 2, and says what is wrong, when something is.
     """
-    from piga.records.store import open_store  # noqa: F401 - says so when the extra is missing
-    from piga.records.store.verify import verify as check
+    from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
+    from piga.ledger.store.verify import verify as check
 
     where = str(archive) if archive is not None else store
     if where is None:
@@ -227,7 +227,7 @@ def export(
 
     It can be checked without piga.
     """
-    from piga.records.store.transfer import export_records
+    from piga.ledger.store.transfer import export_records
 
     with opened(store) as kept, progress("exporting") as advance:
         found = export_records(kept, out, record, advance=advance)
@@ -246,7 +246,7 @@ def import_export(
 
     All of them, verified, or none.
     """
-    from piga.records.store.transfer import import_records
+    from piga.ledger.store.transfer import import_records
 
     with opened(store, create=True) as kept, progress("importing"):
         added = import_records(kept, archive, operator, reason)
@@ -270,7 +270,7 @@ def reproduce(
 
     Exit 2 when the numbers are not the same.
     """
-    from piga.evidence import reproduce as recompute
+    from piga.ledger import reproduce as recompute
 
     found = []
     with opened(store) as kept:
@@ -301,7 +301,7 @@ def backup(
 
     Of PostgreSQL it is a complete export.
     """
-    from piga.records.store.transfer import backup as copy
+    from piga.ledger.store.transfer import backup as copy
 
     with opened(store) as kept, progress("copying") as advance:
         found = copy(kept, out, advance=advance)
@@ -318,8 +318,8 @@ def restore(
 
     The store must not exist yet.
     """
-    from piga.records.store import open_store  # noqa: F401 - says so when the extra is missing
-    from piga.records.store.transfer import restore as make
+    from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
+    from piga.ledger.store.transfer import restore as make
 
     with progress("restoring"):
         found = make(source, store)

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 from piga.cli.common import note, print_json, print_json_list, say
 
 if TYPE_CHECKING:
-    from piga.evidence import Reproduced
-    from piga.records.store import Record, Store
-    from piga.records.store.difference import Difference
-    from piga.records.store.verify import Verification
+    from piga.ledger import Reproduced
+    from piga.ledger.store import Record, Store
+    from piga.ledger.store.difference import Difference
+    from piga.ledger.store.verify import Verification
 
 
 def store_name(where: str) -> str:
     """Store as printed: a password in a URL is not shown."""
-    from piga.records.store.database import is_url, postgresql_database
+    from piga.ledger.store.database import is_url, postgresql_database
 
     return postgresql_database(where).name if is_url(where) else where
 
@@ -111,7 +111,7 @@ def _type_a_only(found: Difference) -> list[str]:
 def say_difference(found: Difference) -> None:
     """Each coefficient's difference with its uncertainty, then the facts that differ."""
     from piga.records.terms import shown_unit
-    from piga.reports.numbers import rounded, signed
+    from piga.reports.render.numbers import rounded, signed
 
     say(f"{found.first.id} -> {found.second.id}: second less first, uncertainties taken as independent")
     for c in found.coefficients:

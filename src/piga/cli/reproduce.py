@@ -13,7 +13,7 @@ from piga.cli.options import ForceOption
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.reports.reproduction import Reproduction
+    from piga.studies import Reproduction
 
 _COLOURS = {"pass": typer.colors.GREEN, "fail": typer.colors.RED, "info": typer.colors.BLUE}
 
@@ -32,8 +32,8 @@ def reproduce(
 
     Published, computed, difference, verdict; exit 1 if one disagrees.
     """
-    from piga.reports.reproduction import Reproduction, chosen, run_chapters
-    from piga.reports.reproduction.page import summary
+    from piga.studies import Reproduction, chosen, run_chapters
+    from piga.studies.page import summary
 
     names = chosen(only)
     chapters = []
@@ -58,7 +58,7 @@ def reproduce(
 
 
 def _print_table(found: Reproduction) -> None:
-    from piga.reports.reproduction.page import text_lines
+    from piga.studies.page import text_lines
 
     plain = "NO_COLOR" in os.environ
     for verdict, line in text_lines(found):
@@ -71,9 +71,9 @@ def _print_table(found: Reproduction) -> None:
 def _write(found: Reproduction, folder: Path) -> None:
     from importlib.util import find_spec
 
-    from piga.reports.page import write_page
-    from piga.reports.reproduction.page import reproduction_page
-    from piga.reports.static import write_figure
+    from piga.reports.render.page import write_page
+    from piga.reports.render.static import write_figure
+    from piga.studies.page import reproduction_page
 
     pictures = folder / "figures"
     pictures.mkdir()

@@ -17,8 +17,8 @@ from piga.errors import PigaError
 from piga.output import is_staged, results
 
 if TYPE_CHECKING:
-    from piga.calibration.trend import Common, HistoryEntry, Trend
     from piga.records.calibration import CalibrationFigures
+    from piga.trend.history import Common, HistoryEntry, Trend
 
 MOST_RECORDS = 10_000
 RARELY = (100_000, 50, 100)
@@ -66,8 +66,8 @@ def trend(
 
     Stability over time, drift per year, control limits, a forecast, and alarms in words.
     """
-    from piga.calibration.trend import find_trend
-    from piga.reports.trend import trend_text
+    from piga.reports.trend.page import trend_text
+    from piga.trend.history import find_trend
 
     gc.set_threshold(*RARELY)
     with progress("reading"):
@@ -75,7 +75,7 @@ def trend(
     date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
     written = [] if out is None else _written(out, _files(sources or []), found, date, force)
     if as_json:
-        from piga.reports.trend import trend_document
+        from piga.reports.trend.page import trend_document
 
         print_json(trend_document(found, at=date))
         return
@@ -86,7 +86,7 @@ def trend(
 
 def _written(out: Path, inputs: list[Path], found: Trend, date: dt.datetime, force: bool) -> list[Path]:
     """trend.json and trend.html."""
-    from piga.reports.trend import trend_document, write_trend_report
+    from piga.reports.trend.page import trend_document, write_trend_report
 
     text = json.dumps(trend_document(found, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
@@ -110,7 +110,7 @@ def _history(sources: list[Path], store: str | None, serial: str | None) -> Iter
 
 def stored_history(store: str, serial: str) -> Iterator[HistoryEntry]:
     """Records of an instrument in a store."""
-    from piga.records.store import open_store
+    from piga.ledger.store import open_store
 
     with open_store(store) as opened:
         yield from opened.figures(serial)

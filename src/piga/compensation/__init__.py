@@ -6,12 +6,12 @@ from piga.compensation.flags import FLAGS
 from piga.compensation.model import Phase
 from piga.compensation.mounting import Mounted
 from piga.compensation.phase import PhaseFinder, identify_phase
-from piga.compensation.published_set import PublishedSet
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated, CompensatedSet
-from piga.compensation.set_compensator import SetCompensator
+from piga.compensation.sets.published_set import PublishedSet
+from piga.compensation.sets.set_compensator import SetCompensator
+from piga.compensation.sets.triad import compensate_triad
 from piga.compensation.step import Chunk, Step, init_state, step
-from piga.compensation.triad import compensate_triad
 from piga.compensation.validity import Limits
 
 __all__ = [

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels import compensate_layout as at
+from piga._kernels.compensation import layout as at
 from piga.compensation.model import Phase, check_method, make_model
 from piga.compensation.result import Compensated, notes_on
 from piga.compensation.step import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from piga._kernels import compensate_layout as at
+from piga._kernels.compensation import layout as at
 
 FLAGS = {
     "no_increment": at.NO_INCREMENT,

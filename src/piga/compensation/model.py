@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels import compensate_layout as at
+from piga._kernels.compensation import layout as at
 from piga.compensation.validity import Limits
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient

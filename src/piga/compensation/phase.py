@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels import compensate_layout as at
-from piga._kernels.compensate_terms import SERVO, SERVO_DAMPING
-from piga._kernels.regressors import coupling_columns
-from piga._kernels.whitening import innovation_weights, whiten
+from piga._kernels.compensation import layout as at
+from piga._kernels.compensation.terms import SERVO, SERVO_DAMPING
+from piga._kernels.estimation.regressors import coupling_columns
+from piga._kernels.estimation.whitening import innovation_weights, whiten
 from piga.compensation.model import Model, Phase, make_model
 from piga.compensation.rate_angle import integrated_rate
 from piga.errors import CalibrationError

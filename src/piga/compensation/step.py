@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels import compensate_layout as at
-from piga._kernels.compensate_record import compensate_angles, compensate_rates
+from piga._kernels.compensation import layout as at
+from piga._kernels.compensation.record import compensate_angles, compensate_rates
 from piga.compensation.model import Model
 from piga.records.time_base import begins_stretch
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels import compensate_layout as at
+from piga._kernels.compensation import layout as at
 from piga.records.calibration import Calibration
 
 Array = NDArray[np.float64]

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numba.core.event import Listener, install_listener
 
-from piga._kernels import compensate_layout as at
-from piga._kernels.compensate_record import compensate_angles, compensate_rates
-from piga._kernels.compensate_set import SET_STATE, SET_WORK
-from piga._kernels.compensate_set_record import compensate_set
+from piga._kernels.compensation import layout as at
+from piga._kernels.compensation.record import compensate_angles, compensate_rates
+from piga._kernels.compensation.set import SET_STATE, SET_WORK
+from piga._kernels.compensation.set_record import compensate_set
 from piga.compensation.model import Model
-from piga.compensation.set_compensator import stacked
+from piga.compensation.sets.set_compensator import stacked
 from piga.compensation.step import NO_RATES, NONE, Chunk, empty_step, init_state, run_kernel, work_array
 
 KERNELS = {"angle": compensate_angles, "rate": compensate_rates, "set": compensate_set}

@@ -1,10 +1,10 @@
 """The PIGA: parameters, exact motion, closed forms, regimes, the servo-loop twin, its readout."""
 
-from piga.instrument.constant_motion import closed_form, closed_form_turns
-from piga.instrument.fleet import propagate_fleet
-from piga.instrument.function_input import propagate_function
-from piga.instrument.input_forms import propagate_increments, propagate_segments
-from piga.instrument.motion_analysis import (
+from piga.instrument.motion.constant_motion import closed_form, closed_form_turns
+from piga.instrument.motion.fleet import propagate_fleet
+from piga.instrument.motion.function_input import propagate_function
+from piga.instrument.motion.input_forms import propagate_increments, propagate_segments
+from piga.instrument.motion.motion_analysis import (
     dead_zone,
     fixed_points,
     locking_time,
@@ -12,11 +12,11 @@ from piga.instrument.motion_analysis import (
     revolution_period,
     separatrix_distance,
 )
+from piga.instrument.motion.sampled_motion import propagate, propagate_rate
+from piga.instrument.motion.sensitivity import SENSITIVITY_NAMES, Sensitivities, sensitivities
 from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.published import published_closed_form
 from piga.instrument.regimes import Regime, regime
-from piga.instrument.sampled_motion import propagate, propagate_rate
-from piga.instrument.sensitivity import SENSITIVITY_NAMES, Sensitivities, sensitivities
 
 __all__ = [
     "SENSITIVITY_NAMES",

@@ -1,5 +1,6 @@
 """Plain data in and out: run files, runs, calibration records."""
 
+from piga.reading.read_run import read_record
 from piga.records.calibration import (
     Calibration,
     Coefficient,
@@ -9,7 +10,6 @@ from piga.records.calibration import (
     Residuals,
     SegmentSummary,
 )
-from piga.records.read_run import read_record
 from piga.records.run import Run
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.toml_file import read_toml

@@ -2,7 +2,7 @@
 
 A report is built in three steps, each plain data until the last: figures (:class:`Figure` of
 :class:`Panel` and :class:`Series`, with quantity and unit on every axis), a :class:`Page` of sections and
-blocks, and :func:`write_page`. Numbers become text in :mod:`piga.reports.numbers`.
+blocks, and :func:`write_page`. Numbers become text in :mod:`piga.reports.render.numbers`.
 
 >>> from piga.reports import Axis, Figure, FigureBlock, Page, Panel, Section, Series, Text, page_html
 >>> curve = Series([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], name="measured", role="data")
@@ -12,8 +12,8 @@ blocks, and :func:`write_page`. Numbers become text in :mod:`piga.reports.number
 True
 """
 
-from piga.reports.figure import Axis, Figure, Panel, Series
-from piga.reports.page import (
+from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.page import (
     Cell,
     Column,
     FigureBlock,
@@ -26,7 +26,7 @@ from piga.reports.page import (
     page_html,
     write_page,
 )
-from piga.reports.static import figure_svg, write_figure
+from piga.reports.render.static import figure_svg, write_figure
 
 __all__ = [
     "Axis",

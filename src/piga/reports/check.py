@@ -10,9 +10,9 @@ import numpy as np
 
 from piga.records.run import Run
 from piga.records.spool import steps
-from piga.reports.decimate import POINTS, envelope_rows
-from piga.reports.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.page import Column, FigureBlock, Notice, Page, Section, Table, Text, Tile, write_page
+from piga.reports.render.decimate import POINTS, envelope_rows
+from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.page import Column, FigureBlock, Notice, Page, Section, Table, Text, Tile, write_page
 from piga.units import G0
 
 _BLOCK = 1 << 20

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
+from piga.reading.raw_columns import SteadyFile, file_digest
+from piga.reading.read_run import read_record
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
-from piga.records.raw_columns import SteadyFile, file_digest
-from piga.records.read_run import read_record
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, drawn_for
 from piga.records.spool import arrays_like, spans

@@ -10,8 +10,8 @@ import numpy as np
 
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.instrument import ErrorModel, Instrument
-from piga.instrument.electronics import Electronics, Temperature
-from piga.instrument.twin_parameters import twin_parameters
+from piga.instrument.twin.electronics import Electronics, Temperature
+from piga.instrument.twin.parameters import twin_parameters
 from piga.records.terms import UNITS, harmonic, unit_of
 from piga.records.toml_file import read_toml
 from piga.stand.imperfections import Imperfections, imperfections

@@ -11,14 +11,14 @@ import msgspec
 from piga.earth import Site
 from piga.errors import ArgumentError
 from piga.records.run_file import Column, Columns, Quantity, ServoTable, Table
-from piga.stand.centrifuge import Centrifuge, rates_for_levels
-from piga.stand.composite import Composite
-from piga.stand.dividing_head import DividingHead, position_range
-from piga.stand.logged import read_profile
+from piga.stand.machines.centrifuge import Centrifuge, rates_for_levels
+from piga.stand.machines.composite import Composite
+from piga.stand.machines.dividing_head import DividingHead, position_range
+from piga.stand.machines.logged import read_profile
+from piga.stand.machines.rate_table import RateTable
+from piga.stand.machines.spin import SpinPlan
+from piga.stand.machines.vibration import Drive, VibrationTable
 from piga.stand.profile import Stand
-from piga.stand.rate_table import RateTable
-from piga.stand.spin import SpinPlan
-from piga.stand.vibration import Drive, VibrationTable
 from piga.units import to_si
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument, propagate
-from piga.instrument.electronics import (
+from piga.instrument.twin.electronics import (
     Electronics,
     Temperature,
     held_noise,
@@ -22,10 +22,10 @@ from piga.instrument.electronics import (
     read_output,
     sampling_times,
 )
-from piga.instrument.twin import Start, TwinMotion, run_twin
-from piga.instrument.twin_linear import analyse_loop, require_stable
-from piga.instrument.twin_parameters import TwinParameters
-from piga.instrument.twin_predictions import servo_force
+from piga.instrument.twin.linear import analyse_loop, require_stable
+from piga.instrument.twin.parameters import TwinParameters
+from piga.instrument.twin.predictions import servo_force
+from piga.instrument.twin.run import Start, TwinMotion, run_twin
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.stand.tide import EarthTide

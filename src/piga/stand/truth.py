@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.instrument.twin_parameters import TwinParameters
-from piga.instrument.twin_predictions import (
+from piga.instrument.twin.parameters import TwinParameters
+from piga.instrument.twin.predictions import (
     predicted_k2,
     predicted_rate_error,
     predicted_rectification,
@@ -122,7 +122,7 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
 def predicted_angle_error(test: SimulatedTest) -> Array:
     """Output angle of the twin less that of the quasi-steady model [rad], predicted at the rows of the log.
 
-    Integral of :func:`piga.instrument.twin_predictions.predicted_rate_error` along the test; zero for the
+    Integral of :func:`piga.instrument.twin.predictions.predicted_rate_error` along the test; zero for the
     quasi-steady model. What a calibration of the log finds wrong is this, seen through its regressors.
     """
     if test.model != "twin":

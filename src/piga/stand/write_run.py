@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.records.arrow_columns import label_column, number_column
+from piga.formats.arrow_columns import label_column, number_column
 from piga.records.terms import SERVO_TERMS
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest

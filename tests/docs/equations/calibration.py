@@ -9,18 +9,18 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 import piga
-from piga._kernels.counting import saw_tooth_covariance
-from piga._kernels.regressors import coupling_columns, servo_columns
-from piga._kernels.whitening import innovation_weights, whiten
-from piga.calibration.added_noise import AddedNoise
-from piga.calibration.leverage import all_but_one, leverages
-from piga.calibration.missing_terms import tested
-from piga.calibration.noise import find_noise
-from piga.calibration.reduction import Reduction
-from piga.calibration.revolutions import _amplification
-from piga.calibration.servo_columns import ServoState
-from piga.calibration.slow_bases import KNOTS, DriftBasis
-from piga.calibration.slow_noise import projected
+from piga._kernels.estimation.counting import saw_tooth_covariance
+from piga._kernels.estimation.regressors import coupling_columns, servo_columns
+from piga._kernels.estimation.whitening import innovation_weights, whiten
+from piga.calibration.classical.revolutions import _amplification
+from piga.calibration.intervals.added_noise import AddedNoise
+from piga.calibration.intervals.slow_noise import projected
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.servo_columns import ServoState
+from piga.calibration.noise.levels import find_noise
+from piga.calibration.noise.slow_bases import KNOTS, DriftBasis
+from piga.calibration.remarks.leverage import all_but_one, leverages
+from piga.calibration.remarks.missing_terms import tested
 from piga.instrument.parameters import ErrorModel
 from piga.units import G0
 from tests.compensation.twin_data import TAN_BETA, instrument

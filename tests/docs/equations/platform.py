@@ -9,24 +9,24 @@ from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
 from piga import earth
-from piga._kernels.platform_motion import drift_triad
-from piga._kernels.platform_navigation import navigate_chunk
+from piga._kernels.platform.motion import drift_triad
+from piga._kernels.platform.navigation import navigate_chunk
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
-from piga.stable_platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
-from piga.stable_platform.capstone import passage_velocity
-from piga.stable_platform.case_rotation import apparent_gyro
-from piga.stable_platform.geodesy import (
+from piga.platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
+from piga.platform.model.case_rotation import apparent_gyro
+from piga.platform.model.geodesy import (
     KERNEL_EARTH,
     geodetic_to_earth,
     gravitation,
     local_axes,
     specific_force_at_rest,
 )
-from piga.stable_platform.geometry import misalignment, nulled_attitude, small_angles
-from piga.stable_platform.navigation import damping_gains
-from piga.stable_platform.scenario import Gyro, Harmonic, Place, Rotation, Scenario
-from tests.stable_platform.conftest import published
+from piga.platform.model.geometry import misalignment, nulled_attitude, small_angles
+from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Scenario
+from piga.platform.navigation.navigator import damping_gains
+from piga.platform.runs.capstone import passage_velocity
+from tests.platform.conftest import published
 
 from .registry import Pair, equation
 

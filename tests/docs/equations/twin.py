@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from piga._kernels.servo import derivative, friction, wheel
+from piga._kernels.motion.servo import derivative, friction, wheel
 from piga.frames import axis_turn
-from piga.instrument.twin_linear import open_loop, tilt_compliance
-from piga.instrument.twin_predictions import (
+from piga.instrument.twin.linear import open_loop, tilt_compliance
+from piga.instrument.twin.predictions import (
     predicted_k2,
     predicted_rectification,
     predicted_second_harmonic,

@@ -1,0 +1,332 @@
+"""Regressors of the calibration: integrals of the error-model terms over each sample interval.
+
+All inputs are linear between samples; the bow of a smooth one (:func:`smooth_bows`) is added to first order. Row ``i`` of
+a block is the interval from sample ``lo + i`` to ``lo + i + 1``; rows that begin a stretch are written as zeros. With
+``step = 0`` the regressors are instead evaluated at the samples themselves (for logs that hold a rate).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.arithmetic.smooth import bow_of, curvature, limited
+from piga._kernels.jit import exact, kernel
+
+Array = NDArray[np.float64]
+
+CODES = {
+    "a_x": 0,
+    "p": 1,
+    "q": 2,
+    "k0": 3,
+    "k2": 4,
+    "k3": 5,
+    "k2o": 6,
+    "m_Y": 7,
+    "m_Z": 8,
+    "k_XY": 9,
+    "k_XZ": 10,
+    "k_YY": 11,
+    "k_ZZ": 12,
+    "k_YZ": 13,
+    "k0_t": 14,
+    "k0_T": 15,
+    "k1_T": 16,
+    "omega_x": 17,
+}
+"""Code of each column; harmonics are ``100 + 2 n`` (sine) and ``101 + 2 n`` (cosine) of order n."""
+
+
+@kernel
+def half_angle_moments(x: float) -> tuple[float, float, float]:
+    """Moments of ``exp(i x v)`` over v in [-1, 1], halved: of 1, v and 1 - v^2 (times 1, -i, 1).
+
+    ``j0 = sin x / x``, ``j1 = (sin x - x cos x)/x^2`` and ``2 j1/x``: spherical Bessel functions, with
+    series for small x where the quotients lose digits.
+    """
+    x2 = x * x
+    if x2 < 0.25:
+        j0 = 1.0 - x2 / 110.0 * (1.0 - x2 / 156.0)
+        j0 = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0 * j0)))
+        ratio = 1.0 - x2 / 130.0 * (1.0 - x2 / 180.0)
+        ratio = (1.0 - x2 / 10.0 * (1.0 - x2 / 28.0 * (1.0 - x2 / 54.0 * (1.0 - x2 / 88.0 * ratio)))) / 3.0
+        return j0, x * ratio, 2.0 * ratio
+    sine, cosine = math.sin(x), math.cos(x)
+    j1 = (sine - x * cosine) / x2
+    return sine / x, j1, 2.0 * j1 / x
+
+
+@kernel
+def coupling_columns(
+    psi: Array, y: Array, z: Array, h: Array, bend: Array, order: float, cosine: Array, sine: Array
+) -> None:
+    """Product integrals of ``y(t)``, ``z(t)`` with ``exp(i order psi(t))`` (Filon's rule).
+
+    ``psi, y, z`` hold n + 1 samples, ``h`` and ``bend`` n intervals. ``bend`` [rad] is the sag of psi
+    against its chord at mid-interval (from the reference), to first order. Writes
+    ``sine = int (y sin - z cos)`` and ``cosine = int (y cos + z sin)``.
+    """
+    for i in range(h.size):
+        if h[i] == 0.0:
+            sine[i] = 0.0
+            cosine[i] = 0.0
+            continue
+        middle = 0.5 * order * (psi[i] + psi[i + 1])
+        j0, j1, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+        s, c = math.sin(middle), math.cos(middle)
+        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
+        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
+        bent = order * bend[i] * sag
+        # int (y + i-free) with exp(i psi) = (s, c) turned; even part j0, odd part j1, sag turns by +90 deg
+        ys, yc = ym * j0 * s + yd * j1 * c + ym * bent * c, ym * j0 * c - yd * j1 * s - ym * bent * s
+        zs, zc = zm * j0 * s + zd * j1 * c + zm * bent * c, zm * j0 * c - zd * j1 * s - zm * bent * s
+        sine[i] = h[i] * (ys - zc)
+        cosine[i] = h[i] * (yc + zs)
+
+
+@kernel
+def _odd_square_mean(a0: float, a1: float) -> float:
+    """Mean of ``a|a|`` while a goes linearly from a0 to a1."""
+    if a0 * a1 >= 0.0:
+        mean = (a0 * a0 + a0 * a1 + a1 * a1) / 3.0
+        return mean if a0 + a1 >= 0.0 else -mean
+    return (abs(a1) ** 3 - abs(a0) ** 3) / (3.0 * (a1 - a0))
+
+
+@kernel
+def product_column(  # noqa: C901, PLR0912 - a flat table of integrands, one line each
+    code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array
+) -> None:
+    """Integral over each interval of the force-only term ``code`` (see ``CODES``), exact for linear input.
+
+    ``f`` has shape (3, n + 1); ``t`` and ``temperature`` are already relative to their references.
+    """
+    x, y, z = f[0], f[1], f[2]
+    n = h.size
+    if code == 0:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (x[i] + x[i + 1])
+    elif code == 3:
+        out[:n] = h
+    elif code == 4:
+        _mean_product(x, x, h, out)
+    elif code == 5:
+        for i in range(n):
+            out[i] = h[i] * 0.25 * (x[i] + x[i + 1]) * (x[i] * x[i] + x[i + 1] * x[i + 1])
+    elif code == 6:
+        for i in range(n):
+            out[i] = h[i] * _odd_square_mean(x[i], x[i + 1])
+    elif code == 7:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (y[i] + y[i + 1])
+    elif code == 8:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (z[i] + z[i + 1])
+    elif code == 9:
+        _mean_product(x, y, h, out)
+    elif code == 10:
+        _mean_product(x, z, h, out)
+    elif code == 11:
+        _mean_product(y, y, h, out)
+    elif code == 12:
+        _mean_product(z, z, h, out)
+    elif code == 13:
+        _mean_product(y, z, h, out)
+    elif code == 14:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (t[i] + t[i + 1])
+    elif code == 15:
+        for i in range(n):
+            out[i] = h[i] * 0.5 * (temperature[i] + temperature[i + 1])
+    elif code == 16:
+        _mean_product(x, temperature, h, out)
+
+
+@kernel
+def _mean_product(a: Array, b: Array, h: Array, out: Array) -> None:
+    """Integral of ``a b`` over each interval, both linear: ``h (2 a0 b0 + 2 a1 b1 + a0 b1 + a1 b0)/6``."""
+    for i in range(h.size):
+        out[i] = h[i] * (2.0 * (a[i] * b[i] + a[i + 1] * b[i + 1]) + a[i] * b[i + 1] + a[i + 1] * b[i]) / 6.0
+
+
+@kernel
+def cubic_moments(x: float) -> tuple[float, float, float, float]:
+    """``half the integral of v^k exp(i x v)`` over v in [-1, 1] for k = 0 .. 3, less a factor 1, i, 1, i.
+
+    Derivatives of ``sin x / x`` by ``-i d/dx``; series for small x, where the quotients lose digits.
+    """
+    x2 = x * x
+    if x2 < 1.0:
+        m0 = m1 = m2 = m3 = 0.0
+        term = 1.0
+        for k in range(10):
+            m0 += term / (2 * k + 1)
+            m2 += term / (2 * k + 3)
+            m1 += term * x / ((2 * k + 1) * (2 * k + 3))
+            m3 += term * x / ((2 * k + 1) * (2 * k + 5))
+            term *= -x2 / ((2 * k + 1) * (2 * k + 2))
+        return m0, m1, m2, m3
+    sine, cosine = math.sin(x), math.cos(x)
+    m0 = sine / x
+    m1 = (m0 - cosine) / x
+    m2 = m0 - 2.0 * m1 / x
+    m3 = (3.0 * m2 - cosine) / x
+    return m0, m1, m2, m3
+
+
+@kernel
+def servo_columns(psi: Array, w: Array, y: Array, z: Array, h: Array, bend: Array, out: Array) -> None:
+    """Integrals behind the terms of the servo over each interval, all inputs linear between samples.
+
+    Parameters
+    ----------
+    psi, w, y, z:
+        (n + 1,) angle of the output [rad]; ``u_x/K``, ``u_Y/K``, ``u_Z/K`` [m/s^2] at the samples.
+    h, bend:
+        (n,) intervals [s], 0 where none is formed; sag of psi against its chord [rad], to first order.
+    out:
+        (5, n), written. With ``zeta = y + i z``: integrals of ``w |zeta|^2``, of the real part and less the imaginary part
+        of ``w zeta^2 exp(-2 i psi)``, of real and imaginary part of ``w^2 zeta exp(-i psi)``.
+    """
+    for i in range(h.size):
+        if h[i] == 0.0:
+            out[:, i] = 0.0
+            continue
+        wm, wd = 0.5 * (w[i] + w[i + 1]), 0.5 * (w[i + 1] - w[i])
+        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
+        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
+        middle, half = 0.5 * (psi[i] + psi[i + 1]), 0.5 * (psi[i + 1] - psi[i])
+        square = ym * ym + zm * zm
+        even = wm * (yd * yd + zd * zd) + 2.0 * wd * (ym * yd + zm * zd)
+        out[0, i] = h[i] * (wm * square + even / 3.0)
+        # zeta^2 = (a0 + a1 v + a2 v^2) + i (b0 + b1 v + b2 v^2)
+        a0, a1, a2 = ym * ym - zm * zm, 2.0 * (ym * yd - zm * zd), yd * yd - zd * zd
+        b0, b1, b2 = 2.0 * ym * zm, 2.0 * (ym * zd + yd * zm), 2.0 * yd * zd
+        real, imaginary = _turned_integral(
+            (wm * a0, wm * a1 + wd * a0, wm * a2 + wd * a1, wd * a2),
+            (wm * b0, wm * b1 + wd * b0, wm * b2 + wd * b1, wd * b2),
+            2.0 * middle,
+            2.0 * half,
+            2.0 * bend[i],
+        )
+        out[1, i], out[2, i] = h[i] * real, -h[i] * imaginary
+        s0, s1, s2 = wm * wm, 2.0 * wm * wd, wd * wd
+        real, imaginary = _turned_integral(
+            (s0 * ym, s0 * yd + s1 * ym, s1 * yd + s2 * ym, s2 * yd),
+            (s0 * zm, s0 * zd + s1 * zm, s1 * zd + s2 * zm, s2 * zd),
+            middle,
+            half,
+            bend[i],
+        )
+        out[3, i], out[4, i] = h[i] * real, h[i] * imaginary
+
+
+@kernel
+def _turned_integral(
+    a: tuple[float, float, float, float],
+    b: tuple[float, float, float, float],
+    middle: float,
+    half: float,
+    bend: float,
+) -> tuple[float, float]:
+    """Half the integral of ``(a(v) + i b(v)) exp(-i (middle + half v + bend (1 - v^2)))`` over v in [-1, 1]."""
+    m0, m1, m2, m3 = cubic_moments(half)
+    sag = bend * (m0 - m2)
+    # moments of exp(-i half v) are m0, -i m1, m2, -i m3
+    real = a[0] * m0 + a[2] * m2 + b[1] * m1 + b[3] * m3 + b[0] * sag
+    imaginary = b[0] * m0 + b[2] * m2 - a[1] * m1 - a[3] * m3 - a[0] * sag
+    s, c = math.sin(middle), math.cos(middle)
+    return c * real + s * imaginary, c * imaginary - s * real
+
+
+@exact
+def smooth_bows(x: Array, h: Array, out: Array) -> bool:
+    """Mean of a smooth input over each interval less that of both ends; True where one is not 0.
+
+    ``-h^2/12 x''`` with the second derivative by the samples on both sides (exact for a cubic), at the ends of a stretch by
+    those on one side (:mod:`piga._kernels.arithmetic.smooth`).
+
+    Parameters
+    ----------
+    x, h, out:
+        (n + 1,) samples; (n,) intervals [s], 0 where samples do not belong together; (n,) results.
+    """
+    n = h.size
+    bent = False
+    for i in range(n):
+        out[i] = 0.0
+        if h[i] == 0.0:
+            continue
+        left = i > 0 and h[i - 1] != 0.0
+        right = i < n - 1 and h[i + 1] != 0.0
+        if left and right:
+            first, second = curvature(x[i - 1 : i + 2], h[i - 1 : i + 1]), curvature(x[i : i + 3], h[i : i + 2])
+            share = (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i - 1] + h[i] + h[i + 1]))
+            value = first + share * (second - first)
+        elif left and i > 1 and h[i - 2] != 0.0:
+            first, second = (
+                curvature(x[i - 1 : i + 2], h[i - 1 : i + 1]),
+                curvature(x[i - 2 : i + 1], h[i - 2 : i]),
+            )
+            value = first + (first - second) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
+        elif right and i < n - 2 and h[i + 2] != 0.0:
+            first, second = curvature(x[i : i + 3], h[i : i + 2]), curvature(x[i + 1 : i + 4], h[i + 1 : i + 3])
+            value = first + (first - second) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
+        else:
+            continue
+        out[i] = bow_of(h[i], limited(value, first, second))
+        bent |= out[i] != 0.0
+    return bent
+
+
+@kernel
+def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:
+    """Add to a column of :func:`product_column` what the bows (3, n) of the force make of it, to first order."""
+    for i in range(h.size):
+        x, y, z = 0.5 * (f[0, i] + f[0, i + 1]), 0.5 * (f[1, i] + f[1, i + 1]), 0.5 * (f[2, i] + f[2, i + 1])
+        bx, by, bz = bows[0, i], bows[1, i], bows[2, i]
+        value = 0.0
+        if code == 0:
+            value = bx
+        elif code == 4:
+            value = 2.0 * x * bx
+        elif code == 5:
+            value = 3.0 * x * x * bx
+        elif code == 6:
+            value = 2.0 * abs(x) * bx
+        elif code == 7:
+            value = by
+        elif code == 8:
+            value = bz
+        elif code == 9:
+            value = x * by + y * bx
+        elif code == 10:
+            value = x * bz + z * bx
+        elif code == 11:
+            value = 2.0 * y * by
+        elif code == 12:
+            value = 2.0 * z * bz
+        elif code == 13:
+            value = y * bz + z * by
+        elif code == 16:
+            value = bx * 0.5 * (temperature[i] + temperature[i + 1])
+        out[i] += h[i] * value
+
+
+@kernel
+def add_coupling_bows(
+    psi: Array, y: Array, z: Array, h: Array, order: float, cosine: Array, sine: Array
+) -> None:
+    """Add to the columns of :func:`coupling_columns` what the bows ``y, z`` (n,) of the transverse input make of them.
+
+    A bow is a parabola in the interval: it weighs with the angle by the moment of ``1 - v^2``.
+    """
+    for i in range(h.size):
+        _, _, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+        middle = 0.5 * order * (psi[i] + psi[i + 1])
+        s, c = math.sin(middle), math.cos(middle)
+        sine[i] += h[i] * 1.5 * sag * (y[i] * s - z[i] * c)
+        cosine[i] += h[i] * 1.5 * sag * (y[i] * c + z[i] * s)

@@ -1,0 +1,1 @@
+"""Kernels of the exact motion and of the servo twin."""

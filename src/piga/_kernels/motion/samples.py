@@ -1,0 +1,206 @@
+"""Records of motion from samples of specific force: angles and rates, or what a stretch does to any start."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.arithmetic.trig import double_arctangent
+from piga._kernels.jit import kernel
+from piga._kernels.motion import transfer as block
+from piga._kernels.motion.blocks import GOOD, close_block, multiply_steps, run_block, stepwise
+from piga._kernels.motion.step import unwrapped
+from piga._kernels.motion.transfer import (
+    BLOCK,
+    PAIR_P,
+    PAIR_Q,
+    RATE_A,
+    RATE_Y,
+    RATE_Z,
+    SIZE,
+    STEP_A,
+    STEP_Y,
+    STEP_Z,
+)
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def load_rates(
+    f: Array,
+    base_rate: Array,
+    extra: Array,
+    K: float,
+    tan_beta: float,
+    offset_y: float,
+    offset_z: float,
+    w: Array,
+) -> None:
+    """Effective rates ``a, y, z`` [rad/s] at the samples of a block."""
+    coupling = K * tan_beta
+    for j in range(f.shape[0]):
+        w[RATE_A + j] = K * f[j, 0]
+        w[RATE_Y + j] = coupling * f[j, 1] + offset_y
+        w[RATE_Z + j] = coupling * f[j, 2] + offset_z
+    for j in range(base_rate.shape[0]):
+        w[RATE_A + j] -= base_rate[j, 0]
+        w[RATE_Y + j] -= tan_beta * base_rate[j, 1]
+        w[RATE_Z + j] -= tan_beta * base_rate[j, 2]
+    for j in range(extra.size):
+        w[RATE_A + j] += extra[j]
+
+
+@kernel
+def steps_from_samples(t: Array, extra_mean: Array, w: Array, m: int) -> int:
+    """Increments [rad] of ``m`` steps with input linear between samples; returns how many have h > 0.
+
+    Mean of the ends plus the commutator of the fourth-order Magnus expansion [Blanes2009].
+    """
+    positive = 0
+    for j in range(m):
+        h = t[j + 1] - t[j]
+        positive += h > 0.0
+        a0, y0, z0 = w[RATE_A + j], w[RATE_Y + j], w[RATE_Z + j]
+        a1, y1, z1 = w[RATE_A + j + 1], w[RATE_Y + j + 1], w[RATE_Z + j + 1]
+        mean, cross = 0.5 * h, h * h * (1.0 / 12.0)
+        w[STEP_A + j] = mean * (a0 + a1) + cross * (y0 * z1 - z0 * y1)
+        w[STEP_Y + j] = mean * (y0 + y1) + cross * (a0 * z1 - z0 * a1)
+        w[STEP_Z + j] = mean * (z0 + z1) - cross * (a0 * y1 - y0 * a1)
+    for j in range(extra_mean.size):
+        w[STEP_A + j] += (t[j + 1] - t[j]) * extra_mean[j]
+    return positive
+
+
+@kernel
+def propagate_samples(
+    state: Array,
+    alpha: Array,
+    rate: Array,
+    t: Array,
+    f: Array,
+    base_rate: Array,
+    extra: Array,
+    extra_mean: Array,
+    K: float,
+    tan_beta: float,
+    offset_y: float,
+    offset_z: float,
+) -> int:
+    """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
+
+    ``base_rate`` (n, 3) or (0, 3); ``extra`` (n,) [rad/s] is added to ``u_x`` at the samples and
+    ``extra_mean`` (n - 1,) [rad/s] to its mean over each step; ``alpha`` and ``rate`` (n,): each of
+    these may be empty. ``state``: turns, P, Q; updated (the turns only if ``alpha`` is wanted).
+    """
+    w = np.empty(SIZE)
+    turns, p, q = state[0], state[1], state[2]
+    n = t.size
+    if alpha.size:
+        alpha[0] = unwrapped(turns, double_arctangent(p, q))
+    if n == 1:
+        load_rates(f, base_rate, extra, K, tan_beta, offset_y, offset_z, w)
+        w[PAIR_P], w[PAIR_Q] = p, q
+        block.rates(w, rate)
+    first = 0
+    while first < n - 1:
+        m = min(BLOCK, n - 1 - first)
+        stop = first + m + 1
+        load_rates(f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w)
+        if steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m) < m:
+            return first
+        ahead = alpha[stop:] if alpha.size else rate[stop:]
+        usable, turns, p, q = run_block(w, m, turns, p, q, alpha[first + 1 : stop], t[stop:], f[stop:], ahead)
+        if not usable:
+            return first
+        block.rates(w, rate[first:stop])
+        first += m
+    state[0], state[1], state[2] = turns, p, q
+    return GOOD
+
+
+@kernel
+def prepare_samples(
+    product: Array,
+    prefix: Array,
+    stepped: Array,
+    t: Array,
+    f: Array,
+    base_rate: Array,
+    extra: Array,
+    extra_mean: Array,
+    K: float,
+    tan_beta: float,
+    offset_y: float,
+    offset_z: float,
+) -> int:
+    """What a stretch does to any pair: all products of its blocks, and of the stretch as a whole.
+
+    ``prefix`` (blocks, PREFIX): see :func:`~piga._kernels.motion.transfer.prefixes`; ``stepped`` (blocks,) is 1
+    where a step is too large for it; ``product`` (2, 2), scaled. Other arguments: :func:`propagate_samples`.
+    """
+    w = np.empty(SIZE)
+    u, v, x, y = 1.0, 0.0, 0.0, 1.0
+    first = 0
+    while first < t.size - 1:
+        m = min(BLOCK, t.size - 1 - first)
+        stop = first + m + 1
+        load_rates(f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w)
+        if steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m) < m:
+            return first
+        number = first // BLOCK
+        stepped[number] = 0.0 if block.matrices(w, m) == m else 1.0
+        if stepped[number]:
+            usable, r, s, i, k = multiply_steps(w, m)
+            if not usable:
+                return first
+        else:
+            r, s, i, k = block.prefixes(w, m, prefix[number], t[stop:], f[stop:])
+        u, v, x, y = block.scaled(block.multiply(r, s, i, k, u, v, x, y))
+        first += m
+    product[0, 0], product[0, 1], product[1, 0], product[1, 1] = u, x, v, y
+    return GOOD
+
+
+@kernel
+def finish_samples(
+    state: Array,
+    alpha: Array,
+    rate: Array,
+    prefix: Array,
+    stepped: Array,
+    t: Array,
+    f: Array,
+    base_rate: Array,
+    extra: Array,
+    extra_mean: Array,
+    K: float,
+    tan_beta: float,
+    offset_y: float,
+    offset_z: float,
+) -> None:
+    """Output of a stretch from what :func:`prepare_samples` left; else as :func:`propagate_samples`.
+
+    ``alpha[0]`` is left alone: it belongs to the stretch before.
+    """
+    w = np.empty(SIZE)
+    turns, p, q = state[0], state[1], state[2]
+    first = 0
+    while first < t.size - 1:
+        m = min(BLOCK, t.size - 1 - first)
+        stop = first + m + 1
+        number = first // BLOCK
+        part = alpha[first + 1 : stop]
+        if rate.size or stepped[number]:
+            load_rates(
+                f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w
+            )
+        if stepped[number]:
+            steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m)
+            _, turns, p, q = stepwise(w, m, turns, p, q, part)
+        else:
+            block.pairs_from_prefixes(w, m, prefix[number], p, q)
+            turns, p, q = close_block(w, m, turns, part)
+        block.rates(w, rate[first:stop])
+        first += m
+    state[0], state[1], state[2] = turns, p, q

@@ -1,0 +1,177 @@
+"""Kernel that steps the true platform: gyro drift, exact nulled geometry, increments and gimbal angles."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.jit import inline, kernel
+from piga._kernels.platform.geometry import (
+    body_to_earth,
+    case_angle,
+    gimbal_angles,
+    misalignment_at,
+    multiply,
+    nulled_platform,
+    turn_about_pole,
+)
+
+Array = NDArray[np.float64]
+
+
+@inline
+def drift_triad(
+    c_ig: Array, rates: Array, eta: float, s1: float, c1: float, s2: float, c2: float, h: float
+) -> float:
+    """Turn ``C_i^G`` (3, 3) in place by the gyros' drift over ``h``; returns the new eta [He2014].
+
+    ``rates`` (8,): w1x, w1y, w2y, w2z that stay in G axes, then the same four in case axes.
+    ``w_Gx = w1x, w_Gy = w1y, w_Gz = w2z sec(eta) - w1x tan(eta), eta' = w2y - w1y``.
+    """
+    wx = rates[0] + c1 * rates[4] - s1 * rates[5]
+    wy = rates[1] + s1 * rates[4] + c1 * rates[5]
+    w2y = rates[2] + c2 * rates[6] - s2 * rates[7]
+    w2z = rates[3] + s2 * rates[6] + c2 * rates[7]
+    middle = eta + 0.5 * (w2y - wy) * h
+    wz = (w2z - wx * math.sin(middle)) / math.cos(middle)
+    x, y, z = wx * h, wy * h, wz * h
+    for j in range(3):
+        a, b, c = c_ig[0, j], c_ig[1, j], c_ig[2, j]
+        # C <- (I - [x] + [x]^2 / 2) C
+        da, db, dc = z * b - y * c, x * c - z * a, y * a - x * b
+        c_ig[0, j] = a + da + 0.5 * (z * db - y * dc)
+        c_ig[1, j] = b + db + 0.5 * (x * dc - z * da)
+        c_ig[2, j] = c + dc + 0.5 * (y * da - x * db)
+    return eta + (w2y - wy) * h
+
+
+@inline
+def platform_at(
+    s1: float,
+    k1: float,
+    s2: float,
+    k2: float,
+    gyro: Array,
+    a1: Array,
+    b1: Array,
+    a2: Array,
+    b2: Array,
+    eta: float,
+    c_ig: Array,
+    c_gp: Array,
+    c_ip: Array,
+) -> float:
+    """Exact ``C_i^P`` at one instant, from sine and cosine of both case angles; returns the ring angle."""
+    m1, m2 = misalignment_at(gyro[0], a1, b1, k1, s1), misalignment_at(gyro[2], a2, b2, k2, s2)
+    ring = nulled_platform(math.sin(m1), math.cos(m1), s1, k1, math.sin(m2), math.cos(m2), s2, k2, eta, c_gp)
+    multiply(c_gp, c_ig, c_ip)
+    return ring
+
+
+@inline
+def case_phasors(t: float, case: Array, gyro: Array) -> tuple[float, float, float, float]:
+    """Sine and cosine of the polar, then of the equatorial case angle, phases included."""
+    first = case_angle(t, case[0], case[1]) + gyro[1]
+    second = case_angle(t, case[2], case[3]) + gyro[3]
+    return math.sin(first), math.cos(first), math.sin(second), math.cos(second)
+
+
+@inline
+def force_in_platform(
+    t: float, earth_rate: float, c_ip: Array, f_e: Array, row: int
+) -> tuple[float, float, float]:
+    """Specific force in P axes from its Earth-axes components."""
+    c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
+    fx, fy, fz = c * f_e[row, 0] - s * f_e[row, 1], s * f_e[row, 0] + c * f_e[row, 1], f_e[row, 2]
+    return (
+        c_ip[0, 0] * fx + c_ip[0, 1] * fy + c_ip[0, 2] * fz,
+        c_ip[1, 0] * fx + c_ip[1, 1] * fy + c_ip[1, 2] * fz,
+        c_ip[2, 0] * fx + c_ip[2, 1] * fy + c_ip[2, 2] * fz,
+    )
+
+
+@kernel
+def simulate_platform(
+    gyro: Array,
+    a1: Array,
+    b1: Array,
+    a2: Array,
+    b2: Array,
+    rates: Array,
+    case: Array,
+    f_e: Array,
+    attitude: Array,
+    place: Array,
+    earth_rate: float,
+    start: float,
+    h: float,
+    c_ig: Array,
+    eta: float,
+    work: Array,
+    dv: Array,
+    force: Array,
+    gimbals: Array,
+    ring: Array,
+    eta_out: Array,
+    spin: Array,
+) -> float:
+    """True readouts over ``n = dv.shape[0]`` steps of ``h``; node k at ``start + k h``. Returns the last eta.
+
+    ``gyro`` (4,) m1, phase 1, m2, phase 2; ``a1 .. b2`` harmonics [rad]; ``rates`` (8,) see
+    :func:`drift_triad`; ``case`` (4,) rate 1, turns before reversal 1, rate 2, turns 2; ``f_e`` specific
+    force in Earth axes at every half step (2n + 1, 3) or (1, 3); ``attitude`` roll, pitch, heading and
+    ``place`` latitude, longitude at the nodes (n + 1, k) or (1, k); ``c_ig`` (3, 3) is advanced.
+    Written: ``dv`` (n, 3) by Simpson's rule, ``force`` (n + 1, 3) at the nodes, ``gimbals`` (n + 1, 3),
+    ``ring`` and ``eta_out`` (n + 1,), ``spin`` (n, 3) or (0, 3): turn of the platform over the step in P axes.
+    ``work`` (6, 3, 3) is scratch space.
+    """
+    n = dv.shape[0]
+    force_stride = 1 if f_e.shape[0] > 1 else 0
+    moving = attitude.shape[0] > 1
+    want_spin = spin.shape[0] > 0
+    c_gp, c_ip, c_be, c_bi, c_bp, before = work[0], work[1], work[2], work[3], work[4], work[5]
+    body_to_earth(attitude[0, 0], attitude[0, 1], attitude[0, 2], place[0, 0], place[0, 1], c_bi, c_be)
+    gx = gy = gz = mx = my = mz = 0.0
+    s1, k1, s2, k2 = case_phasors(start, case, gyro)
+    for i in range(n + 1):
+        t = start + i * h
+        ring_angle = platform_at(s1, k1, s2, k2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
+        fx, fy, fz = force_in_platform(t, earth_rate, c_ip, f_e, 2 * i * force_stride)
+        if i > 0:
+            dv[i - 1, 0] = h / 6.0 * (gx + 4.0 * mx + fx)
+            dv[i - 1, 1] = h / 6.0 * (gy + 4.0 * my + fy)
+            dv[i - 1, 2] = h / 6.0 * (gz + 4.0 * mz + fz)
+            if want_spin:
+                for j in range(3):
+                    a, b = (j + 1) % 3, (j + 2) % 3
+                    spin[i - 1, j] = 0.5 * (
+                        c_ip[a, 0] * before[b, 0] + c_ip[a, 1] * before[b, 1] + c_ip[a, 2] * before[b, 2]
+                        - c_ip[b, 0] * before[a, 0] - c_ip[b, 1] * before[a, 1] - c_ip[b, 2] * before[a, 2]
+                    )  # fmt: skip
+        if moving:
+            k = i if place.shape[0] > 1 else 0
+            body_to_earth(attitude[i, 0], attitude[i, 1], attitude[i, 2], place[k, 0], place[k, 1], c_bi, c_be)
+        turn_about_pole(math.cos(earth_rate * t), math.sin(earth_rate * t), c_be, c_bi)
+        multiply(c_ip, c_bi, c_bp)
+        gimbal_angles(c_bp, gimbals[i])
+        force[i, 0], force[i, 1], force[i, 2] = fx, fy, fz
+        ring[i], eta_out[i] = ring_angle, eta
+        if i == n:
+            break
+        if want_spin:
+            before[:, :] = c_ip
+        gx, gy, gz = fx, fy, fz
+        middle = t + 0.5 * h
+        p1, q1, p2, q2 = case_phasors(middle, case, gyro)
+        eta = drift_triad(
+            c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
+        )
+        platform_at(p1, q1, p2, q2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
+        mx, my, mz = force_in_platform(middle, earth_rate, c_ip, f_e, (2 * i + 1) * force_stride)
+        s1, k1, s2, k2 = case_phasors(t + h, case, gyro)
+        eta = drift_triad(
+            c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
+        )
+    return eta

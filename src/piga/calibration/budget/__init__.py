@@ -1,0 +1,1 @@
+"""Type B sources, the budget table and Monte Carlo."""

@@ -1,0 +1,238 @@
+"""Uncertainty budget: one row per source with its contribution to every coefficient."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.budget.uncertainty import Source, contributions
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.solution import solve
+from piga.calibration.noise.weighting import reduce_segments
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.coverage import welch_satterthwaite
+from piga.records.run import Run
+from piga.records.terms import si_factor, unit_of
+
+if TYPE_CHECKING:
+    from piga.calibration.fit.one_run import Fit
+    from piga.calibration.joint.joint_fit import Source as JointSource
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Rows of the budget, Type A first, and the sources of Type B behind them.
+
+    ``changes``: per source what each of its draws does to the coefficients (draws, n), in file units; ``in_fit``:
+    whether the weights of the fit know of it, so that the covariance of the fit holds it already.
+    """
+
+    rows: tuple[dict[str, Any], ...]
+    changes: tuple[Array, ...]
+    in_fit: tuple[bool, ...]
+
+    def with_row(self, row: dict[str, Any]) -> Budget:
+        """With one more source, of one draw, that the weights do not know of."""
+        change = np.array(list(row["contributions"].values()))[None]
+        return Budget((*self.rows, row), (*self.changes, change), (*self.in_fit, False))
+
+    def covariances(self, covariance: Array) -> tuple[Array, Array]:
+        """Covariances of Type A and of both types, from that of the fit."""
+        each = [change.T @ change for change in self.changes]
+        nothing = np.zeros_like(covariance)
+        held = sum((part for part, stated in zip(each, self.in_fit, strict=True) if stated), start=nothing)
+        type_a = positive_part(covariance - held) if any(self.in_fit) else covariance
+        return type_a, type_a + sum(each, start=nothing)
+
+
+def positive_part(covariance: Array) -> Array:
+    """The matrix without what rounding leaves below zero: correlations of negative eigenvalue are taken out."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    positive: Array = root @ root.T
+    return positive
+
+
+def share_of_type_a(type_a: Array, covariance: Array) -> Array:
+    """What the degrees of freedom of the fit's covariance become for its part of Type A: the share, squared.
+
+    What is stated has no part in how well the noise is known (JCGM 100, eq. G.2b).
+    """
+    share: Array = (np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300)) ** 2
+    return share
+
+
+def make_budget(
+    fit: Fit,
+    groups: tuple[int, ...],
+    per_segment: bool,
+    coefficients: tuple[Coefficient, ...],
+    covariance: Array,
+) -> Budget:
+    """The budget of a fit with ``covariance`` (n, n) of its coefficients: one row per source."""
+    base = np.array([coefficient.value for coefficient in coefficients])
+    turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
+
+    def reduced(run: Run) -> list[Reduction]:
+        design = fit.design.of(run)
+        return fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
+
+    def solved(summaries: list[Reduction]) -> Array:
+        solution = solve(fit.design, summaries, groups)
+        named, _ = name_coefficients(fit.design, solution, solution.covariance, per_segment)
+        values = np.array([coefficient.value for coefficient in named])
+        return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
+
+    def one_by_one(run: Run) -> Iterator[Array]:
+        moved, plain = reduced(run), reduced(fit.design.run)
+        for s in range(len(plain)):
+            yield solved([*plain[:s], moved[s], *plain[s + 1 :]])
+
+    found = list(contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one))
+    stated = fit.counted is None and bool(fit.weights.stated)
+    in_fit = tuple(stated and source.draw == "segment" for source, _ in found)
+    changes = tuple(change for _, change in found)
+    type_a = Budget((), changes, in_fit).covariances(covariance)[0]
+    rows = budget_rows(coefficients, type_a, found)
+    return Budget(rows, changes, in_fit)
+
+
+def budget_rows(
+    coefficients: tuple[Coefficient, ...], type_a: Array, found: Iterable[tuple[Source | JointSource, Array]]
+) -> tuple[dict[str, Any], ...]:
+    """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
+    std = np.sqrt(np.diag(type_a))
+    rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std)]
+    for source, change in found:
+        degrees = source.degrees_of_freedom if math.isfinite(source.degrees_of_freedom) else None
+        shape, size, unit = source.distribution, source.value, source.unit
+        rows.append(budget_row(source.name, "B", shape, size, unit, coefficients, together(change), degrees))
+    return tuple(rows)
+
+
+def together(changes: Array) -> Array:
+    """Standard uncertainty (n,) by all draws (draws, n) of a source; the change itself where there is one."""
+    return changes[0] if len(changes) == 1 else np.sqrt(np.sum(changes**2, axis=0))
+
+
+def propagate(sensitivities: Array, covariance: Array) -> Array:
+    """Covariance of results from that of their inputs, first order (JCGM 100, eq. 13 and H.9): ``C V C'``.
+
+    ``sensitivities`` (results, inputs) are partial derivatives.
+    """
+    return sensitivities @ covariance @ sensitivities.T
+
+
+def combined(
+    coefficients: tuple[Coefficient, ...], covariance: Array, budget: tuple[dict[str, Any], ...], type_a: Array
+) -> tuple[Coefficient, ...]:
+    """Coefficients with combined standard uncertainty and effective degrees of freedom (JCGM 100, G.4).
+
+    ``type_a`` (n,) are the degrees of freedom of the budget's first row.
+    """
+    result = []
+    for coefficient, std, nu in zip(coefficients, np.sqrt(np.diag(covariance)), type_a, strict=True):
+        parts = [row["contributions"][coefficient.key] for row in budget]
+        known = [row["degrees_of_freedom"] or math.inf for row in budget[1:]]
+        degrees = welch_satterthwaite(parts, [nu, *known])
+        result.append(replace(coefficient, std=float(std), degrees_of_freedom=degrees))
+    return tuple(result)
+
+
+def budget_row(
+    source: str,
+    kind: str,
+    distribution: str,
+    value: float | None,
+    unit: str,
+    coefficients: Sequence[Coefficient],
+    change: Array,
+    degrees: float | None = None,
+) -> dict[str, Any]:
+    """A row of the budget; contributions in file units, and sensitivities where a source has a size.
+
+    The contribution is the change of a coefficient that one standard uncertainty ``value`` of the source makes,
+    the sensitivity that of one ``unit`` of it (JCGM 100, 5.1.3). Degrees of freedom None: known exactly, or one
+    per coefficient (Type A).
+    """
+    parts = [(c, float(part)) for c, part in zip(coefficients, change, strict=True)]
+    row: dict[str, Any] = {
+        "source": source,
+        "type": kind,
+        "distribution": distribution,
+        "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
+        "degrees_of_freedom": degrees,
+        "contributions": {c.key: part for c, part in parts},
+    }
+    if value:
+        row["sensitivities"] = {c.key: {"value": part / value, "unit": _per(c.unit, unit)} for c, part in parts}
+    return row
+
+
+def _per(unit: str, source: str) -> str:
+    """Unit of a sensitivity: that of the coefficient per that of the source."""
+    if source in ("", "1"):
+        return unit
+    return f"{unit}/({source})" if "/" in source or "*" in source else f"{unit}/{source}"
+
+
+def with_given_servo(
+    result: Calibration, known: Mapping[str, float], moved: Mapping[str, Mapping[str, float]]
+) -> Calibration:
+    """The result with the coefficients of the servo that were given, not estimated, behind the others.
+
+    They are part of the model that K and the others belong to: whoever compensates needs them.
+
+    Parameters
+    ----------
+    result:
+        The calibration.
+    known:
+        Given coefficients [1/(m/s^2)^2]; those that are estimated are left out.
+    moved:
+        The same by budget row, moved by the standard uncertainty of its source.
+    """
+    names = [name for name in known if name not in result.terms]
+    if not names:
+        return result
+    factors = np.array([si_factor(name) for name in names])
+    values = np.array([known[name] for name in names]) / factors
+    changes = [
+        np.array([moved.get(row["source"], known)[name] for name in names]) / factors - values
+        for row in result.budget
+    ]
+    size = len(result.coefficients)
+    covariance = np.zeros((size + len(names),) * 2)
+    covariance[:size, :size] = result.covariance
+    for row, change in zip(result.budget, changes, strict=True):
+        others = np.array([row["contributions"][c.key] for c in result.coefficients])
+        covariance[size:, :size] += np.outer(change, others)
+        covariance[size:, size:] += np.outer(change, change)
+    covariance[:size, size:] = covariance[size:, :size].T
+    std = np.sqrt(np.diag(covariance)[size:])
+    given = [Coefficient(n, float(v), float(u), unit_of(n)) for n, v, u in zip(names, values, std, strict=True)]
+    return replace(
+        result,
+        terms=(*result.terms, *names),
+        coefficients=(*result.coefficients, *given),
+        covariance=covariance,
+        budget=tuple(_extended(row, given, change) for row, change in zip(result.budget, changes, strict=True)),
+    )
+
+
+def _extended(row: dict[str, Any], coefficients: Sequence[Coefficient], change: Array) -> dict[str, Any]:
+    """A row of the budget with more coefficients."""
+    size = row["standard_uncertainty"] or {"value": None, "unit": ""}
+    more = budget_row("", "", "", size["value"], size["unit"], coefficients, change)
+    parts = {name: row[name] | more[name] for name in ("contributions", "sensitivities") if name in row}
+    return row | parts

@@ -1,0 +1,1 @@
+"""Comparison of sets of terms."""

@@ -1,0 +1,393 @@
+"""Model choice: term sets compared on one record, from one reduction of all their columns.
+
+All sets share the noise weights found with the largest set that the record separates, so that their
+likelihoods differ only by the chi-square of what each leaves. The whitened rows are reduced once, per
+segment; a set is a choice of columns of the triangular factors (own derivation, docs/theory).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.estimation.whitening import innovation_weights
+from piga.calibration.choice.cross_validation import Prediction, fold_of, predict, row_edges
+from piga.calibration.choice.model_comparison import ModelComparison, TermSet
+from piga.calibration.fit.one_run import Fit, phase_groups
+from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
+from piga.calibration.joint.summary import prepare, run_name
+from piga.calibration.model.coefficients import name_parameters
+from piga.calibration.model.design import Design
+from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded, refuse_useless
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.servo_columns import PHASELESS, ServoState, phaseless_columns
+from piga.calibration.model.solution import Estimate, Layout, merged, solve_parts
+from piga.calibration.noise.counted import refine_counted
+from piga.calibration.noise.weighting import weighted_blocks
+from piga.calibration.remarks.candidate_columns import CUBIC, constant_squares
+from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.reading.signal_checks import largest_size
+from piga.records.calibration import Coefficient
+from piga.records.run import Run
+from piga.records.terms import SERVO_TERMS, check_terms
+
+Array = NDArray[np.float64]
+
+PROBE = "k0"
+"""Column that turns what a prediction misses into a mean specific force: it is reduced with every union."""
+
+
+def compared_models(run: Run) -> dict[str, Any]:
+    """Entry ``model_comparison`` for the result of a run whose file asks for a comparison; else nothing."""
+    return {"model_comparison": compare_models(run).document()} if run.model.compare else {}
+
+
+def compare_models(
+    run: Run, term_sets: Sequence[Sequence[str]] | None = None, *, phase: str | None = None
+) -> ModelComparison:
+    r"""Compare sets of terms on one record.
+
+    With the common covariance V of the increments, a set with m coefficients and the residual r has
+
+    .. math:: \ln L = -\tfrac12 (n \ln 2\pi + \ln|V| + r' V^{-1} r), \qquad
+              \mathrm{BIC} = m \ln n - 2 \ln L, \qquad \mathrm{AIC} = 2 m - 2 \ln L
+
+    [Schwarz1978]. V is that of the largest set that the record separates, the same for all. Every part of
+    the record is also predicted from the others (not with one phase per segment). A set that the record
+    cannot separate stays in the table with the reason.
+
+    Parameters
+    ----------
+    run:
+        The record.
+    term_sets:
+        Sets of terms; those of ``[model] compare`` of the run file unless given.
+    phase:
+        Override the run file's wish.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown term, or no set.
+    CalibrationError
+        If the request does not fit the record.
+    """
+    wanted = tuple(tuple(terms) for terms in (run.model.compare if term_sets is None else term_sets))
+    _check_sets(wanted)
+    wanted = _with_servo_first(run, wanted)
+    union = _union(wanted)
+    request = make_request(run, union, "information", phase, None, ())
+    weighed = _Weighed.of(run, request)
+    rows = [weighed.compared(terms) for terms in wanted]
+    rows = _with_weights(_with_best_prediction(rows))
+    best = _least([row.bic for row in rows])
+    return ModelComparison(
+        sets=tuple(_with_changes(rows, best)),
+        observations=weighed.observations,
+        parts=len(weighed.parts),
+        folds=weighed.folds,
+        parted_by=weighed.parted_by,
+        noise_terms=weighed.fit.design.request.terms,
+        angle_rms=weighed.fit.noise.angle_rms,
+        angle_random_walk=weighed.fit.noise.angle_random_walk,
+        best=best,
+        best_prediction=_simplest(rows),
+        notes=_meanings(rows),
+    )
+
+
+def _with_servo_first(run: Run, wanted: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+    """The sets, before each with a cube of a_x the one with the stiffness of the servo in its place.
+
+    Only where ``a_x^2 + a_t^2`` never changes: there the two fit alike, and K is another.
+    """
+    if constant_squares(run)[0] is None or run.servo:
+        return wanted
+    found: list[tuple[str, ...]] = []
+    for terms in wanted:
+        cubes = [name for name in CUBIC[1:] if name in terms]
+        if len(cubes) == 1 and {"scale_factor", "tan_beta"} <= set(terms) and "servo" not in terms:
+            found.append(tuple("servo" if name == cubes[0] else name for name in terms))
+        found.append(terms)
+    known = [frozenset(terms) for terms in wanted]
+    return tuple(
+        terms
+        for i, terms in enumerate(found)
+        if terms in wanted or (frozenset(terms) not in known and terms not in found[:i])
+    )
+
+
+def _meanings(rows: list[TermSet]) -> tuple[str, ...]:
+    """What K is under the stiffness of the servo and under a cube of a_x in its place, for sets that differ by that alone."""
+    notes = []
+    values = {
+        frozenset(row.terms): next((c for c in row.coefficients if c.name == "scale_factor"), None)
+        for row in rows
+    }
+    for row in rows:
+        own = values[frozenset(row.terms)]
+        for cube in CUBIC[1:]:
+            other = values.get(frozenset(row.terms) - {"servo"} | {cube})
+            if "servo" in row.terms and own is not None and other is not None:
+                size = "k3 g^2" if cube == "k3" else "what k2o takes of it"
+                notes.append(
+                    f"scale_factor is {own.value:.8g} {own.unit} with servo and {other.value:.8g} with {cube} in its place: where "
+                    f"a_x^2 + a_t^2 never changes this is a choice of meaning (they differ by {size}), which BIC and prediction "
+                    "do not make; a servo of finite stiffness has the term servo"
+                )
+    return tuple(notes)
+
+
+def _check_sets(wanted: tuple[tuple[str, ...], ...]) -> None:
+    if not wanted:
+        raise ArgumentError(
+            "there are no term sets to compare",
+            remedy="give a list of lists of terms, or [model] compare in the run file",
+        )
+    for index, terms in enumerate(wanted, start=1):
+        if not terms:
+            raise ArgumentError(f"term set {index} is empty", remedy="name its terms")
+        check_terms(terms, where=f"term set {index}")
+
+
+def _union(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """All terms, in order of appearance; ``k1`` has the column of ``scale_factor``."""
+    union = tuple(dict.fromkeys(term for terms in wanted for term in terms))
+    return tuple(term for term in union if not (term == "k1" and "scale_factor" in union))
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """The record, whitened and reduced over the union of all columns: one summary per part."""
+
+    fit: Fit
+    design: Design
+    parts: list[Reduction]
+    groups: tuple[int, ...]
+    per_segment: bool
+    parted_by: str
+    log_determinant: float
+
+    @classmethod
+    def of(cls, run: Run, request: Request) -> _Weighed:
+        """Find the noise with what the record separates of the union; reduce the whole union once."""
+        fit = prepare(run, request, run_name(run, 0)).fit
+        fit = refine_counted(fit, phase_groups(run, fit.design.request)[0])
+        columns = tuple(dict.fromkeys((*request.terms, PROBE)))
+        design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
+        groups, per_segment = phase_groups(run, request)
+        if fit.counted is not None:
+            return cls(
+                fit, design, fit.counted.reduce(design), groups, per_segment, "segment", _log_counted(fit)
+            )
+        edges, parted_by = row_edges(design.run, per_segment)
+        parts, logarithm = _reduce(design, fit, edges)
+        of_part = tuple(groups[int(design.run.segment[edge])] for edge in edges[:-1])
+        return cls(fit, design, parts, of_part, per_segment, parted_by, logarithm)
+
+    @property
+    def observations(self) -> int:
+        """Rows reduced."""
+        return sum(part.count for part in self.parts)
+
+    @property
+    def folds(self) -> int:
+        """Groups of parts that are left out together."""
+        return int(fold_of(len(self.parts))[-1]) + 1
+
+    def compared(self, terms: tuple[str, ...]) -> TermSet:
+        """Figures of one set, or the reason why there are none."""
+        harmonics = replace(self.design.request, terms=terms).harmonics
+        local: tuple[str, ...] = ("p", "q") if "tan_beta" in terms else ()
+        local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
+        shared = replace(self.design.request, terms=terms).shared_terms
+        own = self.per_segment and bool(local)
+        keys = tuple((name, None) for name in shared)
+        count = max(self.groups) + 1 if own else 1
+        layout = Layout("tan_beta" in terms, harmonics, keys, (np.arange(len(shared)),) * count)
+        state: ServoState | None = None
+        try:
+            _refuse_servo_alone(terms)
+            state, chosen = self._at_state(layout, local, shared, own)
+            refuse_if_confounded(examine_parts(layout, chosen))
+            estimate = solve_parts(layout, chosen)
+            coefficients = self._named(layout, estimate, terms, own)
+        except (CalibrationError, IdentifiabilityError) as error:
+            return TermSet(terms, error.message)
+        n, m = self.observations, len(estimate.amplitudes) + len(estimate.phases)
+        likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
+        return TermSet(
+            terms,
+            parameters=m,
+            chi_square=estimate.cost,
+            log_likelihood=likelihood,
+            bic=m * math.log(n) - 2.0 * likelihood,
+            aic=2.0 * m - 2.0 * likelihood,
+            prediction=None if own else self._predicted(local, shared, state),
+            coefficients=coefficients,
+        )
+
+    def _at_state(
+        self, layout: Layout, local: tuple[str, ...], shared: tuple[str, ...], own: bool
+    ) -> tuple[ServoState | None, list[Reduction]]:
+        """One summary per phase group with the columns of a set, those of the servo at the phases that they tell."""
+        known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
+        terms = (*(name for name in SERVO_TERMS if name in shared), *known)
+        if not terms:
+            return None, self._chosen(local, shared, own)
+        plain = tuple(name for name in shared if name not in SERVO_TERMS)
+        held = self._chosen(local, (*plain, *phaseless_columns(terms)), own)
+        wanted = [(*local, *shared)] * len(held)
+        if layout.coupled:
+            refuse_if_servo_confounded(layout, held, wanted, per_segment=own)
+            state = find_state(layout, held, wanted, known)
+        else:
+            state = ServoState((0.0,) * len(held), known.get("servo", 0.0), 0.0, 0.0, turning=False)
+        return state, [at_state(part, wanted[0], state, group, known) for group, part in enumerate(held)]
+
+    def _predicted(
+        self, local: tuple[str, ...], shared: tuple[str, ...], state: ServoState | None
+    ) -> Prediction | None:
+        names, parts = self.design.names, self.parts
+        if state is not None:
+            known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
+            names = tuple(name for name in names if name not in PHASELESS)
+            names += tuple(name for name in SERVO_TERMS if name in shared)
+            parts = [at_state(part, names, state, 0, known) for part in parts]
+        columns = [names.index(self._held(name)) for name in (*local, *shared)]
+        probe = (names.index(PROBE), self.design.scale_factor)
+        return predict(parts, columns, probe, self._fixed(shared))
+
+    def _held(self, name: str) -> str:
+        return "scale_factor" if name == "k1" and "k1" not in self.design.names else name
+
+    def _fixed(self, shared: tuple[str, ...]) -> tuple[int, float] | None:
+        """Column of the nominal scale factor, and that, for a set that does not estimate it."""
+        if "scale_factor" not in self.design.names or "scale_factor" in shared:
+            return None
+        return self.design.names.index("scale_factor"), self.design.run.scale_factor
+
+    def _chosen(self, local: tuple[str, ...], shared: tuple[str, ...], own: bool) -> list[Reduction]:
+        """One summary per phase group with the columns of a set, under the names of its terms."""
+        count = max(self.groups) + 1 if own else 1
+        found = []
+        for group in range(count):
+            members = [i for i, g in enumerate(self.groups) if g == group or not own]
+            total = merged(self.parts, members)
+            if self._fixed(shared) is not None:
+                total = total.less("scale_factor", self.design.run.scale_factor)
+            held = total.select(tuple(self._held(name) for name in (*local, *shared)))
+            found.append(replace(held, names=(*local, *shared)))
+        return found
+
+    def _named(
+        self, layout: Layout, estimate: Estimate, terms: tuple[str, ...], own: bool
+    ) -> tuple[Coefficient, ...]:
+        run = self.design.run
+        owners: list[tuple[str | None, str | None]] = [
+            (label if own else None, None) for label in run.labels[: estimate.phases.size]
+        ]
+        named, _ = name_parameters(layout, estimate, estimate.covariance, run.scale_factor, terms, owners)
+        spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
+        refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
+        return named
+
+
+def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
+    """The terms of the servo need the phase of the coupling."""
+    if set(SERVO_TERMS) & set(terms) and "tan_beta" not in terms:
+        raise CalibrationError("the terms of the servo need the phase that tan_beta carries")
+
+
+def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Reduction], float]:
+    """Whitened rows of unit variance reduced between row edges, and ``ln|V|``."""
+    parts = [Reduction.empty(design.names) for _ in edges[:-1]]
+    logarithm, variance = 0.0, 0.0
+    for block, columns in weighted_blocks(design, fit.mode, fit.noise):
+        first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
+        for index in range(int(first), int(last) + 1):
+            rows = slice(
+                max(int(edges[index]), block.start) - block.start,
+                min(int(edges[index + 1]), block.stop) - block.start,
+            )
+            parts[index].absorb(columns[:, rows], count=int(np.count_nonzero(block.h[rows] > 0.0)))
+        if fit.mode == "increments":
+            carry, scale = np.empty(block.h.size), np.empty(block.h.size)
+            variance = innovation_weights(block.h, fit.noise.white, fit.noise.walk, variance, carry, scale)
+            logarithm -= 2.0 * float(np.log(scale[scale > 0.0]).sum())
+    if fit.mode == "samples":
+        parts = [part.scaled(1.0 / fit.sample_variance) for part in parts]
+        logarithm = sum(part.count for part in parts) * math.log(fit.sample_variance)
+    return parts, logarithm
+
+
+def _log_counted(fit: Fit) -> float:
+    """``ln|V|`` of the contrasts of a coarsely counted record."""
+    if fit.counted is None:
+        raise ArgumentError("the record is not coarsely counted")
+    covariance = fit.counted.stretches.covariance(fit.counted.noise)
+    return float(np.linalg.slogdet(covariance)[1].sum())
+
+
+def _least(values: list[float | None]) -> int | None:
+    known = [(value, index) for index, value in enumerate(values) if value is not None]
+    return min(known)[1] if known else None
+
+
+def _with_weights(rows: list[TermSet]) -> list[TermSet]:
+    """Schwarz weights among the sets that are determined."""
+    known = [row.bic for row in rows if row.bic is not None]
+    if not known:
+        return rows
+    total = math.fsum(math.exp(-0.5 * (bic - min(known))) for bic in known)
+    return [
+        row if row.bic is None else replace(row, weight=math.exp(-0.5 * (row.bic - min(known))) / total)
+        for row in rows
+    ]
+
+
+def _with_best_prediction(rows: list[TermSet]) -> list[TermSet]:
+    """Every prediction with its difference from the best one."""
+    at = _least([None if row.prediction is None else row.prediction.chi_square for row in rows])
+    if at is None:
+        return rows
+    best = rows[at].prediction
+    return [
+        row if row.prediction is None or best is None else replace(row, prediction=row.prediction.against(best))
+        for row in rows
+    ]
+
+
+def _simplest(rows: list[TermSet]) -> int | None:
+    """Fewest coefficients of those whose prediction is within one standard error of the best."""
+    near = [
+        (row.parameters, index)
+        for index, row in enumerate(rows)
+        if row.prediction is not None and row.prediction.as_good_as_best
+    ]
+    return min(near)[1] if near else None
+
+
+def _with_changes(rows: list[TermSet], best: int | None) -> list[TermSet]:
+    """Every coefficient's distance from that of the best set, in the standard uncertainties of that."""
+    if best is None:
+        return rows
+    reference = {c.key: c for c in rows[best].coefficients}
+    result = []
+    for row in rows:
+        changes = []
+        for c in row.coefficients:
+            known = reference.get(c.key)
+            if known is not None and known.std > 0.0:
+                change = c.value - known.value
+                if c.name == "phi":
+                    change = math.remainder(change, 2.0 * math.pi)
+                changes.append((c.key, change / known.std))
+        result.append(replace(row, changes=tuple(changes)))
+    return result

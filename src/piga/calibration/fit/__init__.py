@@ -1,0 +1,1 @@
+"""Bad samples, the estimate and the residuals of one run."""

@@ -1,0 +1,259 @@
+"""The fit of one run: the linear estimate and the noise levels, alternated until they agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit.cleaning import leave_out
+from piga.calibration.fit.outliers import (
+    find_flags,
+    first_noise,
+    is_misfit,
+    later_noise,
+    misses_of,
+    refuse_if_too_many,
+    resolution_of,
+    robust_values,
+    suspicious,
+)
+from piga.calibration.fit.servo import settled_design
+from piga.calibration.model.design import Design
+from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import Request
+from piga.calibration.model.solution import Solution, solve
+from piga.calibration.noise.counted import Counted
+from piga.calibration.noise.levels import Information, Noise, find_noise, starting_noise
+from piga.calibration.noise.weighting import (
+    reduce_segments,
+    residual_increments,
+    weighted_blocks,
+    weighting_mode,
+)
+from piga.errors import CalibrationError
+from piga.reading.signal_checks import largest_size
+from piga.records.calibration import Outlier
+from piga.records.run import Run
+from piga.records.spool import square_sum
+
+Array = NDArray[np.float64]
+
+MAX_REFITS = 4
+"""Fits at most: the noise levels settle after two or three."""
+MAX_ROUNDS = 5
+"""Rounds of leaving samples out and fitting again; two or three are usual."""
+SMALL = 200_000
+"""Records up to this many increments get the restricted likelihood; in longer ones the few parameters take
+no noticeable part of the slow noise."""
+RATIOS = np.linspace(-9.0, 3.0, 9)
+"""Points of ``log10(q h/r)`` at which the restricted likelihood's information term is computed."""
+
+
+@dataclass(frozen=True)
+class FaintWalk:
+    """A random walk that is not clear: likely variance ``walk`` [rad^2/s], negative where slow values scatter little.
+
+    ``part`` is what a unit adds to the covariance of the fit; ``information`` (2, 2) that of white noise and walk.
+    """
+
+    walk: float
+    part: Array
+    information: Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
+
+    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
+    ``slow_deviation`` is the standard uncertainty of ``noise.slow``; ``slow_part`` what a unit of it adds to the
+    covariance, where the fit is not weighted by it; ``faint`` is a random walk that is not clear.
+    """
+
+    design: Design
+    mode: str
+    noise: Noise
+    summaries: list[Reduction]
+    solution: Solution
+    covariance: Array
+    examination: Examination
+    d: Array = field(repr=False)
+    h: Array = field(repr=False)
+    outliers: tuple[Outlier, ...] = ()
+    counted: Counted | None = None
+    slow_deviation: float = 0.0
+    slow_part: Array | None = field(default=None, repr=False)
+    faint: FaintWalk | None = field(default=None, repr=False)
+
+    @property
+    def weights(self) -> Noise:
+        """The noise that the rows are weighted by."""
+        return self.noise if self.slow_part is None else self.noise.without_slow()
+
+    @property
+    def levels(self) -> Noise:
+        """The noise that the covariance is of."""
+        return self.noise if self.faint is None else replace(self.noise, walk=self.faint.walk)
+
+    @property
+    def sample_variance(self) -> float:
+        """Variance of a sample of a rate log [rad^2/s^2]."""
+        return self.noise.walk / self.design.run.median_step
+
+
+def phase_groups(run: Run, request: Request) -> tuple[tuple[int, ...], bool]:
+    """Phase group of every segment, and whether each segment has its own."""
+    per_segment = request.phase == "per-segment" and ("tan_beta" in request.terms or bool(request.harmonics))
+    return (tuple(range(len(run.labels))) if per_segment else (0,) * len(run.labels)), per_segment
+
+
+def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool) -> Fit:
+    """Fit a run; samples that do not lie on the path of the output are found and left out first.
+
+    Raises
+    ------
+    DataError
+        If more than ``outliers.MOST`` of the samples are such.
+    """
+    fit = plain = _fit(run, request, groups, per_segment)
+    if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
+        return fit
+    plain.design.forget()
+    raw = Design(run, request, run.scale_factor, plain.design.servo)
+    resolution = resolution_of(run)
+    misses = misses_of(raw, robust_values(raw, groups))
+    raw.forget()
+    noise = first_noise(misses)
+    flags = find_flags(misses, noise, resolution)
+    for _ in range(MAX_ROUNDS):
+        if not flags.any() or is_misfit(run, misses, flags):
+            return plain
+        refuse_if_too_many(flags)
+        cleaned, found = leave_out(run, misses, flags, raw, noise)
+        fit.design.forget()
+        fit = replace(_fit(cleaned, request, groups, per_segment), outliers=found)
+        raw = raw.with_phase_of(fit.design)
+        misses = misses_of(raw, fit.solution.values)
+        raw.forget()
+        noise = later_noise(misses, fit.noise, flags)
+        again = find_flags(misses, noise, resolution)
+        if np.array_equal(again, flags):
+            break
+        flags = again
+    return fit
+
+
+def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool) -> Fit:
+    """Alternate between the linear fit and the noise levels until they agree."""
+    design = Design(run, request, run.scale_factor)
+    mode = weighting_mode(design, request.method)
+    if design.rows <= len(design.names) + len(set(groups)):
+        raise CalibrationError(
+            f"the record has {design.rows} increments for {len(design.names)} parameters",
+            remedy="record longer",
+        )
+    given = _given_noise(request)
+    step = run.median_step
+    noise = given or starting_noise(run.resolution, step)
+    information = None
+    for refit in range(MAX_REFITS):
+        design = settled_design(design, mode, noise, groups)
+        summaries = reduce_segments(design, mode, noise)
+        examination = examine(design, summaries, per_segment)
+        refuse_if_confounded(examination)
+        solution = solve(design, summaries, groups)
+        refined = design.with_scale_factor(_scale_factor(design, solution))
+        if refit == 0 and given is None:
+            information = _information(design, mode, groups, step)
+        d, h = residual_increments(design, solution.values)
+        found = given or _levels(
+            design, d, h, _parameters(solution), mode, noise if refit else None, information
+        )
+        settled = refined is design and (mode != "increments" or found.close_to(noise, step))
+        if settled:
+            noise = noise if mode == "increments" else found
+            break
+        noise, design = found, refined
+    covariance = _covariance(design, mode, noise, solution, groups)
+    return Fit(design, mode, noise, summaries, solution, covariance, examination, d, h)
+
+
+def _given_noise(request: Request) -> Noise | None:
+    if request.angle_rms is None or request.angle_random_walk is None:
+        return None
+    return Noise(request.angle_rms**2, request.angle_random_walk**2)
+
+
+def _scale_factor(design: Design, solution: Solution) -> float:
+    if not design.estimates_scale_factor:
+        return design.run.scale_factor
+    coupled = 1 if "p" in design.local_names else 0
+    local = len(design.local_names) - 2 * coupled
+    return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
+
+
+def _information(design: Design, mode: str, groups: tuple[int, ...], step: float) -> Information | None:
+    """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``, for records that are small enough to need it."""
+    if mode != "increments" or design.rows > SMALL:
+        return None
+    from scipy.interpolate import CubicSpline
+
+    values = []
+    for ratio in RATIOS:
+        noise = Noise(1.0, 10.0**ratio / step)
+        values.append(-log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
+    return cast("Information", CubicSpline(RATIOS, values, bc_type="natural"))
+
+
+def log_determinant(solution: Solution) -> float:
+    """Of the covariance, its rows and columns scaled to one first."""
+    std = np.sqrt(np.diag(solution.covariance))
+    return float(np.linalg.slogdet(solution.covariance / np.outer(std, std))[1] + 2.0 * np.log(std).sum())
+
+
+def noise_of(design: Design, solution: Solution, mode: str) -> Noise:
+    """Noise levels of the residuals that a solution leaves."""
+    d, h = residual_increments(design, solution.values)
+    return _levels(design, d, h, _parameters(solution), mode)
+
+
+def _parameters(solution: Solution) -> int:
+    return len(solution.amplitudes) + len(solution.phases)
+
+
+def _levels(
+    design: Design,
+    d: Array,
+    h: Array,
+    parameters: int,
+    mode: str,
+    near: Noise | None = None,
+    information: Information | None = None,
+) -> Noise:
+    if mode == "samples":
+        variance = square_sum(d) / max(design.rows - parameters, 1)
+        return Noise(0.0, variance * design.run.median_step)
+    scale = largest_size(design.run.output)
+    return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
+
+
+def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]) -> Array:
+    """Covariance of the internal parameters; the rate method accounts for the colour of its noise."""
+    if mode == "increments":
+        return solution.covariance
+    if mode == "samples":
+        return solution.covariance * (noise.walk / design.run.median_step)
+    size, m = solution.covariance.shape[0], len(design.names)
+    meat = np.zeros((size, size))
+    for block, columns in weighted_blocks(design, mode, noise):
+        x = columns[:m]
+        inverse = np.divide(1.0, block.h, out=np.zeros_like(block.h), where=block.h > 0.0)
+        variance = (noise.walk * block.h + 2.0 * noise.white) * inverse**2
+        cross = (x[:, :-1] * inverse[:-1]) @ (x[:, 1:] * inverse[1:]).T * noise.white
+        jacobian = solution.jacobians[groups[block.segment]]
+        meat += jacobian.T @ ((x * variance) @ x.T - cross - cross.T) @ jacobian
+    return solution.covariance @ meat @ solution.covariance

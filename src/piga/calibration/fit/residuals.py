@@ -1,0 +1,247 @@
+"""Residuals of an estimate: per sample, per segment, and what they say about the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.arithmetic.statistics import lagged_products
+from piga.calibration.model.design import Design
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.weighting import Whitener, rate_share, residual_increments
+from piga.reading.signal_checks import largest_size
+from piga.records.calibration import Residuals, SegmentSummary
+from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
+from piga.units import G0
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Residuals:
+    """Residual angle of every sample before and after calibration, and the whitened residual.
+
+    'Before' is the nominal instrument: ``alpha' = K a_x - Omega_x`` with the nominal K. In every stretch
+    the residual angle starts from its own mean (the zero of a stretch carries no information). For a
+    rate log the residuals are rates [rad/s].
+    """
+    run = design.run
+    d, h = residual_increments(design, values)
+    before = _nominal_increments(design)
+    whitened = _whitened(d, h, noise, mode)
+    if noise.stated and mode == "increments":
+        _take_stated_rates(whitened, _whitened(h, h, noise, mode), run.segment, noise)
+    if mode != "samples":
+        _stretch_angle(d, run.begins)
+        _stretch_angle(before, run.begins)
+    return Residuals(run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, run.segment)
+
+
+def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:
+    whitener, whitened = Whitener(mode, noise, 1), arrays_like(d).empty(d.size)
+    for part in spans(d.size):
+        whitened[part] = whitener.apply_columns(d[None, part], h[part])[0]
+    if mode == "samples":
+        size = math.sqrt(square_sum(d) / d.size) or 1.0
+        for part in spans(d.size):
+            whitened[part] /= size
+    return whitened
+
+
+def _take_stated_rates(whitened: Array, own: Array, segment: NDArray[np.int32], noise: Noise) -> None:
+    """Make residuals white that are so but for the stated scatter of the segments; ``own`` are whitened intervals. In place."""
+    size = len(noise.stated)
+    square, product = np.zeros(size), np.zeros(size)
+    for part in spans(whitened.size):
+        square += np.bincount(segment[part], own[part] ** 2, minlength=size)
+        product += np.bincount(segment[part], own[part] * whitened[part], minlength=size)
+    taken = rate_share(noise.stated, square) * product
+    for part in spans(whitened.size):
+        whitened[part] -= taken[segment[part]] * own[part]
+
+
+def _nominal_increments(design: Design) -> Array:
+    run = design.run
+    result = arrays_like(run.t).empty(run.size)
+    for part in spans(run.size):
+        if design.point:
+            result[part] = run.output[part] - run.scale_factor * run.f[part, 0]
+            if run.base_rate is not None:
+                result[part] += run.base_rate[part, 0]
+            continue
+        h = steps(run.t, part)
+        step = steps(run.output, part) - run.scale_factor * h * means(run.f[:, 0], part)
+        if run.base_rate is not None:
+            step += h * means(run.base_rate[:, 0], part)
+        step[run.begins[part]] = 0.0
+        result[part] = step
+    return result
+
+
+def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
+    """Running sum of increments, with the mean of every stretch taken off; in place."""
+    stretches = max(int(np.count_nonzero(begins)), 1)
+    sums, counts = np.zeros(stretches), np.zeros(stretches)
+    total = 0.0
+    for part, starts, sizes, index in _stretch_parts(begins):
+        increments[part.start] += total
+        increments[part] = np.cumsum(increments[part])
+        total = float(increments[part.stop - 1])
+        sums[index] += np.add.reduceat(increments[part], starts)
+        counts[index] += sizes
+    for part, _, sizes, index in _stretch_parts(begins):
+        increments[part] -= np.repeat(sums[index] / counts[index], sizes)
+
+
+def _stretch_parts(begins: NDArray[np.bool_]) -> Iterator[tuple[slice, Integers, Integers, Integers]]:
+    """Spans of a record, where the parts of stretches in each start, their sizes, and which stretches they are."""
+    last = -1
+    for part in spans(begins.size):
+        starts = np.flatnonzero(begins[part])
+        index = last + 1 + np.arange(starts.size)
+        if starts.size == 0 or starts[0] > 0:
+            starts, index = np.append(0, starts), np.append(last, index)
+        last = int(index[-1])
+        yield part, starts, np.diff(np.append(starts, part.stop - part.start)), np.maximum(index, 0)
+
+
+def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary, ...]:
+    """One row per segment."""
+    run = design.run
+    return tuple(
+        _summary(design, residuals, int(left), int(right)) for left, right in pairwise(run.segment_edges())
+    )
+
+
+def _summary(design: Design, residuals: Residuals, left: int, right: int) -> SegmentSummary:
+    run, part = design.run, slice(left, right)
+    duration = turned = 0.0
+    for rows in _rows_between(left + 1, right):
+        inside = ~run.begins[rows]
+        h = steps(run.t, rows)
+        step = h * means(run.output, rows) if design.point else steps(run.output, rows)
+        duration += float(h[inside].sum())
+        turned += float(step[inside].sum())
+    return SegmentSummary(
+        label=run.labels[int(run.segment[left])],
+        rows=right - left,
+        duration=duration,
+        mean_a_x=mean(run.f[part, 0]),
+        turns=turned / (2.0 * math.pi),
+        rms=root_mean_square(residuals.after[part]),
+        rms_before=root_mean_square(residuals.before[part]),
+        max_after=largest_size(residuals.after[part]),
+    )
+
+
+def _rows_between(first: int, stop: int) -> Iterator[slice]:
+    for part in spans(stop - first):
+        yield slice(first + part.start, first + part.stop)
+
+
+def root_mean_square(values: Array) -> float:
+    """Root mean square of the values of a record of any length."""
+    return math.sqrt(square_sum(values) / values.size)
+
+
+def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[str, float]:
+    """How much the mean rates of the segments scatter, in units of what the noise explains.
+
+    The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
+    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it); a bias
+    drift adds its variance since the middle of the record, a scatter of the segments, stated or found, its own.
+    ``segment_scatter_ratio`` is the root mean square of slope over expected, ``segment_scatter_g`` the root
+    mean square slope as specific force [g]; where a slow noise was found, ``segment_scatter_ratio_without_it``
+    is the ratio to what the noise of the angle explains.
+    """
+    slopes, expected, slow = [], [], []
+    stated = noise.stated or (0.0,) * len(design.run.labels)
+    centre = 0.5 * float(residuals.t[0] + residuals.t[-1])
+    for left, right in pairwise(design.run.segment_edges()):
+        first, last = extent(residuals.t[left:right])
+        duration = last - first
+        if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
+            continue
+        slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
+        own = int(design.run.segment[left])
+        slow.append(
+            stated[own] + noise.scatter + noise.drift * abs(float(residuals.t[left:right].mean()) - centre)
+        )
+        expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
+    if design.point or len(slopes) < 4 or min(expected) == 0.0:
+        return {}
+    slope, variance = np.array(slopes), np.array(expected)
+    found = {
+        "segment_scatter_ratio": root_mean_square(slope / np.sqrt(variance + slow)),
+        "segment_scatter_g": root_mean_square(slope) / design.run.scale_factor / G0,
+    }
+    if noise.slow > 0.0:
+        found["segment_scatter_ratio_without_it"] = root_mean_square(slope / np.sqrt(variance))
+    return found
+
+
+def _slope(t: Array, values: Array) -> float:
+    """Slope of the straight line through values."""
+    middle, square, product = mean(t), 0.0, 0.0
+    for part in spans(t.size):
+        centred = t[part] - middle
+        square += float(centred @ centred)
+        product += float(centred @ values[part])
+    return product / square
+
+
+def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
+    """Tests of the whitened residual: variance, lag-1 correlation and portmanteau, shape of the distribution.
+
+    ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability; ``excess_kurtosis`` and
+    ``skewness`` are 0 for normal residuals.
+    """
+    from scipy.special import gammaincc
+
+    x = _formed(residuals.innovation)
+    n = x.size
+    if n < 50:
+        return {"samples": n}
+    middle = mean(x)
+    sums = np.zeros(3)
+    for part in spans(n):
+        x[part] -= middle
+        square = x[part] * x[part]
+        sums += (float(square.sum()), float(square @ x[part]), float(square @ square))
+    variance = float(sums[0]) / n
+    lags = min(20, n // 5)
+    products = np.zeros(lags + 1)
+    lagged_products(x, products)
+    correlation = products[1:] / products[0]
+    statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
+    probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
+    return {
+        "samples": n,
+        "variance": variance,
+        "lag1_correlation": float(correlation[0]),
+        "ljung_box": statistic,
+        "ljung_box_lags": lags,
+        "ljung_box_probability": probability,
+        "skewness": float(sums[1]) / n / variance**1.5,
+        "excess_kurtosis": float(sums[2]) / n / variance**2 - 3.0,
+        "verdict": "white"
+        if probability > 1e-3
+        else "not white: the model or the noise description misses something",
+    }
+
+
+def _formed(innovation: Array) -> Array:
+    """Whitened residuals of the increments that were formed."""
+    kept: Array = arrays_like(innovation).empty(
+        sum(int(np.count_nonzero(innovation[part])) for part in spans(innovation.size))
+    )
+    at = 0
+    for part in spans(innovation.size):
+        formed = innovation[part][innovation[part] != 0.0]
+        kept[at : at + formed.size] = formed
+        at += formed.size
+    return kept

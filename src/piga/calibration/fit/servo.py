@@ -1,0 +1,313 @@
+"""The servo in the calibration: its columns at a phase, and the refusals of what a record cannot tell.
+
+The terms ``servo`` and ``servo_damping`` turn with the output angle. Five columns that know nothing of the phase hold
+them; at a phase ``phi`` they combine to one column for each term. The model is then not linear in the phase. One Gauss-Newton
+step about the phase is a change of the two columns of the coupling alone: ``p = K tan_beta cos(phi)`` and ``q = K tan_beta
+sin(phi)`` carry the phase, which does not depend on their common size, so that the observation stays as it is
+(docs/theory/servo). At the phase that the step returns to, the linear fit is the fit of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.model.design import Design
+from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.servo_columns import PHASELESS, STIFFNESS_COLUMNS, Names, ServoState
+from piga.calibration.model.solution import Estimate, Layout, merged, solve_parts
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.weighting import reduce_segments
+from piga.errors import IdentifiabilityError
+from piga.records.terms import SERVO_TERMS
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 40
+"""Steps about the phase at most; four are usual."""
+SETTLED = 1e-10
+"""Change of a phase [rad] at which the iteration ends."""
+SCAN = 72
+"""Phases tried before the first step, where one phase serves the whole record."""
+SEEN = 4.0
+"""tan_beta over its uncertainty from which the phase is a function of the coupling; below, it is held."""
+SEPARATE = 1e-3
+"""Part of a term's column that the others leave, relative to its size, below which the record cannot tell it apart."""
+SHARE = 0.05
+"""Part of that column that another makes up, from which it is named."""
+
+
+def at_state(
+    part: Reduction, wanted: Names, state: ServoState, group: int, known: dict[str, float] | None = None
+) -> Reduction:
+    """The summary of a phase group with the terms of the servo in place of the columns without a phase.
+
+    Parameters
+    ----------
+    part:
+        Summary whose columns are among ``PHASELESS`` where they belong to the servo.
+    wanted:
+        Columns of the result.
+    state, group:
+        Where they are combined.
+    known:
+        K times the coefficients that are given (SI): taken off the observation.
+    """
+    return part.mixed(wanted, mixture(part.names, wanted, state, state.phases[group], known))
+
+
+def mixture(
+    names: Names, wanted: Names, state: ServoState, phase: float, known: dict[str, float] | None = None
+) -> Array:
+    """What columns without a phase, and the observation behind them, make of wanted ones: (m + 1, wanted + 1)."""
+    there = [name for name in PHASELESS if name in names]
+    at = [names.index(name) for name in there]
+    of = [PHASELESS.index(name) for name in there]
+    terms, turn = state.term_rows(phase), state.phase_row(phase)[of]
+    matrix = np.zeros((len(names) + 1, len(wanted) + 1))
+    matrix[-1, -1] = 1.0
+    for column, name in enumerate(wanted):
+        if name in terms:
+            matrix[at, column] = terms[name][of]
+            continue
+        matrix[names.index(name), column] = 1.0
+        if name == "p":
+            matrix[at, column] -= np.sin(phase) * turn
+        elif name == "q":
+            matrix[at, column] += np.cos(phase) * turn
+    for name, value in (known or {}).items():
+        matrix[at, -1] -= value * terms[name][of]
+    return matrix
+
+
+def find_state(
+    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], known: dict[str, float] | None = None
+) -> ServoState:
+    """The state that the estimate at it returns to.
+
+    Parameters
+    ----------
+    layout, wanted:
+        Of the model with its servo terms, and its columns in each phase group.
+    parts:
+        Summary of each phase group, with the columns without a phase.
+    known:
+        K times the coefficients that are given (SI).
+    """
+    given = known or {}
+    state = ServoState((0.0,) * len(parts), given.get("servo", 0.0), given.get("servo_damping", 0.0), 0.0)
+    state = replace(state, phases=_first_phases(layout, parts, wanted, state, given))
+    for _ in range(ITERATIONS):
+        chosen = [
+            at_state(part, names, state, g, given)
+            for g, (part, names) in enumerate(zip(parts, wanted, strict=True))
+        ]
+        estimate = solve_parts(layout, chosen)
+        moved = _state_of(layout, estimate, given, sum(part.count for part in parts))
+        change = np.angle(np.exp(1j * (np.array(moved.phases) - np.array(state.phases))))
+        settled = np.abs(change).max() < SETTLED and (moved.inverse == 0.0) == (state.inverse == 0.0)
+        sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
+        settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))
+        state = moved
+        if settled:
+            break
+    return state
+
+
+def _state_of(layout: Layout, estimate: Estimate, known: dict[str, float], rows: int) -> ServoState:
+    keys = layout.amplitude_keys
+    sizes = {
+        name: float(estimate.amplitudes[keys.index((name, None))])
+        if (name, None) in keys
+        else known.get(name, 0.0)
+        for name in SERVO_TERMS
+    }
+    coupling = float(estimate.amplitudes[0])
+    freedom = max(rows - estimate.covariance.shape[0], 1)
+    deviation = np.sqrt(max(estimate.covariance[0, 0] * estimate.cost / freedom, 0.0))
+    inverse = 1.0 / coupling if abs(coupling) > SEEN * deviation else 0.0
+    phases = tuple(float(phase) for phase in estimate.phases)
+    return ServoState(phases, sizes["servo"], sizes["servo_damping"], inverse)
+
+
+def _first_phases(
+    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], state: ServoState, known: dict[str, float]
+) -> tuple[float, ...]:
+    """Phases to begin with: of the coupling alone; where one serves the record, the best of a scan with all terms."""
+    if len(parts) == 1:
+        return (_scanned(parts[0], wanted[0], known),)
+    plain = [tuple(name for name in names if name not in SERVO_TERMS) for names in wanted]
+    chosen = [at_state(part, names, state, g) for g, (part, names) in enumerate(zip(parts, plain, strict=True))]
+    return tuple(float(phase) for phase in solve_parts(without_servo(layout), chosen).phases)
+
+
+def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
+    """Phase of least sum of squares, the coupling bound to it."""
+    best, chosen = np.inf, 0.0
+    for phase in 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi:
+        state = ServoState((float(phase),), 0.0, 0.0, 0.0)
+        factor = at_state(part, wanted, state, 0, known).factor
+        bound = np.column_stack([factor[:, :2] @ [np.cos(phase), np.sin(phase)], factor[:, 2:]])
+        scale = np.linalg.norm(bound[:, :-1], axis=0)
+        scale[scale == 0.0] = 1.0
+        solution = np.linalg.lstsq(bound[:, :-1] / scale, bound[:, -1], rcond=1e-12)[0]
+        cost = float(np.sum((bound[:, -1] - bound[:, :-1] / scale @ solution) ** 2))
+        if cost < best and solution[0] >= 0.0:
+            best, chosen = cost, float(phase)
+    return chosen
+
+
+def without_servo(layout: Layout) -> Layout:
+    """The layout less the terms of the servo."""
+    kept = [i for i, (name, _) in enumerate(layout.keys) if name not in SERVO_TERMS]
+    number = {old: new for new, old in enumerate(kept)}
+    tails = tuple(
+        np.array([number[int(i)] for i in tail if int(i) in number], dtype=np.int64) for tail in layout.tails
+    )
+    return replace(layout, keys=tuple(layout.keys[i] for i in kept), tails=tails)
+
+
+def settled_design(design: Design, mode: str, noise: Noise, groups: tuple[int, ...]) -> Design:
+    """The design with the columns of the servo combined at the phases that the record tells; itself without such terms.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the record cannot tell a term of the servo from the others; names them and the test that would.
+    """
+    if not design.turning_servo:
+        return design
+    if "tan_beta" not in design.request.terms:
+        return with_mean_servo(design)
+    summaries = reduce_segments(design.with_servo(None), mode, noise)
+    count = max(groups) + 1
+    parts = [merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(count)]
+    terms = design.request.shared_terms
+    layout = Layout(
+        True, design.request.harmonics, tuple((n, None) for n in terms), (np.arange(len(terms)),) * count
+    )
+    wanted = (design.local_names + terms,) * count
+    refuse_if_servo_confounded(layout, parts, wanted, per_segment=count > 1)
+    state = find_state(layout, parts, wanted, design.known_servo)
+    return design.with_servo(replace(state, phases=tuple(state.phases[group] for group in groups)))
+
+
+def with_mean_servo(design: Design) -> Design:
+    """The design with the mean of a known stiffness of the servo alone, where there is no phase."""
+    if not design.turning_servo:
+        return design
+    stiffness = design.known_servo.get("servo", 0.0)
+    return design.with_servo(ServoState((0.0,) * len(design.run.labels), stiffness, 0.0, 0.0, turning=False))
+
+
+def refuse_if_servo_confounded(
+    layout: Layout, parts: list[Reduction], wanted: Sequence[Names], *, per_segment: bool = False, runs: int = 1
+) -> None:
+    """Raise where the parts cannot tell a term of the servo from the other terms.
+
+    The mean of ``servo`` is looked at without its second harmonic: that is there in principle, and so small that an
+    error of the read-out at twice the turn would pass for it.
+
+    Raises
+    ------
+    IdentifiabilityError
+        Names the terms and the test that separates them.
+    """
+    plain = without_servo(layout)
+    state = ServoState((0.0,) * len(parts), 0.0, 0.0, 0.0)
+    names = [tuple(name for name in columns if name not in SERVO_TERMS) for columns in wanted]
+    rest = [at_state(part, own, state, g) for g, (part, own) in enumerate(zip(parts, names, strict=True))]
+    refuse_if_confounded(examine_parts(plain, rest), runs)
+    for term in SERVO_TERMS:
+        if (term, None) not in layout.keys:
+            continue
+        alike = (
+            _stiffness_alike(plain, parts, names)
+            if term == "servo"
+            else _damping_alike(plain, rest, parts, names)
+        )
+        if alike:
+            terms = (*alike, term)
+            subject = "this record" if runs == 1 else f"these {runs} runs together"
+            raise IdentifiabilityError(
+                f"{subject} cannot separate {', '.join(terms)}",
+                remedy=_remedy(set(terms), per_segment),
+                terms=terms,
+            )
+
+
+def _stiffness_alike(plain: Layout, parts: list[Reduction], names: Sequence[Names]) -> Names:
+    """Terms that make up the mean part of ``servo``; none where the parts tell it apart."""
+    local, last = plain.local, len(plain.keys)
+    rows, square = [], 0.0
+    for group, (part, own) in enumerate(zip(parts, names, strict=True)):
+        factor = part.select((*own, STIFFNESS_COLUMNS[0])).factor[:-1, :-1]
+        turned = np.zeros((factor.shape[0] - local, last + 1))
+        turned[:, plain.tails[group]], turned[:, -1] = factor[local:, local:-1], factor[local:, -1]
+        rows.append(turned)
+        square += float(factor[:, -1] @ factor[:, -1])
+    return _made_of(np.vstack(rows), np.sqrt(square), [name for name, _ in plain.keys])
+
+
+def _damping_alike(
+    plain: Layout, rest: list[Reduction], parts: list[Reduction], names: Sequence[Names]
+) -> Names:
+    """Terms that make up ``servo_damping``, the phase of every group being free."""
+    rows, square = [], 0.0
+    phases = solve_parts(plain, rest).phases
+    state = ServoState(tuple(float(phase) for phase in phases), 0.0, 0.0, 0.0)
+    for group, (part, own) in enumerate(zip(parts, names, strict=True)):
+        factor = at_state(part, (*own, "servo_damping"), state, group).factor[:-1, :-1]
+        cosine, sine = np.cos(phases[group]), np.sin(phases[group])
+        phase, size = factor[:, :2] @ [-sine, cosine], factor[:, :2] @ [cosine, sine]
+        both = np.asarray(np.linalg.qr(np.column_stack([phase, size, factor[:, 2:]]), mode="r"))[1:, 1:]
+        turned = np.zeros((both.shape[0], plain.local + len(plain.keys)))
+        head = plain.local - 1
+        turned[:, :head], turned[:, head + plain.tails[group]] = both[:, :head], both[:, head:-1]
+        turned[:, -1] = both[:, -1]
+        rows.append(turned)
+        square += float(factor[:, -1] @ factor[:, -1])
+    orders = [f"{kind}{order}" for order in plain.orders for kind in ("s", "c")]
+    return _made_of(np.vstack(rows), np.sqrt(square), ["tan_beta", *orders, *(name for name, _ in plain.keys)])
+
+
+def _made_of(rows: Array, size: float, names: list[str]) -> Names:
+    """Names of the columns that make up the last one, which was of this size; none where they leave a part of it.
+
+    What its phase groups took of the column by themselves is that of ``tan_beta``.
+    """
+    scale = np.linalg.norm(rows[:, :-1], axis=0)
+    scale[scale == 0.0] = 1.0
+    columns = rows[:, :-1] / scale
+    share = np.linalg.lstsq(columns, rows[:, -1], rcond=1e-9)[0]
+    left = float(np.linalg.norm(rows[:, -1] - columns @ share))
+    if left > SEPARATE * size:
+        return ()
+    named = tuple(dict.fromkeys(n for n, part in zip(names, share, strict=True) if abs(part) > SHARE * size))
+    return named or ("tan_beta",)
+
+
+def _remedy(terms: set[str], per_segment: bool) -> str:
+    """The test that separates these terms, or what to leave out."""
+    if "servo_damping" in terms:
+        if per_segment:
+            return (
+                "with a phase for each segment the damping turns nothing that phi does not: use phase = 'shared', or "
+                "leave servo_damping out"
+            )
+        return "|a_x| takes one size: add positions or levels with another |a_x|, or leave servo_damping out"
+    if "k3" in terms:
+        return (
+            "a_x^2 + a_t^2 never changes, so that a_x a_t^2 is a_x less a_x^3: leave 'k3' out (or 'servo'; K differs by "
+            "k3 g^2); or calibrate it together with a run on a centrifuge or a vibration table (a_x changes, a_t does not)"
+        )
+    if terms & {"scale_factor", "k1"}:
+        return (
+            "a_t never changes, so that a_x a_t^2 is a_x: calibrate it together with a run on a dividing head, give "
+            "[instrument] servo, or leave servo out"
+        )
+    return "add positions or levels with another a_x and another transverse force, or leave servo out"

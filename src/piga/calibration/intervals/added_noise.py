@@ -1,0 +1,129 @@
+"""Noise that a run is not weighted by, in its summary: what it adds to the covariance of a joint calibration.
+
+With weights W of the clear noise the estimate is ``A^-1 X'W y``; noise of covariance ``v B B'`` besides it adds
+``v A^-1 (X'W B)(X'W B)' A^-1``, A the information of all runs together. ``X'W B`` of a run, its *scores*, is a small
+matrix, whatever the columns of the other runs (own derivation, docs/theory).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit.one_run import Fit
+from piga.calibration.intervals.whitened_rows import whitened_rows
+from piga.calibration.model.design import Design
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.slow_bases import BesideStated, Columns, DriftBasis, SegmentBasis, SlowBasis
+from piga.calibration.noise.weighting import reduce_segments
+
+Array = NDArray[np.float64]
+
+PROBE = 0.02
+"""Standard deviations of a walk by which the information is differentiated."""
+
+
+@dataclass(frozen=True)
+class AddedNoise:
+    """A noise that is in the covariance only: its variance, negative too, standard uncertainty of that, and scores.
+
+    ``scores`` (m, K) per phase group, of a unit of it; ``together``: one noise moves all groups, else each has its own.
+    """
+
+    name: str
+    variance: float
+    deviation: float
+    together: bool
+    scores: tuple[Array, ...] = field(repr=False)
+
+    def select(self, held: tuple[str, ...], columns: tuple[str, ...]) -> AddedNoise:
+        """That of some of the columns."""
+        at = [held.index(name) for name in columns]
+        return replace(self, scores=tuple(part[at] for part in self.scores))
+
+    def mixed(self, matrices: list[Array]) -> AddedNoise:
+        """That of combinations of the columns: ``matrices`` (m, wanted) of the phase groups."""
+        return replace(
+            self, scores=tuple(matrix.T @ part for matrix, part in zip(matrices, self.scores, strict=True))
+        )
+
+    def scaled(self, information: float) -> AddedNoise:
+        """That of the rows with ``information`` times the weight."""
+        return replace(self, scores=tuple(part * information for part in self.scores))
+
+    def per_unit(self, jacobians: list[Array]) -> Array:
+        """``J' S S' J`` summed: of parameters whose column coefficients in each group have these derivatives."""
+        moved = [jacobian.T @ part for jacobian, part in zip(jacobians, self.scores, strict=True)]
+        whole = sum(moved) if self.together else np.hstack(moved)
+        found: Array = whole @ np.transpose(whole)
+        return found
+
+
+def added_noise(fit: Fit, design: Design, groups: tuple[int, ...]) -> tuple[AddedNoise, ...]:
+    """What a fit has in its covariance and not in its weights, with the columns of ``design``."""
+    found = []
+    if fit.slow_part is not None:
+        drifting = fit.noise.drift > 0.0
+        basis = DriftBasis.of(design.run) if drifting else SegmentBasis.of(design.run)
+        scores = _grouped(_slow_scores(fit, design, basis), groups)
+        name = "drift" if drifting else "scatter"
+        found.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
+    if fit.faint is not None:
+        deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
+        scores = _walk_scores(design, fit.mode, fit.weights, groups, PROBE * deviation)
+        found.append(AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores))
+    return tuple(found)
+
+
+def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
+    """Sums over the segments of every phase group."""
+    return tuple(
+        np.sum([part for part, own in zip(parts, groups, strict=True) if own == group], axis=0)
+        for group in range(max(groups) + 1)
+    )
+
+
+def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
+    """``X'W B`` (m, count) of every segment for a unit of slow noise.
+
+    Where the weights know of a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
+    """
+    m, stated = len(design.names), fit.weights.stated if fit.counted is None else ()
+    wide: Columns = BesideStated(SegmentBasis.of(design.run), basis) if stated else basis
+    products = [np.zeros((m + wide.size, wide.size)) for _ in design.run.labels]
+    for segment, columns in whitened_rows(fit, design, fit.weights, wide):
+        products[segment] += columns[:-1] @ columns[m:-1].T
+    found = []
+    for segment, product in enumerate(products):
+        if stated:
+            own = product[:, 0] / (1.0 / max(stated[segment], 1e-300) + product[m, 0])
+            weighted = product[:m, 1:] - np.outer(own[:m], product[m, 1:])
+        else:
+            weighted = product[:m]
+        found.append(np.sqrt(basis.unit()) * basis.placed(weighted, segment))
+    return found
+
+
+def _walk_scores(
+    design: Design, mode: str, noise: Noise, groups: tuple[int, ...], probe: float
+) -> tuple[Array, ...]:
+    """A root of ``X'W H W X`` (m, m), H the covariance of a unit of walk, of every group: minus the derivative of ``X'W X``."""
+    m = len(design.names)
+    near = [
+        _grouped([part.factor[:, :m].T @ part.factor[:, :m] for part in parts], groups)
+        for parts in (
+            reduce_segments(design, mode, replace(noise, walk=noise.walk + moved)) for moved in (probe, -probe)
+        )
+    ]
+    return tuple(_root((below - above) / (2.0 * probe)) for above, below in zip(*near, strict=True))
+
+
+def _root(matrix: Array) -> Array:
+    """S with ``S S'`` a positive semidefinite matrix, its diagonal scaled to one for that."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    found: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return found

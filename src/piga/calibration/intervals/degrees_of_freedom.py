@@ -1,0 +1,158 @@
+"""Effective degrees of freedom: how well the noise levels, and so the standard uncertainties, are known.
+
+The variance of a coefficient is a function of the noise levels found in the record. Their covariance is the
+inverse Fisher information of the restricted likelihood; first-order propagation gives the variance of the
+variance, and Satterthwaite's rule (JCGM 100, G.4.1) the degrees of freedom ``2 v^2 / var(v)``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.solution import solve
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.weighting import reduce_segments
+from piga.records.spool import spans
+
+if TYPE_CHECKING:
+    from piga.calibration.fit.one_run import Fit
+
+Array = NDArray[np.float64]
+
+LARGE = 200_000
+"""Increments above which the noise levels are known so well that only the least degrees of freedom are given."""
+STEP = 0.05
+"""Relative step of a noise level for the derivative of the variances."""
+SEEN = 0.05
+"""Random walk over its standard uncertainty up to which it makes no difference to the weights."""
+
+
+def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:
+    """Fisher information (2, 2) of white noise [rad^2] and random walk [rad^2/s] in stretches of so many samples.
+
+    The cosine transform of the angle in a stretch has independent values of variance ``r + q h/(4 sin^2(pi
+    k/2n))``, k from 1 to n - 1. Each fitted coefficient takes one value out: the most telling ones are
+    left out, one for each.
+    """
+    sizes, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
+    found, slow = np.zeros((2, 2)), np.zeros(0)
+    for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
+        for part in spans(size - 1):
+            k = np.arange(part.start + 1, part.stop + 1)
+            gain = step / (4.0 * np.sin(0.5 * np.pi * k / size) ** 2)
+            found += count * _information(gain, noise)
+            slow = np.concatenate(
+                [slow, np.repeat(gain[: fitted if part.start == 0 else 0], min(count, fitted))]
+            )
+    return found - _information(np.sort(slow)[slow.size - min(fitted, slow.size) :], noise)
+
+
+def _information(gain: Array, noise: Noise) -> Array:
+    """Of values of variance ``white + walk gain``."""
+    variance = noise.white + noise.walk * gain
+    rows = np.stack([np.ones(gain.size), gain]) / np.where(variance > 0.0, variance, np.inf)
+    return 0.5 * rows @ rows.T
+
+
+def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Array:
+    """Degrees of freedom of the Type A variance of every coefficient, in the order of the result."""
+    names = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)[0]
+    rest = float(fit.design.rows - len(names))
+    if fit.mode != "increments":
+        return np.full(len(names), rest)
+    if fit.design.request.angle_rms is not None:
+        return np.full(len(names), math.inf)
+    if fit.counted is not None:
+        return _by_precision(fit, groups, per_segment, *fit.counted.walks, rest)
+    if fit.faint is not None:
+        return _satterthwaite(fit, groups, per_segment, _directions(np.linalg.inv(fit.faint.information)), rest)
+    starts = np.flatnonzero(fit.design.run.begins)
+    lengths = np.diff(np.append(starts, fit.design.run.size))
+    information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
+    scale = np.array([fit.noise.white, fit.noise.walk])
+    covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    unseen = fit.noise.walk <= SEEN * math.sqrt(float(covariance[1, 1]))
+    if unseen and fit.noise.slow > 0.0:
+        return _satterthwaite(fit, groups, per_segment, (), rest)
+    if unseen:
+        return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
+    if fit.design.rows > LARGE and fit.noise.slow == 0.0:
+        least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
+        return np.full(len(names), min(rest, least))
+    return _satterthwaite(fit, groups, per_segment, _directions(covariance), rest)
+
+
+def _directions(covariance: NDArray[np.floating]) -> tuple[tuple[float, float], ...]:
+    """Independent changes of (white, walk), each of one standard deviation."""
+    values, vectors = np.linalg.eigh(covariance)
+    return tuple((float(v[0]), float(v[1])) for v in (vectors * np.sqrt(np.maximum(values, 0.0))).T)
+
+
+def _satterthwaite(
+    fit: Fit,
+    groups: tuple[int, ...],
+    per_segment: bool,
+    directions: tuple[tuple[float, float], ...],
+    rest: float,
+) -> Array:
+    """``2 v^2/sum((dv/ds)^2)``: s are independent unit changes of (white, walk) along ``directions``."""
+    variances, levels = _variances(fit, groups, per_segment), fit.levels
+    now = variances(levels)
+    spread = np.zeros(now.size)
+    for white, walk in directions:
+        limits = [abs(level / part) for level, part in ((levels.white, white), (levels.walk, walk)) if part]
+        size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
+        moved = variances(replace(levels, white=levels.white + size * white, walk=levels.walk + size * walk))
+        spread += ((moved - now) / size) ** 2
+    if levels.slow > 0.0:
+        moved = variances(levels.slower(1.0 + STEP))
+        spread += ((moved - now) * fit.slow_deviation / (STEP * levels.slow)) ** 2
+    return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
+
+
+def _by_precision(
+    fit: Fit, groups: tuple[int, ...], per_segment: bool, walks: Array, weights: Array, rest: float
+) -> Array:
+    """``2 m^2/var`` of the precision 1/v, m its mean, over the random walks that the record allows.
+
+    Exact, Student's t, where the variance is that of the random walk alone.
+    """
+    variances = _variances(fit, groups, per_segment)
+    precision = np.array([1.0 / variances(replace(fit.noise, walk=walk)) for walk in walks])
+    relative = precision / (weights @ precision) - 1.0
+    spread = weights @ relative**2
+    if fit.noise.slow > 0.0:
+        now = variances(fit.noise)
+        moved = variances(fit.noise.slower(1.0 + fit.slow_deviation / fit.noise.slow))
+        spread += (moved / now - 1.0) ** 2
+    return np.minimum(rest, 2.0 / np.maximum(spread, 1e-300))
+
+
+def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:
+    """Type A variances of the coefficients as a function of the noise levels."""
+
+    def variances(noise: Noise) -> Array:
+        if fit.counted is None:
+            weights = noise if fit.slow_part is None else noise.without_slow()
+            weights = weights if fit.faint is None else replace(weights, walk=fit.noise.walk)
+            summaries = reduce_segments(fit.design, fit.mode, weights)
+        else:
+            summaries = fit.counted.with_walk(noise.walk).reduce(fit.design)
+        solution = solve(fit.design, summaries, groups)
+        added = np.zeros_like(solution.covariance)
+        if fit.slow_part is not None:
+            added += noise.slow * fit.slow_part
+        if fit.faint is not None:
+            added += (noise.walk - fit.noise.walk) * fit.faint.part
+        return np.diag(
+            name_coefficients(fit.design, solution, solution.covariance + added, per_segment)[1]
+        ).copy()
+
+    return variances

@@ -1,0 +1,166 @@
+"""A random walk that is not clear: its variance as the record tells it, negative too, in the covariance alone.
+
+Where the slow noise of a record may or may not hold a random walk beside white noise, weights stay those of white
+noise (they lose little), and what the walk adds to the covariance is its likely variance times what a unit adds. A
+variance that must not be negative is too large on average where there is none; one that is set to zero below a limit,
+too small where there is a little. The restricted likelihood is therefore searched wherever the covariance
+of the record is one, down to some negative variance (LEAST): the slow values of a record scatter less than its white
+noise says as often as they scatter more. With the uncertainty of that variance in the degrees of freedom intervals hold for
+any walk, after [Kenward1997]; own derivation, docs/theory.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.estimation.whitening import LANES
+from piga.calibration.fit.one_run import SMALL, FaintWalk, Fit, log_determinant
+from piga.calibration.model.solution import Solution, solve
+from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
+from piga.calibration.noise.weighting import Whitener, reduce_segments
+
+Array = NDArray[np.float64]
+
+LEAST, MOST = 0.4, 30.0
+"""Range of the variance of the slowest value of the longest stretch, over that of white noise alone: not less, for
+white noise is known from the fast values, and slow ones that scatter far less than it explains do so by luck."""
+NODES = 6
+"""Levels in it at which the information of the coefficients is computed."""
+PASSES = 2
+"""Passes over the residuals."""
+UNCLEAR = 0.02
+"""Share of a walk in the variance of the slowest value up to which the weights are those of white noise."""
+PROBE = 0.01
+"""The same share, moved by which the covariance is differentiated."""
+TWIST = 0.1
+"""Step of the logarithm of that variance, by which the likelihood is differentiated."""
+ENOUGH = 3.0
+"""Slow values that the coefficients must leave; with fewer nothing is learnt of a walk, and none is assumed."""
+
+
+def include_faint_walk(fit: Fit, groups: tuple[int, ...]) -> Fit:
+    """The same fit with a random walk that is not clear in its covariance; unchanged where it is clear.
+
+    Left out beside a slow noise, with coarse counts, given noise levels and methods other than
+    whitened least squares in one go, in records of more than ``fit.SMALL`` increments, and
+    where the coefficients leave no slow values.
+    """
+    request, noise = fit.design.request, fit.noise
+    able = fit.mode == "increments" and request.method == "information" and fit.counted is None
+    if not able or request.angle_rms is not None or noise.slow > 0.0 or fit.design.rows > SMALL:
+        return fit
+    unit = slowest(fit)
+    if noise.white == 0.0 or noise.walk > UNCLEAR * unit * noise.white:
+        return fit
+    if 2.0 * _walk_information(fit, groups, 0.0)[1, 1] * unit**2 < ENOUGH:
+        return fit
+    share = _likely_share(fit, groups)
+    part = _per_walk(fit, groups, PROBE * unit * noise.white)
+    faint = FaintWalk(share * unit * noise.white, part, _walk_information(fit, groups, share) / noise.white**2)
+    return replace(
+        fit, faint=faint, covariance=fit.solution.covariance + (faint.walk - noise.walk) * faint.part
+    )
+
+
+def slowest(fit: Fit) -> float:
+    """Walk over white noise [1/s] that is as strong as it in the slowest value of the longest stretch.
+
+    The least eigenvalue of white noise in the increments of N samples is ``4 sin^2(pi/2N)``; the covariance is
+    one for any walk above minus this, intervals of the longest taken for all.
+    """
+    edges = np.append(np.flatnonzero(fit.design.run.begins), fit.design.run.size)
+    longest = max(int(np.diff(edges).max()), 2)
+    return float(4.0 * np.sin(0.5 * np.pi / longest) ** 2 / fit.h.max())
+
+
+def _likely_share(fit: Fit, groups: tuple[int, ...]) -> float:
+    """Walk of greatest restricted likelihood, in units of ``slowest`` times the white noise; negative down to -1."""
+    from scipy.interpolate import CubicSpline
+
+    unit, low, high = slowest(fit), math.log(LEAST), math.log(MOST)
+    nodes = np.linspace(low, high, NODES)
+    information = CubicSpline(nodes, _logarithms(fit, groups, nodes))
+    best = 0.0
+    for _ in range(PASSES):
+        grid = np.linspace(low, high, LANES)
+        log, square = _sums(fit, unit * np.expm1(grid))
+        best = least_on_grid(grid, _freedom(fit) * np.log(np.maximum(square, 1e-300)) + log + information(grid))
+        spacing = (high - low) / (LANES - 1)
+        low, high = max(best - spacing, math.log(LEAST)), min(best + spacing, math.log(MOST))
+    return math.expm1(best)
+
+
+def _walk_information(fit: Fit, groups: tuple[int, ...], share: float) -> Array:
+    """Fisher information (2, 2) of white noise and walk for unit white noise, exact for this record.
+
+    That of the restricted likelihood is minus half the second derivative of its logarithms alone, ``(n - m) log r + F(q/r)``,
+    for the covariance is linear in both.
+    """
+    ratio, at = slowest(fit) * share, math.log1p(share)
+    grid = at + TWIST * np.linspace(-1.0, 1.0, 3)
+    log = _sums(fit, slowest(fit) * np.expm1(np.resize(grid, LANES)))[0][:3]
+    below, here, above = log + _logarithms(fit, groups, grid)
+    first, second = (above - below) / (2.0 * TWIST), (above - 2.0 * here + below) / TWIST**2
+    scale = slowest(fit) * math.exp(at)
+    slope, bend = first / scale, (second - first) / scale**2
+    mixed = slope + ratio * bend
+    return 0.5 * np.array([[_freedom(fit) - 2.0 * ratio * slope - ratio**2 * bend, mixed], [mixed, -bend]])
+
+
+def _logarithms(fit: Fit, groups: tuple[int, ...], grid: Array) -> Array:
+    """``log|X' V^-1 X|`` for unit white noise at logarithms of the variance of the slowest value."""
+    walks = slowest(fit) * np.expm1(grid)
+    stated = tuple(variance / fit.noise.white for variance in fit.noise.stated)
+    levels = [Noise(1.0, float(walk), stated=stated) for walk in walks]
+    return np.array([-log_determinant(_weighted(fit, groups, noise)) for noise in levels])
+
+
+def _sums(fit: Fit, walks: Array) -> tuple[Array, Array]:
+    """Sums of the likelihood for unit white noise at these walks, beside a stated scatter of the segments if there is one.
+
+    With ``V`` of white noise and walk, ``b`` the intervals of a segment and ``v`` its stated variance: ``log(1 + v b'V^-1 b)``
+    more, and ``v (b'V^-1 d)^2/(1 + v b'V^-1 b)`` less of the squares.
+    """
+    log, square = deviance_sums(fit.d, fit.h, walks)
+    if not fit.noise.stated:
+        return log, square
+    segment, variance = fit.design.run.segment, np.array(fit.noise.stated) / fit.noise.white
+    columns = np.stack([fit.h, fit.d])
+    for k, walk in enumerate(walks):
+        b, d = Whitener("increments", Noise(1.0, float(walk)), 2).apply_columns(columns, fit.h)
+        own, cross = (np.bincount(segment, b * other, minlength=variance.size) for other in (b, d))
+        grown = 1.0 + variance * own
+        log[k] += np.log(grown).sum()
+        square[k] -= np.sum(variance * cross**2 / grown)
+    return log, square
+
+
+def _freedom(fit: Fit) -> int:
+    return fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
+
+
+def _per_walk(fit: Fit, groups: tuple[int, ...], probe: float) -> Array:
+    """What a unit of walk adds to the covariance with the weights of the fit: to first order all weights agree."""
+    above, below = (
+        _at_the_fit(fit, _weighted(fit, groups, replace(fit.noise, walk=fit.noise.walk + moved)))
+        for moved in (probe, -probe)
+    )
+    found: Array = (above - below) / (2.0 * probe)
+    return found
+
+
+def _at_the_fit(fit: Fit, solution: Solution) -> Array:
+    """Covariance of a solution linearised where the fit is: near tan_beta of zero each has another phase."""
+    if fit.solution.phases.size != 1:
+        return solution.covariance
+    turn = np.linalg.solve(fit.solution.jacobians[0], solution.jacobians[0])
+    moved: Array = turn @ solution.covariance @ turn.T
+    return moved
+
+
+def _weighted(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Solution:
+    return solve(fit.design, reduce_segments(fit.design, fit.mode, noise), groups)

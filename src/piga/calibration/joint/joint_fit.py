@@ -1,0 +1,476 @@
+"""Several runs of one instrument, calibrated together from their summaries.
+
+Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
+the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries add, so that a run
+whose raw data are gone takes part like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit.servo import at_state, find_state, mixture, refuse_if_servo_confounded
+from piga.calibration.intervals.added_noise import AddedNoise
+from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
+from piga.calibration.model.coefficients import Owner, name_parameters
+from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import check_per_run, make_request
+from piga.calibration.model.servo_columns import ServoState, phaseless_columns
+from piga.calibration.model.solution import Estimate, Layout, solve_parts
+from piga.errors import ArgumentError, CalibrationError
+from piga.records.calibration import Coefficient
+from piga.records.run import Run
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic
+
+Array = NDArray[np.float64]
+
+INNER = 1e-6
+"""Relative change of K from which the regressors of runs with base rotation are made anew."""
+SERVO_SOURCE = "servo "
+"""Beginning of the names of sources that belong to the instrument."""
+SAME_SERVO = 0.02
+"""Relative difference of a coefficient of the servo between runs that is none: that of their rates."""
+SMALL = 0.01
+"""Relative change of the noise of a run for the derivative of the variances."""
+COMMON_TO_ALL_STANDS = ("gravity",)
+"""Sources that belong to the site, not to the stand."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of all runs together: union of their terms, and which may differ between runs."""
+
+    terms: tuple[str, ...]
+    per_run: tuple[str, ...]
+    own: tuple[tuple[str, ...], ...]
+
+    def terms_of(self, index: int) -> tuple[str, ...]:
+        """Terms of one run: the common ones, and of those per run the ones it asks for."""
+        return tuple(t for t in self.terms if t not in self.per_run or t in self.own[index])
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Result of merging: summaries, where their phase groups stand, estimate and named coefficients."""
+
+    wish: Wish
+    summaries: tuple[RunSummary, ...]
+    live: tuple[LiveRun | None, ...]
+    layout: Layout
+    estimate: Estimate
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    examination: Examination
+    servo: ServoState | None = None
+
+    def first_group(self, index: int) -> int:
+        """Number of the first phase group of a run."""
+        return sum(len(summary.parts) for summary in self.summaries[:index])
+
+    def servo_of(self, index: int, segments: int) -> ServoState | None:
+        """What the columns of the servo are combined at in the segments of a run; None without such terms."""
+        if self.servo is None:
+            return None
+        first, count = self.first_group(index), len(self.summaries[index].parts)
+        own = self.servo.phases[first : first + count]
+        return replace(self.servo, phases=own if count == segments else own * segments)
+
+    def column_values(self, index: int) -> Array:
+        """Coefficients of the columns of a run in each of its phase groups."""
+        first, count = self.first_group(index), len(self.summaries[index].parts)
+        phases = self.estimate.phases if self.layout.coupled else np.zeros(first + count)
+        return np.array(
+            [self.layout.linear(self.estimate.amplitudes, phases[g], g) for g in range(first, first + count)]
+        )
+
+
+def fit_jointly(
+    items: Sequence[Run | RunSummary],
+    terms: Sequence[str] | None,
+    phase: str | None,
+    per_run: Sequence[str] | None,
+) -> JointFit:
+    """Reduce the runs that are at hand, merge all summaries and solve.
+
+    Raises
+    ------
+    CalibrationError
+        If the runs are not of one instrument, or one of them is given twice.
+    IdentifiabilityError
+        If the runs together cannot separate what is asked.
+    """
+    _check_one_instrument(items)
+    wish = _wish(items, terms, per_run)
+    names = _names(items)
+    live: list[LiveRun | None] = []
+    summaries: list[RunSummary] = []
+    for index, (item, name) in enumerate(zip(items, names, strict=True)):
+        if isinstance(item, RunSummary):
+            live.append(None)
+            summaries.append(replace(item, name=name))
+            continue
+        own = wish.terms_of(index)
+        request = make_request(item, own, "information", phase, None, ())
+        prepared = prepare(item, request, name)
+        live.append(prepared)
+        summaries.append(summarise(prepared, own))
+    _check_temperature(wish, summaries)
+    found = merge_runs(wish, summaries, live)
+    scale_factor = _scale_factor(found)
+    stale = [
+        i
+        for i, summary in enumerate(summaries)
+        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > INNER
+    ]
+    for i in stale:
+        prepared_again = live[i]
+        if prepared_again is not None:
+            summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
+    return merge_runs(wish, summaries, live) if stale else found
+
+
+def _wish(
+    items: Sequence[Run | RunSummary], terms: Sequence[str] | None, per_run: Sequence[str] | None
+) -> Wish:
+    own = [item.terms if isinstance(item, RunSummary) else item.model.terms for item in items]
+    if terms is not None:
+        own = [tuple(terms)] * len(items)
+    union = tuple(dict.fromkeys(name for names in own for name in names))
+    check_terms(union, where="terms of all runs together")
+    asked = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
+    free = tuple(per_run) if per_run is not None else tuple(dict.fromkeys(n for names in asked for n in names))
+    check_per_run(free, union)
+    return Wish(union, free, tuple(own))
+
+
+def _names(items: Sequence[Run | RunSummary]) -> list[str]:
+    """A name for every run; those that would be alike get a number."""
+    names: list[str] = []
+    for index, item in enumerate(items):
+        plain = item.name if isinstance(item, RunSummary) else run_name(item, index)
+        name, number = plain, 2
+        while name in names:
+            name, number = f"{plain} ({number})", number + 1
+        names.append(name)
+    return names
+
+
+def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
+    first, names = items[0], _names(items)
+    seen: dict[tuple[str, ...], str] = {}
+    for item, name in zip(items, names, strict=True):
+        if item.serial != first.serial:
+            raise CalibrationError(
+                f"run '{names[0]}' is of instrument '{first.serial}', run '{name}' of '{item.serial}'",
+                remedy="a joint calibration is of one instrument; correct [instrument] serial if they are the same",
+            )
+        if abs(item.scale_factor / first.scale_factor - 1.0) > 1e-9:
+            raise CalibrationError(
+                f"run '{names[0]}' and run '{name}' name different nominal scale factors",
+                remedy="write the same [instrument] scale_factor in all run files of an instrument",
+            )
+        digests = tuple(sorted(d for f, d in item.input_sha256.items() if not f.endswith(".toml")))
+        if digests and digests in seen:
+            raise CalibrationError(
+                f"run '{name}' has the same data as run '{seen[digests]}'",
+                remedy="name each run once: counted twice it would halve the uncertainty for nothing",
+            )
+        seen[digests] = name
+
+
+def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
+    references = {summary.temperature_reference for summary in summaries}
+    if len(references) > 1 and {"k0_T", "k1_T"} & set(wish.terms):
+        raise CalibrationError(
+            "the runs name different temperatures of reference",
+            remedy="write the same [model] temperature_reference",
+        )
+
+
+def layout_and_columns(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Layout, list[tuple[str, ...]]]:
+    """The common layout, and the shared columns of every run."""
+    shared = [
+        tuple(t for t in wish.terms_of(i) if t != "tan_beta" and harmonic(t) is None)
+        for i in range(len(summaries))
+    ]
+    keys: list[tuple[str, str | None]] = []
+    for term in wish.terms:
+        if term == "tan_beta" or harmonic(term):
+            continue
+        if term in wish.per_run:
+            keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
+        else:
+            keys.append((term, None))
+    tails = []
+    for summary, own in zip(summaries, shared, strict=True):
+        at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
+        tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
+    orders = tuple(sorted({found[1] for t in wish.terms if (found := harmonic(t))}))
+    return Layout("tan_beta" in wish.terms, orders, tuple(keys), tuple(tails)), shared
+
+
+def _parts(
+    layout: Layout,
+    shared: list[tuple[str, ...]],
+    summaries: Sequence[RunSummary],
+    state: ServoState | None,
+    source: Source | None = None,
+    segment: int | None = None,
+) -> list[Reduction]:
+    """Summaries of all phase groups, those that a source moves in their moved form; with a state, at it.
+
+    ``segment``: the one that is moved; all of them unless given.
+    """
+    local = layout.columns[: layout.local]
+    parts: list[Reduction] = []
+    for index, summary in enumerate(summaries):
+        chosen, known = summary.parts, known_servo_of(summary, shared[index])
+        if source is not None and index in source.moved:
+            moved = summary.sources[source.moved[index]]
+            chosen = moved.parts
+            if segment is not None:
+                group, part = moved.segments[segment]
+                chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
+            known = known_servo_of(
+                replace(summary, known_servo=moved.known_servo or summary.known_servo), shared[index]
+            )
+        held = summary.choose(chosen, local, without_phase(shared[index], known))
+        wanted = summary.columns(local, shared[index])
+        if state is not None:
+            held = [at_state(part, wanted, state, len(parts) + group, known) for group, part in enumerate(held)]
+        parts += held
+    return parts
+
+
+def known_servo_of(summary: RunSummary, shared: tuple[str, ...]) -> dict[str, float]:
+    """K times the coefficients of the servo that a run gives and that are not estimated."""
+    return {name: summary.inner_scale_factor * size for name, size in summary.known_servo if name not in shared}
+
+
+def without_phase(shared: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
+    """Shared columns as summaries hold them."""
+    return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns((*shared, *known))
+
+
+def _servo_state(
+    layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary]
+) -> ServoState | None:
+    """What the columns of the servo are combined at in all phase groups; None without such terms.
+
+    Raises
+    ------
+    CalibrationError
+        If the runs give different parameters of the servo.
+    """
+    known = [known_servo_of(summary, own) for summary, own in zip(summaries, shared, strict=True)]
+    if not any(known) and not any(name in SERVO_TERMS for names in shared for name in names):
+        return None
+    for index, given in enumerate(known):
+        alike = given.keys() == known[0].keys() and all(
+            abs(size - known[0][name]) <= SAME_SERVO * abs(size) for name, size in given.items()
+        )
+        if not alike:
+            raise CalibrationError(
+                f"run '{summaries[0].name}' and run '{summaries[index].name}' give different parameters of the servo",
+                remedy="write the same [instrument] servo in all run files of an instrument, or in none",
+            )
+    local = layout.columns[: layout.local]
+    wanted = [
+        summary.columns(local, own)
+        for summary, own in zip(summaries, shared, strict=True)
+        for _ in summary.parts
+    ]
+    if not layout.coupled:
+        count = sum(len(summary.parts) for summary in summaries)
+        return ServoState((0.0,) * count, known[0].get("servo", 0.0), 0.0, 0.0, turning=False)
+    parts = _parts(layout, shared, summaries, None)
+    refuse_if_servo_confounded(layout, parts, wanted, runs=len(summaries))
+    return find_state(layout, parts, wanted, known[0])
+
+
+def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
+    """Merge summaries that hold the columns wished for, and solve.
+
+    Raises
+    ------
+    CalibrationError
+        If a summary lacks a column, or the runs give different parameters of the servo.
+    IdentifiabilityError
+        If the runs together cannot separate what is asked.
+    """
+    layout, shared = layout_and_columns(wish, summaries)
+    state = _servo_state(layout, shared, summaries)
+    parts = _parts(layout, shared, summaries, state)
+    examination = examine_parts(layout, parts)
+    refuse_if_confounded(examination, len(summaries))
+    estimate = _estimate(layout, shared, summaries, parts, state)
+    coefficients, covariance = _named(wish, summaries, layout, estimate)
+    return JointFit(
+        wish, tuple(summaries), tuple(live), layout, estimate, coefficients, covariance, examination, state
+    )
+
+
+def _estimate(
+    layout: Layout,
+    shared: list[tuple[str, ...]],
+    summaries: Sequence[RunSummary],
+    parts: list[Reduction],
+    state: ServoState | None,
+) -> Estimate:
+    """Estimate with what the noise that runs are not weighted by adds to its covariance."""
+    plain = solve_parts(layout, parts)
+    added = np.zeros_like(plain.covariance)
+    for noise, per_unit in _added(layout, shared, summaries, plain, state):
+        added += noise.variance * per_unit
+    return replace(plain, covariance=plain.covariance + added)
+
+
+def _added(
+    layout: Layout,
+    shared: list[tuple[str, ...]],
+    summaries: Sequence[RunSummary],
+    plain: Estimate,
+    state: ServoState | None,
+) -> Iterator[tuple[AddedNoise, Array]]:
+    """Noise that runs are not weighted by, and what a unit of each adds to the covariance."""
+    local = layout.columns[: layout.local]
+    first = 0
+    for index, summary in enumerate(summaries):
+        groups = range(first, first + len(summary.parts))
+        first = groups.stop
+        if not summary.added:
+            continue
+        known = known_servo_of(summary, shared[index])
+        held = summary.columns(local, without_phase(shared[index], known))
+        wanted = summary.columns(local, shared[index])
+        jacobians = [layout.jacobian(plain.amplitudes, plain.phases, group) for group in groups]
+        for noise in summary.added:
+            own = noise.select(summary.parts[0].names, held)
+            if state is not None:
+                own = own.mixed([mixture(held, wanted, state, state.phases[g])[:-1, :-1] for g in groups])
+            meat = own.per_unit(jacobians)
+            yield noise, plain.covariance @ meat @ plain.covariance
+
+
+def _named(
+    wish: Wish, summaries: Sequence[RunSummary], layout: Layout, estimate: Estimate
+) -> tuple[tuple[Coefficient, ...], Array]:
+    owners: list[Owner] = []
+    if layout.coupled:
+        owners = [(label, summary.name) for summary in summaries for label in summary.labels]
+    nominal = summaries[0].scale_factor
+    return name_parameters(layout, estimate, estimate.covariance, nominal, wish.terms, owners)
+
+
+def _scale_factor(fit: JointFit) -> float:
+    keys = fit.layout.amplitude_keys
+    if ("scale_factor", None) not in keys:
+        return fit.summaries[0].scale_factor
+    return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source of Type B: name with its runs, standard uncertainty, and which source of which run it moves.
+
+    ``segments``: how many draws it has in its run, 0 where it has one in all.
+    """
+
+    name: str
+    value: float
+    unit: str
+    moved: dict[int, int]
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
+    segments: int = 0
+    in_fit: bool = False
+
+
+def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
+    """Sources of all runs; one that runs share moves all of them at once.
+
+    Runs share a source when it has the same name and value, on the same kind of stand, with the same
+    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand, and a parameter of the servo, which is the
+    instrument's, for neither. What is drawn for each run or each of its
+    segments is not shared.
+    """
+    found: dict[tuple[str, str | None, str | None, float, int], Source] = {}
+    for index, summary in enumerate(summaries):
+        for number, source in enumerate(summary.sources):
+            of_servo = source.name.startswith(SERVO_SOURCE)
+            of_site = source.name in COMMON_TO_ALL_STANDS or of_servo
+            own = -1 if source.draw == "reference" else index
+            device = None if of_servo else summary.reference_id
+            key = (source.name, None if of_site else summary.stand, device, source.value, own)
+            shape = (source.distribution, source.degrees_of_freedom, len(source.segments), source.in_fit)
+            first = found.get(key, Source(source.name, source.value, source.unit, {}, *shape))
+            found[key] = replace(first, moved=first.moved | {index: number})
+    for shared in found.values():
+        names = ", ".join(summaries[index].name for index in shared.moved)
+        yield replace(shared, name=f"{shared.name} ({names})")
+
+
+def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
+    """Changes of the coefficients (draws, n; file units) that each source makes by its standard uncertainty."""
+    layout, shared = layout_and_columns(fit.wish, fit.summaries)
+    base = np.array([c.value for c in fit.coefficients])
+    turns = np.array([c.name == "phi" for c in fit.coefficients])
+
+    def change(source: Source, segment: int | None) -> Array:
+        estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source, segment))
+        named, _ = _named(fit.wish, fit.summaries, layout, estimate)
+        moved = np.array([c.value for c in named]) - base
+        return np.where(turns, np.angle(np.exp(1j * moved)), moved)
+
+    for source in joint_sources(fit.summaries):
+        draws = range(source.segments) if source.segments else (None,)
+        yield source, np.array([change(source, segment) for segment in draws])
+
+
+def joint_degrees(fit: JointFit) -> Array:
+    """Degrees of freedom of the Type A variance of every coefficient (JCGM 100, eq. G.2b).
+
+    The variance is a sum of shares of the runs, each as well known as the noise levels of its run: the share of a run is
+    the derivative of the variance by the scale of its noise. Noise that it is not weighted by is a share of its own.
+    """
+    layout, shared = layout_and_columns(fit.wish, fit.summaries)
+    now = np.diag(fit.covariance)
+    known = np.zeros(now.size)
+    for index, summary in enumerate(fit.summaries):
+        parts = _parts(layout, shared, fit.summaries, fit.servo)
+        first = fit.first_group(index)
+        for group in range(first, first + len(summary.parts)):
+            parts[group] = parts[group].scaled(1.0 / (1.0 + SMALL))
+        summaries = list(fit.summaries)
+        summaries[index] = replace(
+            summary, added=tuple(noise.scaled(1.0 / (1.0 + SMALL)) for noise in summary.added)
+        )
+        estimate = _estimate(layout, shared, summaries, parts, fit.servo)
+        _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
+        known += ((np.diag(covariance) - now) / SMALL) ** 2 / summary.degrees_of_freedom
+    plain = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo))
+    for noise, per_unit in _added(layout, shared, fit.summaries, plain, fit.servo):
+        _, share = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
+        known += 0.5 * (noise.deviation * np.diag(share)) ** 2
+    return now**2 / np.maximum(known, 1e-300)
+
+
+def check_items(items: object) -> list[Run | RunSummary]:
+    """The runs given to a joint calibration.
+
+    Raises
+    ------
+    ArgumentError
+        If there are none, or something else is among them.
+    """
+    given = list(items) if isinstance(items, (list, tuple)) else [items]
+    found = [item for item in given if isinstance(item, (Run, RunSummary))]
+    if not found or len(found) < len(given):
+        raise ArgumentError("calibrate: a run, or a list of runs and run summaries, is needed")
+    return found

@@ -1,0 +1,237 @@
+"""From a joint fit to the one result: residuals and quality of all runs, each under its own name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._version import __version__
+from piga.calibration.budget.rows import combined
+from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.joint.joint_fit import JointFit
+from piga.calibration.joint.summary import LiveRun, now, residual_figures
+from piga.calibration.model.design import Design
+from piga.calibration.model.identifiability import (
+    notes_in_words,
+    notes_on_runs,
+    refuse_useless,
+    remarks_in_words,
+)
+from piga.records.calibration import (
+    Calibration,
+    Event,
+    Provenance,
+    Quality,
+    Residuals,
+    RunRecord,
+    SegmentSummary,
+)
+
+Array = NDArray[np.float64]
+
+
+def joint_result(
+    fit: JointFit, covariance: Array, budget: tuple[dict[str, Any], ...], degrees: Array
+) -> Calibration:
+    """The calibration, with ``covariance`` of both types in the order of the coefficients.
+
+    ``degrees`` are the degrees of freedom of Type A.
+    """
+    coefficients = combined(fit.coefficients, covariance, budget, degrees)
+    _refuse_useless(fit, coefficients)
+    kinds = {summary.kind for summary in fit.summaries}
+    kind = kinds.pop() if len(kinds) == 1 else "angle"
+    found = [_live_part(fit, i, live, kind) if live else None for i, live in enumerate(fit.live)]
+    records, segments = [], []
+    for index, part in enumerate(found):
+        own = _own_segments(fit, index, part)
+        records.append(_record(fit, index, part))
+        segments += [replace(row, label=f"{fit.summaries[index].name}:{row.label}") for row in own]
+    residuals = _all_residuals(fit, found)
+    alone = {summary.name: summary.undetermined for summary in fit.summaries}
+    notes = notes_in_words(coefficients, covariance, _worst_scatter(found))
+    weights = np.array([record.rows for record in records], dtype=float)
+    first = fit.summaries[0]
+    return Calibration(
+        serial=first.serial,
+        scale_factor_nominal=first.scale_factor,
+        terms=fit.wish.terms,
+        phase="per-segment" if any(s.phase == "per-segment" for s in fit.summaries) else "shared",
+        phase_source="output",
+        method="information",
+        coefficients=coefficients,
+        covariance=covariance,
+        surplus_observations=float(sum(s.count for s in fit.summaries) - len(coefficients)),
+        angle_rms=_mean_square([r.angle_rms for r in records], weights),
+        angle_random_walk=_mean_square([r.angle_random_walk for r in records], weights),
+        residual_rms=_mean_square([r.residual_rms for r in records], weights),
+        residual_rms_before=_mean_square([r.residual_rms_before for r in records], weights),
+        residual_max_before=max(r.residual_max_before for r in records),
+        residual_max_after=max(r.residual_max_after for r in records),
+        quality=_joint_quality(records),
+        condition=fit.examination.condition,
+        notes=notes,
+        remarks=(
+            *remarks_in_words(coefficients, "shared"),
+            *notes_on_runs(alone),
+            *_notes_on_summaries(records),
+        ),
+        budget=budget,
+        diagnostics={"residual_kind": kind, "range": _ranges(fit)}
+        | (diagnose(residuals) if residuals is not None else {})
+        | _worst_scatter(found),
+        segments=tuple(segments),
+        provenance=_provenance(fit),
+        temperature_reference=first.temperature_reference,
+        time_reference=first.time_reference,
+        residuals=residuals,
+        runs=tuple(records),
+        outliers=tuple(replace(o, run=s.name) for s in fit.summaries for o in s.outliers),
+    )
+
+
+def _live_part(
+    fit: JointFit, index: int, live: LiveRun, kind: str
+) -> tuple[Residuals, tuple[SegmentSummary, ...], dict]:
+    """Residuals of a run at hand under the joint estimate, its segments, and how they scatter.
+
+    Residual rates become angles where runs of both kinds meet (``kind`` is that of all residuals).
+    """
+    summary = fit.summaries[index]
+    wish = replace(live.request, terms=fit.wish.terms_of(index))
+    state = fit.servo_of(index, len(live.run.labels))
+    design = Design(live.run, wish, summary.inner_scale_factor, state)
+    values = fit.column_values(index)
+    if len(values) != len(live.run.labels):
+        values = np.tile(values[0], (len(live.run.labels), 1))
+    residuals = find_residuals(design, values, live.fit.noise, live.fit.mode)
+    scatter = segment_scatter(design, residuals, live.fit.noise)
+    if summary.kind != kind:
+        residuals = _as_angles(residuals)
+    return residuals, segment_table(design, residuals), scatter
+
+
+def _own_segments(fit: JointFit, index: int, part: tuple | None) -> tuple[SegmentSummary, ...]:
+    return fit.summaries[index].segments if part is None else part[1]
+
+
+def _record(fit: JointFit, index: int, part: tuple | None) -> RunRecord:
+    summary = fit.summaries[index]
+    figures = summary.figures if part is None else residual_figures(part[0])
+    return RunRecord(
+        name=summary.name,
+        source=summary.source,
+        stand=summary.stand,
+        phase=summary.phase,
+        raw=part is not None,
+        rows=summary.count,
+        angle_rms=summary.noise.angle_rms,
+        angle_random_walk=summary.noise.angle_random_walk,
+        residual_rms=figures["residual_rms"],
+        residual_rms_before=figures["residual_rms_before"],
+        residual_max_before=figures["residual_max_before"],
+        residual_max_after=figures["residual_max_after"],
+        quality=summary.quality,
+        undetermined=summary.undetermined,
+        input_sha256=summary.input_sha256,
+    )
+
+
+def _all_residuals(fit: JointFit, found: list[tuple | None]) -> Residuals | None:
+    """Residuals of all runs at hand behind each other."""
+    pieces: list[Residuals] = []
+    run_of: list[int] = []
+    offset = 0
+    for index, part in enumerate(found):
+        own = _own_segments(fit, index, part)
+        if part is not None:
+            pieces.append(replace(part[0], segment=part[0].segment + np.int32(offset)))
+            run_of.append(index)
+        offset += len(own)
+    return _concatenated(pieces, run_of) if pieces else None
+
+
+def _concatenated(pieces: list[Residuals], run_of: list[int]) -> Residuals:
+    def column(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(piece, name) for piece in pieces])
+
+    return Residuals(
+        column("row"),
+        column("t"),
+        column("psi"),
+        column("a_x"),
+        column("before"),
+        column("after"),
+        column("innovation"),
+        column("segment"),
+        np.repeat(np.array(run_of, dtype=np.int32), [piece.t.size for piece in pieces]),
+    )
+
+
+def _as_angles(found: Residuals) -> Residuals:
+    step = np.diff(found.t, prepend=found.t[:1])
+    step[np.diff(found.segment, prepend=found.segment[:1]) != 0] = 0.0
+    return replace(found, before=np.cumsum(step * found.before), after=np.cumsum(step * found.after))
+
+
+def _worst_scatter(found: list[tuple | None]) -> dict[str, float]:
+    """The scatter of segments of the run where it is worst."""
+    scatters = [part[2] for part in found if part is not None and part[2]]
+    return max(scatters, key=lambda found: max(v for k, v in found.items() if "ratio" in k), default={})
+
+
+def _mean_square(values: list[float], weights: Array) -> float:
+    return float(np.sqrt(np.average(np.square(values), weights=weights)))
+
+
+def _joint_quality(records: list[RunRecord]) -> Quality:
+    events = tuple(
+        Event(event.kind, event.count, event.first_row, f"run {record.name}: {event.detail}".rstrip(": "))
+        for record in records
+        for event in record.quality.events
+    )
+    return Quality(
+        sum(r.quality.rows for r in records),
+        sum(r.quality.used for r in records),
+        sum(r.quality.masked for r in records),
+        events,
+    )
+
+
+def _notes_on_summaries(records: list[RunRecord]) -> tuple[str, ...]:
+    return tuple(
+        f"run '{record.name}' takes part by its summary: its residual figures are those of its own fit"
+        for record in records
+        if not record.raw
+    )
+
+
+def _ranges(fit: JointFit) -> dict[str, list[float]]:
+    """Range in which the calibration holds: that of all runs together."""
+    result: dict[str, list[float]] = {}
+    for summary in fit.summaries:
+        for name, (low, high) in summary.ranges.items():
+            now_low, now_high = result.get(name, [low, high])
+            result[name] = [min(low, now_low), max(high, now_high)]
+    return result
+
+
+def _refuse_useless(fit: JointFit, coefficients: tuple) -> None:
+    ranges = _ranges(fit)
+    largest = max(*(abs(v) for v in ranges["a_x"]), ranges["a_t"][1])
+    duration = max(sum(segment.duration for segment in s.segments) for s in fit.summaries)
+    spread = float(np.ptp(ranges["temperature"])) if "temperature" in ranges else 0.0
+    refuse_useless(coefficients, largest, duration, spread)
+
+
+def _provenance(fit: JointFit) -> Provenance:
+    """Hashes of the inputs of all runs; a file name that occurs twice carries its run."""
+    hashes: dict[str, str] = {}
+    for summary in fit.summaries:
+        for name, digest in summary.input_sha256.items():
+            hashes[name if hashes.get(name, digest) == digest else f"{summary.name}: {name}"] = digest
+    options = {"runs": [s.source or s.name for s in fit.summaries], "per_run": list(fit.wish.per_run)}
+    return Provenance(hashes, f"piga {__version__}", now(), options)

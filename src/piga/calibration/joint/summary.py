@@ -1,0 +1,403 @@
+"""What a run says, in fixed size: its reduction, to be merged with other runs without the raw data."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._version import __version__
+from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
+from piga.calibration.fit.one_run import Fit, fit_run, phase_groups
+from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
+from piga.calibration.intervals.added_noise import AddedNoise, added_noise
+from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
+from piga.calibration.intervals.faint_walk import include_faint_walk
+from piga.calibration.intervals.slow_noise import include_slow_noise, include_stated_scatter
+from piga.calibration.model.design import Design
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.servo_columns import given_servo
+from piga.calibration.model.solution import drift_columns, merged
+from piga.calibration.noise.counted import refine_counted
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.slow_bases import DRIFT_NAMES
+from piga.calibration.noise.weighting import reduce_segments
+from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.reading.signal_checks import largest_size
+from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
+from piga.records.run import Run
+from piga.records.run_file import Draw
+from piga.records.spool import spans
+from piga.records.terms import SERVO_TERMS, harmonic
+
+Array = NDArray[np.float64]
+
+STATIC_TERMS = (
+    "scale_factor", "tan_beta", "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t",
+    *SERVO_TERMS,
+)  # fmt: skip
+"""Columns that a stored summary holds besides the harmonics asked for; with temperature also those of it."""
+LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
+"""Terms that the fit for the noise levels gives up last."""
+
+
+@dataclass(frozen=True)
+class SourceSummary:
+    """One source of Type B: the summaries of the record moved by its standard uncertainty.
+
+    A source that is drawn for each segment has no ``parts``: ``segments`` holds, for each, the phase group that changes
+    when that segment is moved, and its summary then; ``in_fit``: the weights know of it. ``draw`` as in the run file.
+    """
+
+    name: str
+    value: float
+    unit: str
+    parts: tuple[Reduction, ...]
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
+    known_servo: tuple[tuple[str, float], ...] = ()
+    draw: Draw = "reference"
+    segments: tuple[tuple[int, Reduction], ...] = ()
+    in_fit: bool = False
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """Everything that a joint calibration needs of one run.
+
+    Attributes
+    ----------
+    name, serial, scale_factor:
+        Of the run (unique in a joint calibration), of the instrument, and its nominal K [(rad/s)/(m/s^2)].
+    terms, per_run, phase:
+        What its run file asks for.
+    noise, degrees_of_freedom:
+        Levels found in this run, and how well those by which the rows were weighted are known: the least degrees
+        of freedom of its own coefficients.
+    added:
+        Noise that the rows were not weighted by, which belongs to the covariance.
+    inner_scale_factor, turning:
+        K inside the regressors; True when they depend on it (a base rotation is recorded).
+    labels, parts:
+        Segment of each phase group (None: one phase for the run) and its summary.
+    sources:
+        Type B, each with its moved summaries.
+    stand, reference_id:
+        Kind of the stand and name of the reference: runs that agree in both share the errors of the reference.
+    undetermined:
+        Terms that this run alone cannot determine.
+    known_servo:
+        Coefficients of the servo [1/(m/s^2)^2] that the run file gives by the servo's parameters.
+    quality, segments, figures, ranges:
+        As in a calibration of this run alone.
+    """
+
+    name: str
+    serial: str
+    scale_factor: float
+    kind: str
+    terms: tuple[str, ...]
+    per_run: tuple[str, ...]
+    phase: str
+    temperature_reference: float
+    time_reference: float
+    noise: Noise
+    inner_scale_factor: float
+    turning: bool
+    labels: tuple[str | None, ...]
+    parts: tuple[Reduction, ...]
+    sources: tuple[SourceSummary, ...]
+    stand: str | None
+    reference_id: str | None
+    undetermined: tuple[str, ...]
+    quality: Quality
+    segments: tuple[SegmentSummary, ...]
+    figures: dict[str, float]
+    ranges: dict[str, list[float]]
+    input_sha256: dict[str, str] = field(default_factory=dict)
+    source: str = ""
+    software: str = ""
+    created: str = ""
+    outliers: tuple[Outlier, ...] = ()
+    degrees_of_freedom: float = math.inf
+    added: tuple[AddedNoise, ...] = ()
+    known_servo: tuple[tuple[str, float], ...] = ()
+
+    @classmethod
+    def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
+        """Reduce a run to a summary that holds the columns of all terms.
+
+        Parameters
+        ----------
+        run:
+            The record.
+        terms:
+            Terms by which its noise levels are found; those of the run file unless given.
+        name:
+            Name of the run; the stem of its run file unless given.
+
+        Raises
+        ------
+        CalibrationError, ArgumentError
+            If the request does not fit the record.
+        """
+        live = prepare(run, make_request(run, terms, "information", None, None), name or run_name(run, 0))
+        return summarise(live, all_columns(run, live.request))
+
+    def to_json(self, path: str | Path) -> None:
+        """Write the summary (schema ``piga.run-summary/1``): exact, all digits of the double-double sums."""
+        from piga.calibration.joint.summary_json import write_summary
+
+        write_summary(self, Path(path))
+
+    @staticmethod
+    def from_json(path: str | Path) -> RunSummary:
+        """Read a summary.
+
+        Raises
+        ------
+        CalibrationError
+            If the file is no summary of a known schema.
+        """
+        from piga.calibration.joint.summary_json import read_summary
+
+        return read_summary(Path(path))
+
+    @property
+    def count(self) -> int:
+        """Observations summarised."""
+        return sum(part.count for part in self.parts)
+
+    def columns(self, local: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the wanted columns in this summary: what another run calls ``k1`` may be its scale factor."""
+        held = self.parts[0].names
+        return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
+
+    def choose(
+        self, parts: tuple[Reduction, ...], local: tuple[str, ...], shared: tuple[str, ...]
+    ) -> list[Reduction]:
+        """Parts with the wanted columns only, in the wanted order."""
+        held = parts[0].names
+        columns = self.columns(local, shared)
+        missing = [name for name in columns if name not in held]
+        if missing:
+            raise CalibrationError(
+                f"the summary of run '{self.name}' holds no column for {', '.join(missing)}",
+                remedy="summarise the run again with these terms",
+            )
+        if "scale_factor" in held and "scale_factor" not in shared:
+            parts = tuple(part.less("scale_factor", self.scale_factor) for part in parts)
+        return [part.select(columns) for part in parts]
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """A run at hand: its name, wishes, and the fit that gave its noise levels."""
+
+    name: str
+    request: Request
+    fit: Fit
+    undetermined: tuple[str, ...]
+
+    @property
+    def run(self) -> Run:
+        """The record as used."""
+        return self.fit.design.run
+
+
+def run_name(run: Run, index: int) -> str:
+    """Stem of the run file, its folder's name where that says only 'run', or a number."""
+    if not run.source:
+        return f"run {index + 1}"
+    path = Path(run.source)
+    return (path.resolve().parent.name if path.stem == "run" else path.stem) or path.stem
+
+
+def prepare(run: Run, request: Request, name: str) -> LiveRun:
+    """Find the noise levels of a run by its own fit; what it cannot determine alone is left out of that.
+
+    A bias drift ties the segments together: where each has a summary of its own it is not weighted by, however clear.
+    """
+    undetermined: list[str] = []
+    terms, stated = request.terms, stated_scatter(run)
+    while True:
+        wish = replace(request, terms=terms)
+        groups, per_segment = phase_groups(run, wish)
+        try:
+            fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
+            fit = include_stated_scatter(fit, groups, stated)
+            fit = (
+                include_slow_noise(fit, groups, clear=math.inf)
+                if per_segment
+                else include_slow_noise(fit, groups)
+            )
+            fit = include_faint_walk(fit, groups)
+        except IdentifiabilityError as error:
+            dropped = _given_up(terms, error.terms)
+            undetermined += [*dict.fromkeys((*error.terms, *dropped))]
+            terms = tuple(term for term in terms if term not in dropped) or ("k0",)
+            continue
+        return LiveRun(name, request, fit, tuple(dict.fromkeys(undetermined)))
+
+
+def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str, ...]:
+    """What to leave out of a fit that cannot separate these terms: one of them, with its partner."""
+    if not confounded or len(terms) == 1:
+        raise ArgumentError("the run determines nothing", remedy="check its reference and its output")
+    order = {term: LAST_TO_GO.index(term) + 1 if term in LAST_TO_GO else 0 for term in confounded}
+    chosen = min(reversed(confounded), key=order.__getitem__)
+    found = harmonic(chosen)
+    if found:
+        return tuple(f"{kind}{found[1]}" for kind in ("s", "c"))
+    if chosen == "tan_beta":
+        return (chosen, *(term for term in terms if harmonic(term) or term in SERVO_TERMS))
+    return (chosen,)
+
+
+def all_columns(run: Run, request: Request) -> tuple[str, ...]:
+    """Terms whose columns a stored summary holds."""
+    thermal = () if run.temperature is None else ("k0_T", "k1_T")
+    return (*STATIC_TERMS, *thermal, *(term for term in request.terms if harmonic(term)))
+
+
+def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | None = None) -> RunSummary:
+    """Reduce a prepared run to the given columns; ``scale_factor`` replaces the K inside the regressors."""
+    run, fit = live.run, live.fit
+    inner = scale_factor or fit.design.scale_factor
+    wish = replace(live.request, terms=columns, per_run=())
+    groups, per_segment = phase_groups(run, wish)
+    uncertainty = run.uncertainty
+
+    plain = reduce_rows(Design(run, wish, inner), fit)
+
+    own_groups, own_per_segment = phase_groups(run, fit.design.request)
+    degrees = float(type_a_degrees(_as_weighted(fit), own_groups, own_per_segment).min())
+    described = _described(fit)
+    return RunSummary(
+        name=live.name,
+        serial=run.serial,
+        scale_factor=run.scale_factor,
+        kind=run.kind,
+        terms=live.request.terms,
+        per_run=live.request.per_run,
+        phase=live.request.phase,
+        temperature_reference=live.request.temperature_reference,
+        time_reference=fit.design.time_reference,
+        noise=fit.noise,
+        inner_scale_factor=inner,
+        turning=run.base_rate is not None,
+        labels=run.labels if per_segment else (None,),
+        parts=group_rows(plain, fit, groups),
+        sources=tuple(_source(s, plain, Design(s.moved, wish, inner), fit, groups) for s in sources(run)),
+        stand=None if run.stand is None else str(run.stand.get("kind")),
+        reference_id=uncertainty.reference_id,
+        undetermined=live.undetermined,
+        degrees_of_freedom=degrees,
+        added=added_noise(fit, Design(run, wish, inner), groups),
+        known_servo=tuple(given_servo(run).items()),
+        **described,
+    )
+
+
+def _as_weighted(fit: Fit) -> Fit:
+    """The fit without the noise that it is not weighted by."""
+    return (
+        replace(
+            fit,
+            noise=fit.weights,
+            slow_part=None,
+            slow_deviation=0.0,
+            faint=None,
+            covariance=fit.solution.covariance,
+        )
+        if fit.slow_part is not None or fit.faint is not None
+        else fit
+    )
+
+
+def _source(
+    source: Source, plain: list[Reduction], moved: Design, fit: Fit, groups: tuple[int, ...]
+) -> SourceSummary:
+    summary = SourceSummary(
+        source.name,
+        source.value,
+        source.unit,
+        (),
+        source.distribution,
+        source.degrees_of_freedom,
+        tuple(given_servo(source.moved).items()),
+        source.draw,
+    )
+    rows = reduce_rows(moved, fit)
+    if source.draw != "segment":
+        return replace(summary, parts=group_rows(rows, fit, groups))
+    alone = ([*plain[:s], rows[s], *plain[s + 1 :]] for s in range(len(plain)))
+    segments = [(own, _group(mixed, fit, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
+    return replace(summary, segments=tuple(segments), in_fit=fit.counted is None and bool(fit.weights.stated))
+
+
+def reduce_rows(design: Design, fit: Fit) -> list[Reduction]:
+    """One summary per segment, weighted as the fit is."""
+    return fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
+
+
+def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
+    """One summary per phase group, of rows of unit variance, from those per segment."""
+    return tuple(_group(summaries, fit, groups, group) for group in range(max(groups) + 1))
+
+
+def _group(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...], group: int) -> Reduction:
+    part = merged(summaries, [s for s, own in enumerate(groups) if own == group])
+    if drift_columns(part):
+        part = part.without(DRIFT_NAMES)
+    return part.scaled(1.0 / fit.sample_variance) if fit.mode == "samples" else part
+
+
+def _described(fit: Fit) -> dict[str, Any]:
+    """What the result says about the run, by its own fit."""
+    run = fit.design.run
+    residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
+    return {
+        "quality": run.quality,
+        "segments": segment_table(fit.design, residuals),
+        "figures": residual_figures(residuals),
+        "ranges": validity_ranges(run),
+        "outliers": fit.outliers,
+        "input_sha256": dict(run.input_sha256),
+        "source": run.source,
+        "software": f"piga {__version__}",
+        "created": now(),
+    }
+
+
+def residual_figures(residuals: Residuals) -> dict[str, float]:
+    """Root mean square and largest residual before and after (the units of the residuals)."""
+    return {
+        "residual_rms": root_mean_square(residuals.after),
+        "residual_rms_before": root_mean_square(residuals.before),
+        "residual_max_before": largest_size(residuals.before),
+        "residual_max_after": largest_size(residuals.after),
+    }
+
+
+def validity_ranges(run: Run) -> dict[str, list[float]]:
+    """Range in which the calibration holds (SI): axial and transverse force, temperature."""
+    low, high = math.inf, 0.0
+    for part in spans(run.size):
+        transverse = np.hypot(run.f[part, 1], run.f[part, 2])
+        low, high = min(low, float(transverse.min())), max(high, float(transverse.max()))
+    found = {"a_x": [float(run.f[:, 0].min()), float(run.f[:, 0].max())], "a_t": [low, high]}
+    if run.temperature is not None:
+        found["temperature"] = [float(run.temperature.min()), float(run.temperature.max())]
+    return found
+
+
+def now() -> str:
+    """Time of creation as results carry it (UTC)."""
+    return dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

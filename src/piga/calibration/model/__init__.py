@@ -1,0 +1,1 @@
+"""What is asked of a record, as linear equations and their solution."""

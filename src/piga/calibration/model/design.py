@@ -1,0 +1,371 @@
+"""The linear model of a record: blocks of regressor columns, one segment at a time.
+
+Integrated over a sample interval the error model (docs/theory/calibration) is linear in
+
+    K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
+
+The two columns of the coupling, and those of the harmonics, turn with the unknown phase: they are
+*local* to a phase group. All others are *shared*. Column order: local, shared, observation. The terms of
+the servo turn too: they are columns at a known phase, or five columns that know nothing of one, behind the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.estimation.outliers import merge_rows
+from piga._kernels.estimation.regressors import (
+    CODES,
+    add_coupling_bows,
+    add_product_bows,
+    coupling_columns,
+    product_column,
+    servo_columns,
+    smooth_bows,
+)
+from piga.calibration.model.phase_angle import phase_angle
+from piga.calibration.model.request import Request
+from piga.calibration.model.servo_columns import PHASELESS, ServoState, given_servo, phaseless_columns
+from piga.calibration.model.workers import workers
+from piga.errors import DataError
+from piga.records.run import Run
+from piga.records.spool import spans, steps, trim
+from piga.records.terms import SERVO_TERMS
+
+Array = NDArray[np.float64]
+
+CHUNK = 1 << 16
+"""Rows of one block."""
+CACHE_BYTES = 256 << 20
+"""Blocks are kept for the next pass as long as they take no more than this."""
+MAX_BEND = 0.3
+"""Largest sag of the output angle against its chord between samples [rad] that the product integration
+corrects to first order (its error is then below ``bend^2/4`` of tan_beta)."""
+MAX_CHANGE = 0.5
+"""Largest relative change of K inside the regressors; more is a record that the model does not fit."""
+THREADS = 2
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows ``start`` .. ``stop`` of the record (as interval ends): ``columns`` (m + 1, n) and ``h`` (n,).
+
+    ``h`` is 0 for rows into which no increment is formed, and -1 for samples that are left out (the next
+    increment reaches across them); their columns are 0.
+    """
+
+    start: int
+    stop: int
+    segment: int
+    h: Array
+    columns: Array
+
+    def joins(self, count: int) -> tuple[NDArray[np.int64], Array]:
+        """Where every ``count`` rows joined start, and their intervals (0: a stretch begins, -1: nothing is left)."""
+        begins = self.h == 0.0
+        first = begins.copy()
+        first[1:] |= begins[:-1]
+        first[::count] = True
+        starts = np.flatnonzero(first)
+        h = np.add.reduceat(np.maximum(self.h, 0.0), starts)
+        return starts, np.where((h == 0.0) & (self.h[starts] != 0.0), -1.0, h)
+
+
+@dataclass
+class Design:
+    """Regressor blocks of a run for one request.
+
+    ``scale_factor`` is the K used inside regressors (base rate, sag): nominal at first, then estimated.
+    ``servo`` is what the columns of the servo are combined at, a phase for each segment; without it a model with terms of
+    the servo has the columns that need no phase, in place of those of the terms.
+    """
+
+    run: Run
+    request: Request
+    scale_factor: float
+    servo: ServoState | None = None
+    _cache: dict[int, Block] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        run = self.run
+        self.estimates_scale_factor = "scale_factor" in self.request.terms
+        self.local_names = self._local_names()
+        self.shared_names = self._shared_names()
+        self.names = self.local_names + self.shared_names
+        self.point = run.kind == "rate"
+        self._force = np.ascontiguousarray(run.f.T)
+        self.phase_angle = phase_angle(run, self.request, self.scale_factor)
+        self.time_reference = 0.5 * float(run.t[0] + run.t[-1])
+        self._ranges = _ranges(run)
+        self._check_bend()
+
+    def _local_names(self) -> tuple[str, ...]:
+        coupling = ("p", "q") if "tan_beta" in self.request.terms else ()
+        return coupling + tuple(f"{kind}{order}" for order in self.request.harmonics for kind in ("s", "c"))
+
+    def _shared_names(self) -> tuple[str, ...]:
+        terms = self.request.shared_terms
+        if self.servo is not None or not self.turning_servo:
+            return terms
+        plain = tuple(name for name in terms if name not in SERVO_TERMS)
+        return plain + phaseless_columns(self.turning_servo)
+
+    @property
+    def turning_servo(self) -> tuple[str, ...]:
+        """Terms of the servo that the model holds, estimated or given."""
+        request = self.request
+        return tuple(name for name in SERVO_TERMS if name in request.terms or name in self.known_servo)
+
+    @property
+    def known_servo(self) -> dict[str, float]:
+        """K times the coefficients of the servo that are given and not estimated [SI]."""
+        return {
+            name: self.scale_factor * value
+            for name, value in given_servo(self.run).items()
+            if name not in self.request.terms
+        }
+
+    @property
+    def rows(self) -> int:
+        """Number of observations: increments formed (samples for a rate log)."""
+        run = self.run
+        if run.left_out is None:
+            return run.size if self.point else run.size - int(np.count_nonzero(run.begins))
+        return run.size - int(np.count_nonzero(run.left_out if self.point else run.begins | run.left_out))
+
+    def with_scale_factor(self, scale_factor: float) -> Design:
+        """The same model with another K inside the regressors; itself when they do not depend on K."""
+        relative = abs(scale_factor / self.scale_factor - 1.0)
+        absurd = relative > MAX_CHANGE
+        if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
+            return self
+        return Design(self.run, self.request, scale_factor, self.servo)
+
+    def with_servo(self, state: ServoState | None) -> Design:
+        """The same model with the columns of the servo combined elsewhere, or not at all."""
+        return self if state == self.servo else Design(self.run, self.request, self.scale_factor, state)
+
+    def of(self, run: Run) -> Design:
+        """The same model of a record of the same segments."""
+        return Design(run, self.request, self.scale_factor, self.servo)
+
+    def with_phase_of(self, other: Design) -> Design:
+        """The same observations, with the phase of another reading of the output inside the regressors."""
+        result = Design(self.run, self.request, other.scale_factor, other.servo)
+        result.phase_angle = other.phase_angle
+        return result
+
+    def blocks(self) -> Iterator[Block]:
+        """All blocks in order; built ahead on a second thread."""
+        keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
+        with workers(self.run.size, THREADS) as pool:
+            pending = []
+            for index in range(len(self._ranges)):
+                found = self._cache.get(index)
+                pending.append(found if found is not None else pool.submit(self._build, index))
+                if len(pending) > THREADS + 1:
+                    yield self._take(pending.pop(0), keep)
+            for item in pending:
+                yield self._take(item, keep)
+
+    def forget(self) -> None:
+        """Give the memory of blocks that are kept back; they are built again when they are asked for."""
+        self._cache.clear()
+
+    def _take(self, item: object, keep: bool) -> Block:
+        if isinstance(item, Block):
+            return item
+        index, block = item.result()  # type: ignore[attr-defined]
+        if keep:
+            self._cache[index] = block
+        return block
+
+    def _build(self, index: int) -> tuple[int, Block]:
+        start, stop, segment = self._ranges[index]
+        trim()
+        first = start if self.point else max(start - 1, 0)
+        window: slice | NDArray[np.int64] = slice(first, stop)
+        if self.point:
+            window = np.arange(start, stop).repeat(2)
+        h, observation = self._observation(start, stop, first)
+        bows = self._bows(first, stop)
+        if bows is not None:
+            observation += np.where(h > 0.0, h, 0.0) * (bows[3] - self._known_scale_factor * bows[0])
+        columns = np.empty((len(self.names) + 1, h.size))
+        columns[-1] = observation
+        force = np.ascontiguousarray(self._force[:, window])
+        inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
+        self._fill_local(columns, window, force, inner_h, bows)
+        self._fill_shared(columns, window, force, inner_h, bows)
+        if self.turning_servo:
+            self._fill_servo(columns, window, force, inner_h, segment)
+        if self.run.left_out is not None:
+            self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
+        return index, Block(stop - h.size, stop, segment, h, columns)
+
+    @property
+    def _known_scale_factor(self) -> float:
+        """K that the observations hold already; 0 where it is estimated."""
+        return 0.0 if self.estimates_scale_factor else float(self.run.scale_factor)
+
+    def _bows(self, first: int, stop: int) -> Array | None:
+        """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None: there are none.
+
+        They do not depend on which readings of the output are left out.
+        """
+        if self.point:
+            return None
+        run = self.run
+        low, high = max(first - 2, 0), min(stop + 2, run.size)
+        h = np.diff(run.t[low:high])
+        h[run.begins[low + 1 : high]] = 0.0
+        inputs = [*self._force[:, low:high]]
+        inputs += [] if run.base_rate is None else [*run.base_rate[low:high].T]
+        bows, bent = np.zeros((6, h.size)), False
+        for bow, samples in zip(bows, inputs, strict=False):
+            bent |= bool(smooth_bows(np.ascontiguousarray(samples), h, bow))
+        return np.ascontiguousarray(bows[:, first - low : stop - 1 - low]) if bent else None
+
+    def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
+        if self.point:
+            columns[:, left_out], h[left_out] = 0.0, -1.0
+        else:
+            merge_rows(columns, h, left_out)
+
+    def _observation(self, start: int, stop: int, first: int) -> tuple[Array, Array]:
+        """Interval lengths (0 where none is formed) and the observed increment of psi plus base rotation."""
+        run = self.run
+        omega = None if run.base_rate is None else run.base_rate[first:stop, 0]
+        if self.point:
+            y = run.output[start:stop].copy()
+            if omega is not None:
+                y += omega
+            if not self.estimates_scale_factor:
+                y -= run.scale_factor * run.f[start:stop, 0]
+            return np.ones(stop - start), y
+        h = np.diff(run.t[first:stop])
+        h[run.begins[first + 1 : stop]] = 0.0
+        y = np.diff(run.output[first:stop])
+        if omega is not None:
+            y += h * 0.5 * (omega[1:] + omega[:-1])
+        if not self.estimates_scale_factor:
+            y -= run.scale_factor * h * 0.5 * (run.f[first + 1 : stop, 0] + run.f[first : stop - 1, 0])
+        y[h == 0.0] = 0.0
+        return h, y
+
+    def _fill_local(
+        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
+    ) -> None:
+        if not self.local_names:
+            return
+        psi = np.ascontiguousarray(self.phase_angle[window])
+        x, y, z = self._turning(window, force)
+        bend = -self.scale_factor / 8.0 * h * np.diff(x)
+        cosine, sine = np.empty(h.size), np.empty(h.size)
+        row = 0
+        if "p" in self.local_names:
+            coupling_columns(psi, y, z, h, bend, 1.0, cosine, sine)
+            if bows is not None:
+                across = bows[1:3] - bows[4:6] / self.scale_factor
+                add_coupling_bows(psi, across[0], across[1], h, 1.0, cosine, sine)
+            columns[0], columns[1] = self._every(sine), self._every(cosine)
+            row = 2
+        ones, zeros = np.ones_like(psi), np.zeros_like(psi)
+        for order in self.request.harmonics:
+            coupling_columns(psi, ones, zeros, h, bend, float(order), cosine, sine)
+            columns[row], columns[row + 1] = self._every(sine), self._every(cosine)
+            row += 2
+
+    def _turning(self, window: slice | NDArray[np.int64], force: Array) -> tuple[Array, Array, Array]:
+        """``u/K``: specific force less base rate over K [m/s^2]."""
+        if self.run.base_rate is None:
+            return force[0], force[1], force[2]
+        rate = self.run.base_rate[window] / self.scale_factor
+        return force[0] - rate[:, 0], force[1] - rate[:, 1], force[2] - rate[:, 2]
+
+    def _fill_servo(
+        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, segment: int
+    ) -> None:
+        """Columns of the servo; at a state, what they add to those of the coupling, and what of them is known."""
+        psi = np.ascontiguousarray(self.phase_angle[window])
+        x, y, z = (np.ascontiguousarray(part) for part in self._turning(window, force))
+        bend = -self.scale_factor / 8.0 * h * np.diff(x)
+        raw = np.empty((len(PHASELESS), h.size))
+        servo_columns(psi, x, y, z, h, bend, raw)
+        held = np.stack([self._every(row) for row in raw])
+        if self.servo is None:
+            for name in phaseless_columns(self.turning_servo):
+                columns[self.names.index(name)] = held[PHASELESS.index(name)]
+            return
+        phase = self.servo.phases[segment]
+        terms = self.servo.term_rows(phase)
+        if self.servo.turning:
+            turn = self.servo.phase_row(phase) @ held
+            columns[0] -= np.sin(phase) * turn
+            columns[1] += np.cos(phase) * turn
+        for name in self.turning_servo:
+            if name in self.request.terms:
+                columns[self.names.index(name)] = terms[name] @ held
+        for name, value in self.known_servo.items():
+            columns[-1] -= value * (terms[name] @ held)
+
+    def _fill_shared(
+        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
+    ) -> None:
+        t = self.run.t[window] - self.time_reference
+        warm = self.run.temperature
+        temperature = t if warm is None else warm[window] - self.request.temperature_reference
+        out = np.empty(h.size)
+        for row, name in enumerate(self.shared_names, start=len(self.local_names)):
+            if name in SERVO_TERMS or name in PHASELESS:
+                continue
+            code = CODES["a_x" if name in ("scale_factor", "k1") else name]
+            product_column(code, t, force, temperature, h, out)
+            if bows is not None:
+                add_product_bows(code, force, bows, temperature, h, out)
+            columns[row] = self._every(out)
+
+    def _every(self, column: Array) -> Array:
+        """For a rate log every second interval is a sample (the others join two samples)."""
+        return column[::2] if self.point else column
+
+    def _check_bend(self) -> None:
+        if not self.local_names or self.point:
+            return
+        run, worst, at = self.run, 0.0, 0
+        for part in spans(run.size):
+            h = np.where(run.begins[part], 0.0, steps(run.t, part))
+            bend = np.abs(self.scale_factor / 8.0 * h * steps(run.f[:, 0], part))
+            if bend.max() > worst:
+                worst, at = float(bend.max()), part.start + int(np.argmax(bend))
+        if worst > MAX_BEND:
+            rate = np.sqrt(worst / MAX_BEND) / (run.t[at] - run.t[at - 1])
+            raise DataError(
+                f"row {run.row[at]}: between two samples the output angle bends by {worst:.2g} rad; its "
+                "cross-coupling cannot be integrated",
+                remedy=f"sample at {rate:.3g} Hz or more",
+            )
+
+
+def _ranges(run: Run) -> list[tuple[int, int, int]]:
+    """Row ranges of the blocks: inside one segment, about CHUNK rows; (start, stop, segment).
+
+    No block ends at a sample that is left out: its interval belongs to the next.
+    """
+    edges = run.segment_edges()
+    ranges: list[tuple[int, int, int]] = []
+    for left, right in pairwise(edges):
+        segment, end = int(run.segment[left]), int(right)
+        start = int(left)
+        while start < end:
+            stop = min(start + CHUNK, end)
+            while run.left_out is not None and stop < end and run.left_out[stop - 1]:
+                stop += 1
+            ranges.append((start, stop, segment))
+            start = stop
+    return ranges

@@ -1,0 +1,319 @@
+"""What a record can tell apart, in words: rank, condition, confounded terms, useless estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.model.design import Design
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.solution import Layout, layout_of, merged
+from piga.errors import IdentifiabilityError
+from piga.records.calibration import Coefficient
+from piga.records.terms import harmonic
+from piga.units import G0
+
+Array = NDArray[np.float64]
+
+RANK = 1e-9
+"""Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
+USELESS = 0.05
+"""An uncertainty that means more than this fraction of the record's largest specific force is no result."""
+SCATTER = 2.0
+"""Scatter of the segments' mean rates, over what the noise explains, from which it is said."""
+ALIKE = 0.95
+"""Correlation from which coefficients are named as hard to tell apart."""
+SHARE = 0.3
+"""Weight in a null direction from which a term is named."""
+
+_LEVEL = frozenset({"scale_factor", "k0"})
+
+_PAIRS: tuple[tuple[frozenset[str], str], ...] = (
+    (_LEVEL, "a_x never changes: add positions or levels with another a_x"),
+    (frozenset({"k0", "k1"}), "a_x never changes: add positions or levels with another a_x"),
+    (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
+    (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
+    (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
+)
+"""What is true of a record that cannot separate these two terms, and no others."""
+
+_REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"k0", "k2", "k_YY"}),
+        "a one-plane tumble has a_x^2 + a_Y^2 = g^2: leave k_YY out, or add a centrifuge or vibration run",
+    ),
+    (
+        frozenset({"tan_beta"}),
+        "the gimbal does not turn enough, or there is no transverse force: add revolutions",
+    ),
+)
+"""What helps where these are among the terms that a record cannot separate."""
+
+_OF_A_X = ("k0", "scale_factor", "k1", "k2", "k2o", "k3")
+"""Terms that multiply a_x alone: as many different a_x are needed as there are of them."""
+
+_HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
+    (frozenset({"k0", "k2", "k_YY"}), "a run on a centrifuge or a vibration table (a_x changes, a_Y does not)"),
+    (frozenset({"k0", "k2", "k_ZZ"}), "a run on a centrifuge or a vibration table (a_x changes, a_Z does not)"),
+    (frozenset({"scale_factor", "k0"}), "a run on a dividing head (a_x of both signs)"),
+    (frozenset({"k0", "k1"}), "a run on a dividing head (a_x of both signs)"),
+    (frozenset({"k2", "k2o"}), "a run on a dividing head (a_x of both signs)"),
+    (frozenset({"k0", "k2"}), "a run on a centrifuge (|a_x| of many sizes)"),
+    (frozenset({"scale_factor", "k3"}), "a run on a centrifuge (|a_x| of many sizes)"),
+    (frozenset({"k1", "k3"}), "a run on a centrifuge (|a_x| of many sizes)"),
+    (frozenset({"m_Y"}), "a run on a dividing head that turns in the plane X0 Y0"),
+    (frozenset({"m_Z"}), "a run on a dividing head that turns in the plane X0 Z0"),
+    (frozenset({"tan_beta"}), "a run on a dividing head (transverse force while the gimbal turns)"),
+    (frozenset({"k_YY"}), "a run on a dividing head that turns in the plane X0 Y0"),
+    (frozenset({"k_ZZ"}), "a run on a dividing head that turns in the plane X0 Z0"),
+)
+"""Runs that separate terms, most special first."""
+
+
+@dataclass(frozen=True)
+class Examination:
+    """Condition of the column-scaled factor, terms of the directions without information, and all that were asked for."""
+
+    condition: float
+    null_terms: tuple[str, ...]
+    asked: tuple[str, ...] = ()
+
+
+def term_of(column: str) -> str:
+    """The term a linear column belongs to: ``p`` and ``q`` are the coupling."""
+    return "tan_beta" if column in ("p", "q") else column
+
+
+def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Examination:
+    """Rank and condition of what is asked of one run; one phase per segment or one for all."""
+    parts = summaries
+    if not (per_segment and design.local_names):
+        parts = [merged(summaries, list(range(len(summaries))))]
+    return examine_parts(layout_of(design, len(parts)), parts)
+
+
+def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
+    """Rank and condition of what is asked of all phase groups together.
+
+    Names the terms of all directions that hold no information. With several groups the coupling
+    columns of all of them count as one direction each.
+    """
+    names = layout.columns
+    factor = (_aligned(layout, parts) if len(parts) > 1 else parts[0]).factor[:-1, :-1]
+    norms = np.linalg.norm(factor, axis=0)
+    zero = [
+        term_of(name)
+        for name, norm in zip(names, norms, strict=True)
+        if norm <= 1e-14 * max(norms.max(), 1e-300)
+    ]
+    asked = tuple(dict.fromkeys(map(term_of, names)))
+    if zero:
+        return Examination(float("inf"), tuple(dict.fromkeys(zero)), asked)
+    _, singular, right = np.linalg.svd(factor / norms)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
+    if singular[-1] > RANK * singular[0]:
+        return Examination(condition, (), asked)
+    weights = np.linalg.norm(right[singular <= RANK * singular[0]], axis=0)
+    named = [
+        term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()
+    ]
+    return Examination(condition, tuple(dict.fromkeys(named)), asked)
+
+
+def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
+    """Summary of all groups with the local columns of each turned to its own best phase."""
+    total = Reduction.empty(layout.columns)
+    for group, part in enumerate(parts):
+        turned = np.array(part.factor)
+        if layout.coupled and turned[0, 0] and turned[1, 1]:
+            q = turned[1, -1] / turned[1, 1]
+            p = (turned[0, -1] - turned[0, 1] * q) / turned[0, 0]
+            phase = np.arctan2(q, p)
+            cosine, sine = np.cos(phase), np.sin(phase)
+            turned[:, :2] = turned[:, :2] @ np.array([[cosine, -sine], [sine, cosine]])
+        total.absorb(layout.embedded(turned, group).T)
+    return total
+
+
+def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
+    """Raise when the record, or the ``runs`` together, cannot separate what was asked.
+
+    Raises
+    ------
+    IdentifiabilityError
+        Names the terms and the test, or the run, that would separate them.
+    """
+    if examination.null_terms:
+        terms, asked = (
+            {name.split("[", maxsplit=1)[0] for name in names}
+            for names in (examination.null_terms, examination.asked)
+        )
+        listed = ", ".join(sorted(examination.null_terms))
+        verb = "cannot determine" if len(examination.null_terms) == 1 else "cannot separate"
+        subject = "this record" if runs == 1 else f"these {runs} runs together"
+        raise IdentifiabilityError(
+            f"{subject} {verb} {listed}", remedy=_remedy(terms, asked, runs), terms=examination.null_terms
+        )
+
+
+def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:
+    """What separates ``terms``; ``asked`` are all that are wanted of the record."""
+    helping = next((text for members, text in _HELPING_RUNS if members <= terms), None)
+    if runs > 1:
+        return f"add {helping}" if helping else "leave one of these terms out, or add a run of another kind"
+    powers = [name for name in _OF_A_X if name in asked]
+    fitting = [text for members, text in _PAIRS if members == terms and (members != _LEVEL or len(powers) == 2)]
+    if not fitting and len(powers) > 2 and terms <= set(powers):
+        other = "" if "k0" in powers else " other than zero"
+        words = (
+            f"a_x takes too few values: {', '.join(powers)} together need at least {len(powers)} different ones{other}; "
+            "add positions or levels with another a_x, or leave terms out"
+        )
+        fitting = [words]
+        helping = "a run that has other values of a_x, on a dividing head or a centrifuge"
+    fitting += [text for members, text in _REMEDIES if members <= terms]
+    if not fitting:
+        fitting = ["leave one of these terms out, or record other positions, levels or temperatures"]
+    return fitting[0] + (f"; or calibrate it together with {helping}" if helping else "")
+
+
+def refuse_useless(
+    coefficients: tuple[Coefficient, ...], largest: float, duration: float, spread: float
+) -> None:
+    """Raise when an uncertainty is so large that the number means nothing.
+
+    Parameters
+    ----------
+    coefficients:
+        Estimates with their standard uncertainties.
+    largest:
+        Largest specific force of the record [m/s^2].
+    duration, spread:
+        Duration [s] and range of temperature [K], for the drift terms.
+    """
+    bad = []
+    for coefficient in coefficients:
+        share = coefficient.std * _full_scale(coefficient, largest / G0, duration, spread)
+        if coefficient.name != "phi" and not share < USELESS:
+            bad.append((coefficient, share))
+    if bad:
+        listed = "; ".join(
+            f"{c.key} = {c.value:.3g} with standard uncertainty {c.std:.2g}{'' if c.unit == '1' else ' ' + c.unit}"
+            for c, _ in bad
+        )
+        raise IdentifiabilityError(
+            f"this record does not determine {', '.join(c.key for c, _ in bad)}: {listed}",
+            remedy=_useless_remedy({c.name for c, _ in bad}, {c.name for c in coefficients}),
+        )
+
+
+def _useless_remedy(terms: set[str], asked: set[str]) -> str:
+    """The remedy for terms that the record can separate, but hardly."""
+    text = _remedy(terms, asked - {"phi"})
+    return text.replace("never changes", "hardly changes").replace(
+        "too few values", "too few or too close values"
+    )
+
+
+def _full_scale(coefficient: Coefficient, largest: float, duration: float, spread: float) -> float:
+    """Error relative to the largest force [g] that an error of one file unit makes."""
+    name = coefficient.name
+    if name == "scale_factor":
+        return 1.0 / abs(coefficient.value)
+    if name in ("k0", "k0_t", "k0_T") or harmonic(name):
+        extent = {"k0_t": 0.5 * duration, "k0_T": 0.5 * spread}.get(name, 1.0)
+        return extent / largest
+    if name == "k1_T":
+        return 0.5 * spread
+    powers = {"k2": 1, "k2o": 1, "k3": 2, "servo": 2, "servo_damping": 2}
+    return largest ** powers.get(name, 1 if name.startswith("k_") else 0)
+
+
+def notes_in_words(
+    coefficients: tuple[Coefficient, ...],
+    covariance: Array,
+    scatter: dict[str, float],
+) -> tuple[str, ...]:
+    """Doubts about the estimate, one sentence each."""
+    notes = _alike(coefficients, covariance)
+    for coefficient in coefficients:
+        if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
+            notes.append(
+                "tan_beta is not well above its uncertainty: phi is hardly determined; the limits of tan_beta are those of "
+                "a size that cannot be negative, 0 where no coupling at all would give this estimate as often"
+            )
+    loose = _loose(coefficients)
+    if loose:
+        notes.append(
+            f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
+        )
+    if scatter.get("segment_scatter_ratio", 0.0) > SCATTER:
+        notes.append(
+            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio']:.1f} times more than the noise "
+            f"explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
+            "the model does not hold; the standard uncertainties do not include it"
+        )
+    elif scatter.get("segment_scatter_ratio_without_it", 0.0) > SCATTER:
+        notes.append(
+            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio_without_it']:.1f} times more "
+            f"than the noise of the angle explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): the standard "
+            "uncertainties include it as noise, but an effect of the stand or of the servo that the model does not hold, "
+            "the same at every visit of a position, does not average out"
+        )
+    return tuple(notes)
+
+
+def _alike(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str]:
+    """Groups of coefficients that are hard to tell apart, one sentence each."""
+    plain = [i for i, c in enumerate(coefficients) if c.name != "phi"]
+    std = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(std, std))
+    notes, left = [], list(plain)
+    while left:
+        group = [left.pop(0)]
+        for i in group:
+            group += [j for j in left if correlation[i, j] > ALIKE]
+            left = [j for j in left if j not in group]
+        if len(group) > 1:
+            keys = [coefficients[i].key for i in sorted(group)]
+            worst = max(correlation[i, j] for i in group for j in group if i != j)
+            notes.append(
+                f"{', '.join(keys[:-1])} and {keys[-1]} are hard to tell apart in this record (largest correlation "
+                f"{worst:.3f} in size): use them together"
+            )
+    return notes
+
+
+def _loose(coefficients: tuple[Coefficient, ...]) -> list[str]:
+    """Segments whose phase is not determined."""
+    return [c.segment for c in coefficients if c.segment is not None and not c.determined]
+
+
+def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple[str, ...]:
+    """What is worth knowing and no doubt, one sentence each."""
+    small = [
+        c.key
+        for c in coefficients
+        if c.name not in ("phi", "scale_factor", "tan_beta") and abs(c.value) < 2.0 * c.std
+    ]
+    found = []
+    if small:
+        verb, whose = ("is", "its") if len(small) == 1 else ("are", "their")
+        found.append(
+            f"{', '.join(small)} {verb} smaller than twice {whose} standard uncertainty: the record does not need "
+            f"{'it' if len(small) == 1 else 'them'}"
+        )
+    if phase == "per-segment" and not _loose(coefficients):
+        found.append("every segment has its own phase: nothing is assumed about the counter between segments")
+    return tuple(found)
+
+
+def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """What each run could not have told without the others; ``alone`` by run."""
+    return tuple(
+        f"run '{name}' alone cannot separate {', '.join(terms)}: the other runs do"
+        for name, terms in alone.items()
+        if terms
+    )

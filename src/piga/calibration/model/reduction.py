@@ -1,0 +1,181 @@
+"""Mergeable linear least squares: any rows, in any chunks, to one triangular factor.
+
+``Reduction`` is the only solver of the calibration: batch, recursive, per segment, and joint over runs
+use the same summary.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels.estimation.square_root import absorb, back_substitute, gather
+from piga.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+BLOCK = 1024
+"""Rows reduced at a time: a block of ten columns stays in the second-level cache."""
+SHORT = 128
+"""Blocks of at most this many rows are gathered in double-double at once."""
+
+
+@dataclass
+class Reduction:
+    """Triangular summary of rows ``[x | y]``, gathered in double-double.
+
+    Attributes
+    ----------
+    names:
+        Column names of x, m of them.
+    weight, unit:
+        The factorisation ``U' W U`` of the information matrix: W (2, m + 1) and unit upper triangular U
+        (2, m + 1, m + 1), high and low parts.
+    count:
+        Rows absorbed.
+    """
+
+    names: tuple[str, ...]
+    weight: Array
+    unit: Array
+    count: int = 0
+
+    @classmethod
+    def empty(cls, names: tuple[str, ...]) -> Reduction:
+        """Summary of no rows."""
+        size = len(names) + 1
+        unit = np.zeros((2, size, size))
+        unit[0] = np.eye(size)
+        return cls(names, np.zeros((2, size)), unit, 0)
+
+    @property
+    def factor(self) -> Array:
+        """Upper triangular factor R, shape (m + 1, m + 1), last column for y."""
+        return np.sqrt(self.weight[0])[:, None] * self.unit[0]
+
+    def absorb(self, columns: Array, *, count: int | None = None) -> None:
+        """Absorb rows given as ``columns`` (m + 1, n), last one y.
+
+        ``count`` is the number of rows that carry information (n unless some are all zero).
+        """
+        size = len(self.names) + 1
+        if columns.shape[0] != size:
+            raise ArgumentError(f"columns: {columns.shape[0]} given, {size} needed")
+        if columns.shape[1] <= SHORT:
+            rows = np.asarray(columns.T, dtype=float)
+        else:
+            rows = np.zeros((size, size))
+            for start in range(0, columns.shape[1], BLOCK):
+                absorb(rows, np.array(columns[:, start : start + BLOCK], order="C"))
+        gather(self.weight, self.unit, np.stack([rows, np.zeros_like(rows)]), _ones(rows.shape[0]))
+        self.count += columns.shape[1] if count is None else count
+
+    def add(self, x: ArrayLike, y: ArrayLike) -> None:
+        """Absorb rows ``x`` (n, m) and ``y`` (n,)."""
+        rows = np.column_stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)])
+        self.absorb(rows.T)
+
+    def merge(self, other: Reduction) -> None:
+        """Absorb another summary of the same columns."""
+        if other.names != self.names:
+            raise ArgumentError(f"summaries of different columns: {self.names} and {other.names}")
+        gather(self.weight, self.unit, other.unit.copy(), other.weight)
+        self.count += other.count
+
+    def select(self, names: tuple[str, ...]) -> Reduction:
+        """The summary of some of the columns: what the same rows without the others would have given."""
+        chosen = [*(self.names.index(name) for name in names), len(self.names)]
+        result = Reduction.empty(names)
+        gather(result.weight, result.unit, np.ascontiguousarray(self.unit[:, :, chosen]), self.weight)
+        result.count = self.count
+        return result
+
+    def mixed(self, names: tuple[str, ...], matrix: Array) -> Reduction:
+        """The summary of columns that are combinations of these: ``matrix`` (m + 1, len(names) + 1), observation last."""
+        result = Reduction.empty(names)
+        gather(result.weight, result.unit, self.unit @ matrix, self.weight)
+        result.count = self.count
+        return result
+
+    @classmethod
+    def of_factor(cls, names: tuple[str, ...], factor: Array, count: int) -> Reduction:
+        """That of a triangular factor (m + 1, m + 1)."""
+        found = cls.empty(names)
+        found.absorb(np.ascontiguousarray(factor.T), count=count)
+        return found
+
+    @classmethod
+    def stacked(cls, parts: list[Reduction]) -> Reduction:
+        """One summary of several by reflections, in double precision.
+
+        For columns that are nearly dependent in every part, where rotations without square roots lose their digits.
+        """
+        factor = np.linalg.qr(np.vstack([part.factor for part in parts]), mode="r")
+        return cls.of_factor(parts[0].names, np.asarray(factor), sum(part.count for part in parts))
+
+    def without(self, names: tuple[str, ...]) -> Reduction:
+        """The summary of the other columns, these at their best for each estimate: nothing is set to zero."""
+        rest = tuple(name for name in self.names if name not in names)
+        order = [*(self.names.index(name) for name in (*names, *rest)), len(self.names)]
+        factor = np.asarray(np.linalg.qr(self.factor[:, order], mode="r"))
+        return self.of_factor(rest, factor[len(names) :, len(names) :], self.count)
+
+    def behind_first(self) -> Reduction:
+        """The summary of the columns behind the first, that at its best for each estimate, with all digits carried."""
+        return Reduction(self.names[1:], self.weight[:, 1:].copy(), self.unit[:, 1:, 1:].copy(), self.count)
+
+    def less(self, name: str, multiple: float) -> Reduction:
+        """The summary of the observations less ``multiple`` times a column."""
+        unit = self.unit.copy()
+        unit[0, :, -1] -= multiple * self.unit[0, :, self.names.index(name)]
+        result = Reduction.empty(self.names)
+        gather(result.weight, result.unit, unit, self.weight)
+        result.count = self.count
+        return result
+
+    def scaled(self, information: float) -> Reduction:
+        """The summary of the same rows with ``information`` times the weight."""
+        return Reduction(self.names, self.weight * information, self.unit.copy(), self.count)
+
+    def solve(self) -> tuple[Array, Array, float]:
+        """Estimate (m,), inverse information matrix (m, m) and residual sum of squares.
+
+        The covariance is the inverse information times the noise variance.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the columns are exactly dependent.
+        """
+        m = len(self.names)
+        factor = self.factor
+        scale = np.linalg.norm(factor[:, :m], axis=0)
+        if m and (scale == 0.0).any():
+            raise np.linalg.LinAlgError("a column is zero")
+        scaled = factor[:m, :m] / scale
+        inverse = solve_upper(scaled, np.eye(m))
+        solution = np.zeros((2, m))
+        back_substitute(self.unit[:, :m, :m], self.unit[:, :m, m], solution)
+        estimate = solution[0]
+        covariance = inverse @ inverse.T / np.outer(scale, scale)
+        return estimate, covariance, float(self.weight[0, m])
+
+
+def _ones(count: int) -> Array:
+    """Weights 1 for ``count`` rows, high and low parts."""
+    weights = np.zeros((2, count))
+    weights[0] = 1.0
+    return weights
+
+
+def solve_upper(R: Array, right: Array) -> Array:
+    """Solve ``R x = right`` for upper triangular R by back substitution."""
+    if not np.all(np.diag(R)):
+        raise np.linalg.LinAlgError("singular triangular factor")
+    result = np.array(right, dtype=float, copy=True)
+    for row in range(R.shape[0] - 1, -1, -1):
+        result[row] -= R[row, row + 1 :] @ result[row + 1 :]
+        result[row] /= R[row, row]
+    return result

@@ -1,0 +1,355 @@
+"""Solve the summaries: linear estimate, one phase for all or one per phase group, covariance.
+
+The vector of linear parameters is ``[local of group 0, local of group 1, ..., shared]`` before the
+phase is used; for several groups the constraint that they share tan_beta and the harmonics is brought
+in by Gauss-Newton on the stacked triangular factors, from the linear solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.model.design import Design
+from piga.calibration.model.reduction import Reduction, solve_upper
+from piga.calibration.noise.slow_bases import DRIFT_NAMES, KNOTS
+from piga.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 50
+SCAN = 72
+"""Phases tried for each group before refinement: the cost on the circle has at most two minima."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which parameter every column of every phase group belongs to.
+
+    A group's columns are its local ones (``p, q`` and the harmonics, which turn with its phase) and its
+    shared ones; ``keys`` name the parameters behind the shared columns of all groups, as (term, run), the run
+    None where one parameter serves all runs; ``tails[g]`` are the indices into ``keys`` of the shared
+    columns of group g.
+    """
+
+    coupled: bool
+    orders: tuple[int, ...]
+    keys: tuple[tuple[str, str | None], ...]
+    tails: tuple[NDArray[np.int64], ...]
+
+    @property
+    def local(self) -> int:
+        """Number of local columns."""
+        return (2 if self.coupled else 0) + 2 * len(self.orders)
+
+    @property
+    def head(self) -> int:
+        """Number of amplitudes before those of ``keys``."""
+        return (1 if self.coupled else 0) + 2 * len(self.orders)
+
+    @property
+    def size(self) -> int:
+        """Number of amplitudes: coupling, harmonics, ``keys``."""
+        return self.head + len(self.keys)
+
+    @property
+    def amplitude_keys(self) -> tuple[tuple[str, str | None], ...]:
+        """(term, run) of every amplitude."""
+        head: list[tuple[str, str | None]] = [("tan_beta", None)] if self.coupled else []
+        head += [(f"{kind}{order}", None) for order in self.orders for kind in ("s", "c")]
+        return (*head, *self.keys)
+
+    def linear(self, amplitudes: Array, phase: float, group: int) -> Array:
+        """Column coefficients of a group with this phase."""
+        parts: list[float] = []
+        at = 0
+        if self.coupled:
+            parts += [amplitudes[0] * np.cos(phase), amplitudes[0] * np.sin(phase)]
+            at = 1
+        for order in self.orders:
+            s, c = amplitudes[at], amplitudes[at + 1]
+            cosine, sine = np.cos(order * phase), np.sin(order * phase)
+            # the column named s_n is int(y sin - z cos) with y = 1, z = 0; c_n is int(y cos + z sin)
+            parts += [s * cosine - c * sine, s * sine + c * cosine]
+            at += 2
+        return np.concatenate([parts, amplitudes[at:][self.tails[group]]])
+
+    def from_linear(self, linear: Array, phase: float) -> Array:
+        """Amplitudes from the column coefficients of the only group."""
+        parts: list[float] = []
+        at = 0
+        if self.coupled:
+            parts.append(linear[0] * np.cos(phase) + linear[1] * np.sin(phase))
+            at = 2
+        for order in self.orders:
+            s, c = linear[at], linear[at + 1]
+            cosine, sine = np.cos(order * phase), np.sin(order * phase)
+            parts += [s * cosine + c * sine, -s * sine + c * cosine]
+            at += 2
+        return np.concatenate([parts, linear[at:]])
+
+    def jacobian(self, amplitudes: Array, phases: Array, group: int) -> Array:
+        """Derivative of ``linear`` of one group by ``[amplitudes, phases]``: (columns, size + groups)."""
+        phase = phases[group] if phases.size else 0.0
+        tail = self.tails[group]
+        result = np.zeros((self.local + tail.size, self.size + phases.size))
+        row = at = 0
+        if self.coupled:
+            result[0, 0], result[1, 0] = np.cos(phase), np.sin(phase)
+            result[0, self.size + group] = -amplitudes[0] * np.sin(phase)
+            result[1, self.size + group] = amplitudes[0] * np.cos(phase)
+            row, at = 2, 1
+        for order in self.orders:
+            cosine, sine = np.cos(order * phase), np.sin(order * phase)
+            result[row : row + 2, at : at + 2] = [[cosine, -sine], [sine, cosine]]
+            s, c = amplitudes[at], amplitudes[at + 1]
+            result[row : row + 2, self.size + group] = [
+                -order * (s * sine + c * cosine),
+                order * (s * cosine - c * sine),
+            ]
+            row, at = row + 2, at + 2
+        result[row + np.arange(tail.size), at + tail] = 1.0
+        return result
+
+    def embedded(self, factor: Array, group: int) -> Array:
+        """Triangular factor of a group with its shared columns set among those of ``keys``; not triangular."""
+        result = np.zeros((factor.shape[0], self.local + len(self.keys) + 1))
+        result[:, : self.local] = factor[:, : self.local]
+        result[:, self.local + self.tails[group]] = factor[:, self.local : -1]
+        result[:, -1] = factor[:, -1]
+        return result
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of ``embedded``, the last (the observation) left out."""
+        local: tuple[str, ...] = ("p", "q") if self.coupled else ()
+        local += tuple(f"{kind}{order}" for order in self.orders for kind in ("s", "c"))
+        return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
+
+
+def layout_of(design: Design, groups: int, extra: tuple[str, ...] = ()) -> Layout:
+    """The layout of one run: every shared column, and every ``extra`` one, is its own parameter in all groups."""
+    keys = tuple((name, None) for name in (*design.shared_names, *extra))
+    tail = np.arange(len(keys))
+    return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * groups)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimate in internal parameters.
+
+    ``amplitudes`` are, in this order, the coupling amplitude ``K tan_beta`` (if asked for), then
+    ``K s_n, K c_n`` per harmonic in the frame of alpha, then the shared linear parameters; ``phases`` one
+    phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``jacobians`` hold, per
+    phase group, the derivative of its column coefficients by ``[amplitudes, phases]``.
+    """
+
+    amplitudes: Array
+    phases: Array
+    covariance: Array
+    cost: float
+    jacobians: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Solution(Estimate):
+    """Estimate of one run: ``values`` (segments, m) are the linear column coefficients of every segment."""
+
+    values: Array
+
+
+def drift_columns(summary: Reduction) -> tuple[str, ...]:
+    """Names of the columns of a bias drift, behind those of the model; none where there is no drift."""
+    return summary.names[-KNOTS:] if summary.names[-KNOTS:] == DRIFT_NAMES else ()
+
+
+def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
+    """One summary of several."""
+    if drift_columns(summaries[0]):
+        return Reduction.stacked([summaries[index] for index in indices])
+    total = Reduction.empty(summaries[0].names)
+    for index in indices:
+        total.merge(summaries[index])
+    return total
+
+
+def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -> Solution:
+    """Estimate for the given phase group of each segment (all 0: one phase).
+
+    What the summaries hold behind the columns of the design, a bias drift, is estimated with them and left out.
+    """
+    count = max(groups) + 1 if design.local_names else 1
+    grouped = groups if design.local_names else (0,) * len(groups)
+    parts = [merged(summaries, [s for s, g in enumerate(grouped) if g == group]) for group in range(count)]
+    layout, extra = layout_of(design, count), drift_columns(summaries[0])
+    found = solve_parts(layout_of(design, count, extra), parts)
+    if extra:
+        found = _without_last(found, layout.size, len(extra))
+    if count == 1:
+        linear = found.jacobians[0] @ np.append(found.amplitudes, np.zeros(found.phases.size))
+        values = np.tile(linear, (len(groups), 1))
+    else:
+        values = np.array([layout.linear(found.amplitudes, found.phases[g], g) for g in groups])
+    jacobians = found.jacobians * (max(groups) + 1 if count == 1 else 1)
+    return Solution(found.amplitudes, found.phases, found.covariance, found.cost, jacobians, values)
+
+
+def _without_last(found: Estimate, size: int, extra: int) -> Estimate:
+    """The estimate less the ``extra`` amplitudes behind the first ``size``, their columns and their covariance."""
+    behind = np.arange(size, size + extra)
+    return Estimate(
+        found.amplitudes[:size],
+        found.phases,
+        np.delete(np.delete(found.covariance, behind, axis=0), behind, axis=1),
+        found.cost,
+        tuple(np.delete(jacobian[:-extra], behind, axis=1) for jacobian in found.jacobians),
+    )
+
+
+def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
+    """Estimate from one summary per phase group; the groups may be of different runs.
+
+    Linear, and exact, for one group or without local columns; otherwise Gauss-Newton on the stacked
+    triangular factors, from the linear solution.
+    """
+    if len(parts) > 1 and layout.local:
+        return _solve_groups(layout, parts)
+    total = parts[0]
+    if len(parts) > 1:
+        total = Reduction.empty(layout.columns)
+        for group, part in enumerate(parts):
+            total.absorb(layout.embedded(part.factor, group).T, count=part.count)
+    linear, covariance, cost = total.solve()
+    jacobian, amplitudes, phases = np.eye(len(linear)), linear, np.zeros(0)
+    if layout.coupled:
+        phase = np.arctan2(linear[1], linear[0])
+        phases = np.array([phase])
+        amplitudes = layout.from_linear(linear, phase)
+        jacobian = layout.jacobian(amplitudes, phases, 0)
+        inverse = np.linalg.inv(jacobian)
+        covariance = inverse @ covariance @ inverse.T
+    return Estimate(amplitudes, phases, covariance, cost, (jacobian,) * len(parts))
+
+
+def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
+    """One phase per group, amplitudes shared."""
+    if not layout.coupled:
+        raise CalibrationError(
+            "harmonics with more than one phase (phase 'per-segment', or several runs) need 'tan_beta' among the "
+            "terms: it carries the phase",
+            remedy="add 'tan_beta'",
+        )
+    factors = [part.factor for part in parts]
+    shared, amplitude = _start(layout, parts)
+    amplitudes = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
+    phases = np.array([_scan(layout, amplitudes, factor, g) for g, factor in enumerate(factors)])
+    amplitudes = _amplitudes_given(layout, phases, factors)
+    cost = _cost(layout, amplitudes, phases, factors)
+    damping = 0.0
+    for _ in range(ITERATIONS):
+        R, residual = _linearised(layout, amplitudes, phases, factors)
+        step = _damped_step(R, residual, damping)
+        new_amplitudes, new_phases = amplitudes + step[: layout.size], phases + step[layout.size :]
+        new_cost = _cost(layout, new_amplitudes, new_phases, factors)
+        if new_cost <= cost * (1.0 + 1e-13):
+            done = cost - new_cost <= 1e-14 * cost and damping == 0.0
+            amplitudes, phases, cost = new_amplitudes, new_phases, new_cost
+            damping = 0.0 if damping < 1e-6 else damping / 10.0
+            if done:
+                break
+        else:
+            damping = max(10.0 * damping, 1e-6)
+            if damping > 1e6:
+                break
+    R, _ = _linearised(layout, amplitudes, phases, factors)
+    covariance = _inverse_information(R)
+    rss = cost + sum(float(part.weight[0, -1]) for part in parts)
+    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
+    return Estimate(amplitudes, phases, covariance, rss, jacobians)
+
+
+def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
+    """Shared parameters and coupling amplitude with the local columns of every group left free."""
+    local = layout.local
+    factors = [part.factor for part in parts]
+    rest = [layout.embedded(factor, group)[local:, local:] for group, factor in enumerate(factors)]
+    free = np.asarray(np.linalg.qr(np.vstack(rest), mode="r"))
+    shared = _least_squares(free) if layout.keys else np.zeros(0)
+    squares, weights = 0.0, 0.0
+    for group, factor in enumerate(factors):
+        right = factor[:local, -1] - factor[:local, local:-1] @ shared[layout.tails[group]]
+        size = np.abs(np.diag(factor)[:2])
+        if size.min() < 1e-9 * max(size.max(), 1e-300) or size.max() == 0.0:
+            continue
+        p, q = solve_upper(factor[:2, :2], right[:2])
+        weight = float(size.min() ** 2)
+        squares += weight * float(np.hypot(p, q))
+        weights += weight
+    return shared, squares / weights if weights else 0.0
+
+
+def _least_squares(factor: Array) -> Array:
+    """Solution of least norm of a triangular system, its columns scaled to one."""
+    scale = np.linalg.norm(factor[:, :-1], axis=0)
+    scale[scale == 0.0] = 1.0
+    return np.linalg.lstsq(factor[:, :-1] / scale, factor[:, -1], rcond=1e-12)[0] / scale
+
+
+def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:
+    """Best of SCAN phases for one group."""
+    m = factor.shape[0] - 1
+    trial = 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi
+    costs = [np.sum((factor[:m, :m] @ layout.linear(amplitudes, p, group) - factor[:m, m]) ** 2) for p in trial]
+    return float(trial[int(np.argmin(costs))])
+
+
+def _amplitudes_given(layout: Layout, phases: Array, factors: list[Array]) -> Array:
+    """Amplitudes by linear least squares for fixed phases."""
+    zero = np.zeros(layout.size)
+    rows, right = [], []
+    for group, factor in enumerate(factors):
+        m = factor.shape[0] - 1
+        rows.append(factor[:m, :m] @ layout.jacobian(zero, phases, group)[:, : layout.size])
+        right.append(factor[:m, m])
+    total = Reduction.empty(tuple(str(i) for i in range(layout.size)))
+    total.add(np.vstack(rows), np.concatenate(right))
+    return total.solve()[0]
+
+
+def _residuals(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> list[Array]:
+    return [f[:-1, -1] - f[:-1, :-1] @ layout.linear(amplitudes, phases[g], g) for g, f in enumerate(factors)]
+
+
+def _cost(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> float:
+    return float(sum(np.sum(r**2) for r in _residuals(layout, amplitudes, phases, factors)))
+
+
+def _linearised(layout: Layout, amplitudes: Array, phases: Array, factors: list[Array]) -> tuple[Array, Array]:
+    """Triangular factor of the Jacobian and the rotated residual."""
+    rows = np.vstack([f[:-1, :-1] @ layout.jacobian(amplitudes, phases, g) for g, f in enumerate(factors)])
+    residual = np.concatenate(_residuals(layout, amplitudes, phases, factors))
+    q, r = np.linalg.qr(rows)
+    return r, q.T @ residual
+
+
+def _damped_step(R: Array, residual: Array, damping: float) -> Array:
+    scale = np.linalg.norm(R, axis=0)
+    scale[scale == 0.0] = 1.0
+    if damping == 0.0 and np.abs(np.diag(R) / scale).min() > 1e-12:
+        return solve_upper(R, residual)
+    stacked = np.vstack([R, np.diag(scale * np.sqrt(max(damping, 1e-14)))])
+    return np.linalg.lstsq(stacked, np.concatenate([residual, np.zeros(R.shape[1])]), rcond=None)[0]
+
+
+def _inverse_information(R: Array) -> Array:
+    """``(R'R)^-1`` with a column scaling; a phase that the record does not hold gets the circle's spread."""
+    scale = np.linalg.norm(R, axis=0)
+    scale[scale == 0.0] = 1.0
+    _, r = np.linalg.qr(R / scale)
+    diagonal = np.abs(np.diag(r))
+    if diagonal.min() < 1e-13:
+        return np.linalg.pinv(r.T @ r, rcond=1e-13) / np.outer(scale, scale)
+    inverse = solve_upper(r, np.eye(r.shape[0]))
+    return inverse @ inverse.T / np.outer(scale, scale)

@@ -1,0 +1,1 @@
+"""What the record's noise is, and how rows are weighted by it."""

@@ -1,0 +1,178 @@
+"""Noise levels of the output, found from the residual increments by maximum likelihood."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.estimation.whitening import LANES, likelihoods
+from piga.calibration.model.workers import workers
+from piga.records.median import exact_median
+from piga.records.spool import spans
+
+Array = NDArray[np.float64]
+Information = Callable[[Array], Array]
+"""``log|X' V^-1 X|`` (up to a constant) as a function of ``log10(q h/r)``."""
+
+LOWEST, HIGHEST = -10.0, 4.0
+"""Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
+SAMPLE = 1 << 17
+"""Increments that the first, coarse passes over a long record look at."""
+SIGNIFICANT = 1.5
+"""Gain in twice the log-likelihood from which a random walk is weighted by; a fainter one goes into the covariance
+alone (:mod:`piga.calibration.intervals.faint_walk`)."""
+NEGLIGIBLE = 1e-3
+"""Gain up to which a level makes no difference to the weights: it is left as found."""
+REFINEMENTS = 4
+"""Passes over the residuals; one less when the ratio is known to a decade."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s].
+
+    Besides them one of two slow noises: a bias ``drift`` [rad^2/s^3], a random walk of the rate; ``scatter``
+    [rad^2/s^2] of the rate from segment to segment. ``stated`` [rad^2/s^2] is the variance of the rate of each segment
+    that the run file states (what is set anew at each position); empty where it states none.
+    """
+
+    white: float
+    walk: float
+    drift: float = 0.0
+    scatter: float = 0.0
+    stated: tuple[float, ...] = ()
+
+    @property
+    def scattered(self) -> Array | None:
+        """Variance of the rate of each segment, stated and found [rad^2/s^2]; None where it is ``scatter`` or none."""
+        return np.array(self.stated) + self.scatter if self.stated else None
+
+    @property
+    def angle_rms(self) -> float:
+        """Standard deviation of the white angle noise [rad]."""
+        return math.sqrt(self.white)
+
+    @property
+    def angle_random_walk(self) -> float:
+        """Angle random walk [rad/sqrt(s)]."""
+        return math.sqrt(self.walk)
+
+    @property
+    def bias_drift(self) -> float:
+        """Random walk of the rate [rad/s/sqrt(s)]."""
+        return math.sqrt(self.drift)
+
+    @property
+    def segment_scatter(self) -> float:
+        """Standard deviation of the rate from segment to segment [rad/s]."""
+        return math.sqrt(self.scatter)
+
+    @property
+    def slow(self) -> float:
+        """Level of the slow noise, whichever it is."""
+        return self.drift + self.scatter
+
+    def slower(self, factor: float) -> Noise:
+        """The same with ``factor`` times the slow noise."""
+        return replace(self, drift=factor * self.drift, scatter=factor * self.scatter)
+
+    def without_slow(self) -> Noise:
+        """White noise and random walk, and what is stated."""
+        return replace(self, drift=0.0, scatter=0.0)
+
+    def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:
+        """True when both give nearly the same weights: variances of an increment and of a long span agree."""
+        short = (2.0 * self.white + self.walk * step) / (2.0 * other.white + other.walk * step)
+        total = self.walk * step + 1e-4 * self.white
+        other_total = other.walk * step + 1e-4 * other.white
+        return abs(math.log(short)) < tolerance and abs(math.log(total / other_total)) < 2.0 * tolerance
+
+
+def starting_noise(resolution: float, step: float) -> Noise:
+    """Levels for the first fit: quantisation of one count, and a random walk of a hundredth of it per step."""
+    white = max(resolution, 1e-9) ** 2 / 12.0
+    return Noise(white, 0.01 * white / step)
+
+
+def find_noise(
+    d: Array,
+    h: Array,
+    parameters: int,
+    floor: float,
+    near: Noise | None = None,
+    information: Information | None = None,
+) -> Noise:
+    """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
+
+    Maximises the restricted likelihood of the first-order moving average (docs/theory/calibration) concentrated
+    over its scale, on a grid of the ratio kappa = q/r refined ``REFINEMENTS`` times:
+    ``(n - m) log S + sum log v + log|X' V^-1 X|`` with m ``parameters`` fitted. The last term, what the fit
+    itself took out of the slow noise, is ``information`` of ``log10(kappa h)``; without it the fit's part is
+    left out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
+    around levels found before.
+    """
+    count = sum(int(np.count_nonzero(h[rows] > 0.0)) for rows in spans(h.size))
+    freedom = max(count - parameters, 1)
+    step = exact_median(lambda: (part[part > 0.0] for part in (h[rows] for rows in spans(h.size))))
+    low, high, passes = LOWEST, HIGHEST, REFINEMENTS
+    if near is not None and near.white > 0.0 and near.walk > 0.0:
+        centre = math.log10(near.walk * step / near.white)
+        low, high, passes = max(low, centre - 1.0), min(high, centre + 1.0), passes - 2
+    best, size = low, 1.0
+    for index in range(passes):
+        coarse = near is None and index < passes - 2 and d.size > 4 * SAMPLE
+        grid = np.linspace(low, high, LANES)
+        log, square = (
+            deviance_sums(d[:SAMPLE], h[:SAMPLE], 10.0**grid / step)
+            if coarse
+            else deviance_sums(d, h, 10.0**grid / step)
+        )
+        if coarse:
+            log, square = log * (d.size / SAMPLE), square * (d.size / SAMPLE)
+        objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log
+        if information is not None:
+            objective = objective + information(grid)
+        best = least_on_grid(grid, objective)
+        size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
+        spacing = (high - low) / (LANES - 1)
+        low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
+    if information is not None:
+        grid = np.append(LOWEST, np.full(LANES - 1, best))
+        log, square = deviance_sums(d, h, 10.0**grid / step)
+        objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log + information(grid)
+        if NEGLIGIBLE < objective[0] - objective[1] < SIGNIFICANT:
+            best, size = LOWEST, float(square[0])
+    ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
+    white = size / freedom
+    white = max(white, floor**2 / (1.0 + ratio * step))
+    return Noise(white, ratio * white)
+
+
+def least_on_grid(grid: Array, objective: Array) -> float:
+    """Grid point of the least objective, refined by the parabola through its neighbours."""
+    at = int(np.argmin(objective))
+    if at in (0, grid.size - 1):
+        return float(grid[at])
+    left, middle, right = objective[at - 1 : at + 2]
+    curvature = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
+    return float(grid[at] + shift * (grid[1] - grid[0]))
+
+
+def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
+    """Sums of the likelihood over the record, two halves on two threads."""
+    middle = d.size // 2
+    parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
+    results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
+    with workers(d.size, 2) as pool:
+        jobs = [
+            pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])
+            for part, result in zip(parts, results, strict=True)
+        ]
+        for job in jobs:
+            job.result()
+    return results[0][0] + results[1][0], results[0][1] + results[1][1]

@@ -1,0 +1,186 @@
+"""Slow noise of the rate as a few columns of the angle: a random walk, or a rate of its own in every segment.
+
+``size`` columns are whitened with the rows of a segment; in the factor of a record they are ``count`` columns,
+``placed`` by segment. Own derivation, docs/theory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.noise.levels import Noise
+from piga.records.run import Run
+
+Array = NDArray[np.float64]
+
+KNOTS = 32
+"""Steps in which the rate wanders over a record; it is linear in time between them."""
+DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
+"""Names of their columns in a summary."""
+FEWEST, MOST_SEGMENTS = 4, 128
+"""Segments from which on and up to which a scatter of their rates is looked for."""
+
+
+class Columns(Protocol):
+    """Columns of slow noises: independent numbers move the rate."""
+
+    @property
+    def size(self) -> int:
+        """Columns beside those of a segment's rows."""
+
+    @property
+    def count(self) -> int:
+        """Columns in the factor of a record: independent numbers."""
+
+    def angle(self, t: Array) -> Array:
+        """Angle (size, n) that numbers of one add up to the times ``t`` (n,)."""
+
+    def increments(self, t: Array, h: Array) -> Array:
+        """Columns (size, n) of the increments that end at ``t`` and last ``h``."""
+
+    def placed(self, factor: Array, segment: int) -> Array:
+        """A segment's factor ``[noise | rest]`` of ``size`` columns and more, with ``count`` columns in place of them."""
+
+
+class SlowBasis(Columns, Protocol):
+    """Columns of a slow noise: its numbers are of one variance."""
+
+    def noise(self, other: Noise, variance: float) -> Noise:
+        """The levels ``other`` with this noise, numbers of ``variance`` [rad^2/s^2]."""
+
+    def unit(self) -> float:
+        """Variance of the numbers for a level of one."""
+
+
+@dataclass(frozen=True)
+class DriftBasis:
+    """The rate is a sum of KNOTS ramps, each from 0 to its own step within ``spacing`` [s], zero at the middle.
+
+    The steps of a random walk are independent and of one variance. Zero at the middle of the record: a bias
+    estimated with it is the bias there.
+    """
+
+    start: float
+    spacing: float
+    size: int = field(default=KNOTS, init=False)
+    count: int = field(default=KNOTS, init=False)
+
+    @classmethod
+    def of(cls, run: Run) -> DriftBasis:
+        """That of a record, over all its stretches and the time between them."""
+        first, last = float(run.t[0]), float(run.t[-1])
+        return cls(first, (last - first) / KNOTS)
+
+    def angle(self, t: Array) -> Array:
+        """Angle (KNOTS, n) that unit steps add from the start to the times ``t`` (n,)."""
+        at = (t - self.start) / self.spacing
+        since = np.maximum(at - np.arange(KNOTS)[:, None], 0.0)
+        ramp = np.where(since < 1.0, 0.5 * since**2, since - 0.5)
+        before = np.arange(KNOTS)[:, None] < KNOTS // 2
+        found: Array = self.spacing * (ramp - before * at)
+        return found
+
+    def increments(self, t: Array, h: Array) -> Array:
+        """Columns (KNOTS, n) of the increments that end at ``t`` and last ``h``; zero where none is formed."""
+        formed = h > 0.0
+        found: Array = (self.angle(t) - self.angle(t - h * formed)) * formed
+        return found
+
+    def placed(self, factor: Array, segment: int) -> Array:  # noqa: ARG002 - as every basis
+        """All segments share the steps."""
+        return factor
+
+    def noise(self, other: Noise, variance: float) -> Noise:
+        """The levels ``other`` with a bias drift of steps of ``variance`` [rad^2/s^2]."""
+        return replace(other, drift=variance / self.spacing, scatter=0.0)
+
+    def unit(self) -> float:
+        """Variance of the steps for a drift of one."""
+        return self.spacing
+
+
+@dataclass(frozen=True)
+class SegmentBasis:
+    """Rates that scatter from segment to segment: each has its own, independent and of one variance."""
+
+    starts: Array = field(repr=False)
+    size: int = field(default=1, init=False)
+
+    @classmethod
+    def of(cls, run: Run) -> SegmentBasis:
+        """That of a record."""
+        return cls(np.asarray(run.t[run.segment_edges()[:-1]]))
+
+    @property
+    def count(self) -> int:
+        """One number for each segment."""
+        return self.starts.size
+
+    def angle(self, t: Array) -> Array:
+        """Time since the beginning of the own segment (1, n)."""
+        own = np.maximum(np.searchsorted(self.starts, t, side="right") - 1, 0)
+        found: Array = (t - self.starts[own])[None]
+        return found
+
+    def increments(self, t: Array, h: Array) -> Array:  # noqa: ARG002 - as every basis
+        """The intervals (1, n)."""
+        return h[None]
+
+    def placed(self, factor: Array, segment: int) -> Array:
+        """A column for every segment, zero in all but its own."""
+        own = np.zeros((len(factor), self.count))
+        own[:, segment] = factor[:, 0]
+        return np.hstack([own, factor[:, 1:]])
+
+    def noise(self, other: Noise, variance: float) -> Noise:
+        """The levels ``other`` with rates that scatter with ``variance`` [rad^2/s^2]."""
+        return replace(other, drift=0.0, scatter=variance)
+
+    def unit(self) -> float:
+        """The level is the variance."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class BesideStated:
+    """Columns of another slow noise, if any, behind those of rates that scatter from segment to segment."""
+
+    segments: SegmentBasis
+    other: SlowBasis | None
+
+    @property
+    def size(self) -> int:
+        """Columns beside those of a segment's rows."""
+        return 1 + (0 if self.other is None else self.other.size)
+
+    @property
+    def count(self) -> int:
+        """One number for each segment, and those of the other noise."""
+        return self.segments.count + (0 if self.other is None else self.other.count)
+
+    def angle(self, t: Array) -> Array:
+        """Angle (size, n) that numbers of one add up to the times ``t`` (n,)."""
+        own = self.segments.angle(t)
+        return own if self.other is None else np.vstack([own, self.other.angle(t)])
+
+    def increments(self, t: Array, h: Array) -> Array:
+        """Columns (size, n) of the increments that end at ``t`` and last ``h``."""
+        own = self.segments.increments(t, h)
+        return own if self.other is None else np.vstack([own, self.other.increments(t, h)])
+
+    def placed(self, factor: Array, segment: int) -> Array:
+        """A column for every segment, then those of the other noise, then the rest."""
+        own = self.segments.placed(factor[:, :1], segment)
+        rest = factor[:, 1:] if self.other is None else self.other.placed(factor[:, 1:], segment)
+        return np.hstack([own, rest])
+
+
+def slow_bases(run: Run) -> tuple[SlowBasis, ...]:
+    """What may move the rate of a record: a bias drift; scatter from segment to segment where there are some."""
+    drift = DriftBasis.of(run)
+    few = not FEWEST <= len(run.labels) <= MOST_SEGMENTS
+    return (drift,) if few else (drift, SegmentBasis.of(run))

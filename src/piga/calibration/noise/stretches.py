@@ -1,0 +1,188 @@
+"""Stretches of a coarsely counted record projected on their slowest cosines, block by block.
+
+A stretch is what lies between two breaks of the output. Its samples are averaged over bins and the bins projected on
+contrasts; both are sums over samples, so that a record of any length is projected in a bounded memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.model.design import Block, Design
+from piga.records.run import Run
+from piga.records.spool import extent
+
+Array = NDArray[np.float64]
+
+LEAST, LOST = 8, 0.01
+"""Samples of a stretch that is used at all; share of all samples up to which short stretches are not."""
+MODES = 24
+"""Cosines per stretch at least; four more per turn of the output and order of the model."""
+MOST_MODES = 160
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows ``start`` to ``stop`` of a segment, bin edges counted in its good samples, contrasts (K, bins).
+
+    ``limits`` are the first and last time [s], ``span`` is largest less least reading [rad]. Filled by one pass over
+    the record: sums over the bins of the angle columns (m + 1, bins) and of the time, the angle columns at the end.
+    """
+
+    segment: int
+    start: int
+    stop: int
+    edges: NDArray[np.int64]
+    contrasts: Array
+    angle: Array
+    time: Array
+    end: Array
+    limits: tuple[float, float]
+    span: float
+
+    @classmethod
+    def of(cls, run: Run, start: int, stop: int, size: int, modes: int, columns: int) -> Stretch:
+        """An empty one of ``size`` good samples."""
+        bins = min(size, 4 * modes)
+        edges = np.linspace(0, size, bins + 1).astype(np.int64)
+        least, most = extent(run.output[start:stop])
+        return cls(
+            int(run.segment[start]), start, stop, edges, _contrasts(modes, bins), np.zeros((columns, bins)),
+            np.zeros(bins), np.zeros(columns), (float(run.t[start]), float(run.t[stop - 1])), most - least,
+        )  # fmt: skip
+
+    @property
+    def size(self) -> int:
+        """Number of good samples."""
+        return int(self.edges[-1])
+
+    @property
+    def rows(self) -> Array:
+        """Contrasts of the mean angle columns (K, m + 1)."""
+        return self.contrasts @ self.mean(self.angle).T
+
+    def mean(self, sums: Array) -> Array:
+        """Means over the bins from sums over them, last axis."""
+        return sums / np.diff(self.edges)
+
+    def add(self, sums: Array, first: int, values: Array) -> None:
+        """Add good samples (.., n) behind the first ``first`` ones to sums over the bins."""
+        low = int(np.searchsorted(self.edges, first, side="right")) - 1
+        high = int(np.searchsorted(self.edges, first + values.shape[-1], side="left"))
+        cuts = np.maximum(self.edges[low:high] - first, 0)
+        sums[..., low:high] += np.add.reduceat(values, cuts, axis=-1)
+
+
+def modes_of(design: Design) -> int:
+    """Contrasts per stretch: enough for the ripple of the fastest one, no more than the shortest allows; 0: none."""
+    run = design.run
+    starts, stops, _ = _limits(run)
+    turns = float(np.abs(run.output[stops - 1] - run.output[starts]).max()) / (2.0 * math.pi)
+    order = max((1, *design.request.harmonics))
+    return max(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, most_modes(run)), 0)
+
+
+def most_modes(run: Run) -> int:
+    """Contrasts that the stretches of a record have, the shortest left out that hold a hundredth of its samples."""
+    sizes = np.sort(_limits(run)[2])
+    usable = sizes[(np.cumsum(sizes) > LOST * sizes.sum()) & (sizes >= LEAST)]
+    return int(usable.min()) - 2 if usable.size else 0
+
+
+def _limits(run: Run) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """First row of every stretch, the row behind it, and its number of good samples."""
+    starts = np.flatnonzero(run.begins)
+    stops = np.append(starts[1:], run.size)
+    if run.left_out is None:
+        return starts, stops, stops - starts
+    bad = [int(np.count_nonzero(run.left_out[a:b])) for a, b in zip(starts, stops, strict=True)]
+    return starts, stops, stops - starts - np.array(bad)
+
+
+def empty_stretches(run: Run, modes: int, columns: int) -> list[Stretch]:
+    """All stretches long enough for so many contrasts."""
+    return [
+        Stretch.of(run, int(start), int(stop), int(size), modes, columns)
+        for start, stop, size in zip(*_limits(run), strict=True)
+        if size >= max(LEAST, modes + 2)
+    ]
+
+
+def find_stretches(design: Design, modes: int) -> list[Stretch]:
+    """The stretches of a record with the sums of their angle columns."""
+    found = empty_stretches(design.run, modes, len(design.names) + 1)
+    for stretch, first, rows, angle in angle_pieces(found, ((b, b.columns) for b in design.blocks())):
+        stretch.add(stretch.angle, first, angle)
+        stretch.add(stretch.time, first, np.asarray(design.run.t[rows]))
+        stretch.end[:] = angle[:, -1]
+    return found
+
+
+def angle_pieces(
+    stretches: list[Stretch], parts: Iterator[tuple[Block, Array]]
+) -> Iterator[tuple[Stretch, int, NDArray[np.int64] | slice, Array]]:
+    """Stretch, its good samples before, rows of the next ones, and angles (.., n) there since its start, in order.
+
+    ``parts`` are the blocks of a record with the increments (.., n) to be summed.
+    """
+    index, carry, seen = 0, np.zeros(0), 0
+    for block, increments in parts:
+        start, columns = _from_zero(block, increments)
+        while index < len(stretches) and stretches[index].start < block.stop:
+            stretch = stretches[index]
+            low, high = max(stretch.start, start), min(stretch.stop, block.stop)
+            angle = np.cumsum(columns[..., low - start : high - start], axis=-1)
+            if low > stretch.start:
+                angle += carry
+            else:
+                seen = 0
+            rows, good = _good(block, low, high)
+            if angle[..., good].size:
+                yield stretch, seen, rows, angle[..., good]
+            seen += angle[..., good].shape[-1]
+            if high < stretch.stop:
+                carry = angle[..., -1:].copy()
+                break
+            index += 1
+
+
+def _good(block: Block, low: int, high: int) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64] | slice]:
+    """Good samples among rows ``low`` to ``high``, counted in the record and from ``low``."""
+    left_out = block.h[max(low - block.start, 0) : high - block.start] < 0.0
+    if not left_out.any():
+        return slice(low, high), slice(None)
+    rows = np.flatnonzero(~left_out) + max(low, block.start)
+    rows = np.append(low, rows) if low < block.start else rows
+    return rows, rows - low
+
+
+def _from_zero(block: Block, increments: Array) -> tuple[int, Array]:
+    """First row and increments of a block; the first row of all, which ends no increment, is put before."""
+    if block.start != 1:
+        return block.start, increments
+    return 0, np.concatenate([np.zeros_like(increments[..., :1]), increments], axis=-1)
+
+
+def _contrasts(modes: int, bins: int) -> Array:
+    """Slowest cosines of the second kind, and the difference of the ends (which a random walk is known by)."""
+    at = (np.arange(bins) + 0.5) / bins
+    found = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
+    ends = np.zeros(bins)
+    ends[0], ends[-1] = -1.0, 1.0
+    return np.vstack([found, ends / math.sqrt(2.0)])
+
+
+def walk_covariance(stretch: Stretch) -> Array:
+    """Covariance of the contrasts by a random walk of unit variance [rad^2/s]."""
+    tails = np.cumsum(stretch.contrasts[:, ::-1], axis=1)[:, ::-1][:, 1:]
+    return (tails * np.diff(stretch.mean(stretch.time))) @ tails.T
+
+
+def white_covariance(stretch: Stretch) -> Array:
+    """Covariance of the contrasts by white noise of unit variance."""
+    return (stretch.contrasts / np.diff(stretch.edges)) @ stretch.contrasts.T

@@ -1,0 +1,172 @@
+"""From blocks to per-segment summaries: whitening, and the residuals of an estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels.estimation.whitening import innovation_weights, whiten
+from piga.calibration.model.design import Block, Design
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.workers import workers
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.slow_bases import (
+    DRIFT_NAMES,
+    KNOTS,
+    BesideStated,
+    Columns,
+    DriftBasis,
+    SegmentBasis,
+)
+from piga.records.spool import arrays_like
+
+Array = NDArray[np.float64]
+
+FIXED = 1e-12
+"""Variance of the rate of a segment that does not scatter, over that of the one that scatters most."""
+RATE = "rate of the segment"
+"""Name of the column of a scatter until it is integrated out."""
+
+
+@dataclass
+class Whitener:
+    """Whitens blocks in order; carries the recursion from block to block.
+
+    ``mode`` is ``"increments"`` (moving-average noise), ``"rates"`` (each increment divided by its
+    interval, equal weights: the rate method) or ``"samples"`` (a rate log, equal weights).
+    """
+
+    mode: str
+    noise: Noise
+    size: int
+
+    def __post_init__(self) -> None:
+        self._state = np.zeros(self.size)
+        self._variance = 0.0
+
+    def apply_columns(self, columns: Array, h: Array) -> Array:
+        """Weighted columns for intervals ``h``, a new array."""
+        if self.mode == "samples":
+            return columns.copy()
+        if self.mode == "rates":
+            return columns * np.divide(1.0, h, out=np.zeros_like(h), where=h > 0.0)
+        carry, scale = np.empty(h.size), np.empty(h.size)
+        self._variance = innovation_weights(h, self.noise.white, self.noise.walk, self._variance, carry, scale)
+        out = np.empty_like(columns)
+        whiten(columns, carry, scale, self._state, out)
+        return out
+
+
+def weighting_mode(design: Design, method: str) -> str:
+    """How the rows are weighted for a method and a kind of output."""
+    if design.point:
+        return "samples"
+    return "rates" if method == "rate" else "increments"
+
+
+def weighted_blocks(
+    design: Design, mode: str, noise: Noise, basis: Columns | None = None
+) -> Iterator[tuple[Block, Array]]:
+    """Blocks with their weighted columns, in order; those of a slow noise come before the last."""
+    whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else basis.size) + 1)
+    for block in design.blocks():
+        yield block, whitener.apply_columns(_with_slow(design, block, basis), block.h)
+
+
+def _with_slow(design: Design, block: Block, basis: Columns | None) -> Array:
+    """Columns of the model, of a slow noise if there is one, and of the observation."""
+    if basis is None:
+        return block.columns
+    slow = basis.increments(np.asarray(design.run.t[block.start : block.stop]), block.h)
+    return np.vstack([block.columns[:-1], slow, block.columns[-1:]])
+
+
+def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
+    """Share c by which ``x - c b (b'x)`` makes rows white that are so but for a rate of ``variance`` along b, ``b'b = square``.
+
+    ``(I + v b b')^-1/2 = I - c b b'``, ``c = (1 - (1 + v b'b)^-1/2)/b'b``.
+    """
+    size = np.asarray(square, dtype=float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (1.0 - 1.0 / np.sqrt(1.0 + np.asarray(variance) * size)) / size
+    return np.where(size > 0.0, share, 0.0)
+
+
+def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
+    """One summary per segment of the weighted rows.
+
+    With a bias drift the summaries have its columns behind those of the model, and what is known of its steps
+    beforehand is in the first one;
+    :func:`~piga.calibration.model.solution.solve` integrates it out. A scatter of the segments, stated or found, is
+    integrated out of each.
+    """
+    if mode != "increments":
+        return _absorbed(design, design.names, weighted_blocks(design, mode, noise))
+    drift = DriftBasis.of(design.run) if noise.drift > 0.0 else None
+    names = design.names if drift is None else (*design.names, *DRIFT_NAMES)
+    if noise.scatter > 0.0 or noise.stated:
+        summaries = _reduce_scattered(design, mode, noise, drift, names)
+    else:
+        summaries = _absorbed(design, names, weighted_blocks(design, mode, noise, drift))
+    if drift is not None:
+        summaries[0] = Reduction.stacked([summaries[0], _steps_known(names, noise.drift * drift.spacing)])
+    return summaries
+
+
+def _reduce_scattered(
+    design: Design, mode: str, noise: Noise, drift: DriftBasis | None, names: tuple[str, ...]
+) -> list[Reduction]:
+    """With rates that scatter: that of each segment, known to be zero with its variance, is integrated out."""
+    m = len(design.names)
+    order = [m, *range(m), *range(m + 1, len(names) + 2)]
+    segments = SegmentBasis.of(design.run)
+    basis = segments if drift is None else BesideStated(segments, drift)
+    blocks = weighted_blocks(design, mode, noise, basis)
+    summaries = _absorbed(design, (RATE, *names), ((b, columns[order]) for b, columns in blocks))
+    scattered = noise.scattered
+    variance = np.full(len(summaries), noise.scatter) if scattered is None else scattered
+    variance = np.maximum(variance, FIXED * variance.max())
+    for part, own in zip(summaries, variance, strict=True):
+        known = np.zeros((len(names) + 2, 1))
+        known[0] = 1.0 / math.sqrt(own)
+        part.absorb(known, count=0)
+    return [part.behind_first() for part in summaries]
+
+
+def _absorbed(design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Block, Array]]) -> list[Reduction]:
+    """One summary of the columns per segment; the reduction of a block runs beside the whitening of the next."""
+    summaries = [Reduction.empty(names) for _ in design.run.labels]
+    with workers(design.run.size, 1) as pool:
+        jobs = []
+        for block, columns in blocks:
+            count = int(np.count_nonzero(block.h > 0.0))
+            jobs.append(pool.submit(summaries[block.segment].absorb, columns, count=count))
+            if len(jobs) > 4:
+                jobs.pop(0).result()
+        for job in jobs:
+            job.result()
+    return summaries
+
+
+def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:
+    """Rows that say: the steps of the drift, the last columns, are zero with this variance."""
+    size = len(names)
+    known = np.zeros((size + 1, size + 1))
+    at = np.arange(size - KNOTS, size)
+    known[at, at] = 1.0 / math.sqrt(variance)
+    return Reduction.of_factor(names, known, 0)
+
+
+def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
+    """Observed less modelled increments and their intervals; ``values`` (segments, m) per segment."""
+    arrays = arrays_like(design.run.t)
+    d, h = arrays.zeros(design.run.size), arrays.zeros(design.run.size)
+    for block in design.blocks():
+        rows = slice(block.start, block.stop)
+        d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]
+        h[rows] = block.h
+    return d, h

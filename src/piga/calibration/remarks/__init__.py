@@ -1,0 +1,1 @@
+"""Doubts about model and data, and what to do about each."""

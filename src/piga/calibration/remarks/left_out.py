@@ -1,0 +1,243 @@
+"""What the servo leaves where its terms are not asked for: sources of Type B, so that doing nothing is honest.
+
+With ``a_x^2 + a_t^2 = N`` throughout, ``a_x a_t^2 = N a_x - a_x^3``: a servo of finite stiffness and a third-order
+coefficient fit the record alike, and the scale factor under one is ``1 + k3 N`` times that under the other. No data of such a
+stand choose between them. So a suggestion names the scale factor under each. Where such a signature is clear and
+neither term is asked for, or ``k3`` alone, both meanings are a source of Type B. The damping of the float under the servo
+turns the phase: where its wave is clear and ``servo_damping`` is not asked for, so is what the term would change
+(docs/theory/servo).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.budget.rows import budget_row
+from piga.calibration.fit.one_run import Fit
+from piga.calibration.fit.servo import settled_design
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.design import Design
+from piga.calibration.model.segment_parts import has_phases
+from piga.calibration.model.solution import layout_of, solve
+from piga.calibration.noise.weighting import reduce_segments
+from piga.calibration.remarks.candidate_columns import CUBIC, constant_squares
+from piga.calibration.remarks.missing_terms import Tested, after_change, pieces_of, tested, with_term
+from piga.errors import IdentifiabilityError
+from piga.records.calibration import Coefficient
+from piga.records.terms import si_factor, unit_of
+
+Array = NDArray[np.float64]
+
+CLEAR = 0.01
+"""Probability of as strong a signature by chance, below which what it may mean is in the budget."""
+SEEN = 2.0
+"""Standard uncertainties from which a k3 that is asked for is said to have another meaning."""
+CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
+DAMPING_SOURCE = "servo damping that the model lacks"
+"""Names in the budget: they begin as :data:`piga.records.coverage.OF_THE_MODEL` has it."""
+TURNED = ("phi", "tan_beta")
+"""Coefficients that ``servo_damping`` is mostly taken for."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A clear signature of the servo that no term of the model takes.
+
+    ``change`` is the half-width of what it makes of each coefficient of the result (file units); ``words`` are its note,
+    none where the signature is not clear by itself.
+    """
+
+    source: str
+    change: Array
+    words: str
+
+    @property
+    def covariance(self) -> Array:
+        """What it adds to the covariance of the coefficients."""
+        return np.outer(self.change, self.change) / 3.0
+
+    def row(self, coefficients: tuple[Coefficient, ...]) -> dict[str, Any]:
+        """Its row of the budget: anything between the half-widths is as likely."""
+        return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
+
+
+def left_out_terms(
+    plain: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
+) -> tuple[LeftOut, ...]:
+    """What the servo leaves in a record; none where nothing is clear, where terms take it, or the stand tells them apart.
+
+    Parameters
+    ----------
+    plain, groups, per_segment:
+        The fit without a slow noise, which would take up what a missing term leaves, and its phases.
+    coefficients:
+        Those of the result.
+    """
+    design = plain.design
+    held = (*design.request.terms, *design.turning_servo)
+    if "tan_beta" not in held or design.request.phase_source != "output":
+        return ()
+    square = constant_squares(design.run)[0]
+    asked = () if square is None or design.turning_servo else asked_cube(coefficients, square)
+    turns = has_phases(layout_of(design, len(set(groups))), groups)
+    cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
+    order = [name for name, open_ in (("k3", cube), ("servo_damping", "servo_damping" not in held)) if open_]
+    if turns and "servo_damping" in order:
+        order.remove("servo_damping")
+    if not order:
+        return asked
+    pieces, rows = pieces_of(plain, groups, order)
+    before = after_change(plain, per_segment, np.zeros(1), turns)
+    doubts: list[LeftOut] = []
+    if square is not None and cube:
+        test = tested(pieces, order, ("k3",), rows)
+        if test is not None and test.probability <= CLEAR:
+            after = after_change(plain, per_segment, test.change, turns)
+            k3 = float(test.columns[0]) / design.scale_factor
+            doubts.append(_both_meanings(coefficients, before, after, k3, square))
+            pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
+            order.remove("k3")
+    test = tested(pieces, order, ("servo_damping",), rows) if "servo_damping" in order else None
+    if test is not None and (doubts or asked or test.probability <= CLEAR):
+        beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
+        whole = _with_terms(plain, groups, per_segment, beside)
+        if whole is not None:
+            after = after_change(plain, per_segment, test.change, turns)
+            turned = {name: whole[name] for name in TURNED}
+            doubts.append(damped(coefficients, before, after | turned, test, design.scale_factor))
+    return (*doubts, *asked)
+
+
+def _with_terms(
+    plain: Fit, groups: tuple[int, ...], per_segment: bool, extra: tuple[str, ...]
+) -> dict[str, float] | None:
+    """Coefficients (file units) by key of the same fit with more terms; None where the record cannot tell them apart.
+
+    What a term turns depends on the weights of every row: the rows that candidates are tested on are too coarse for it.
+    """
+    request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
+    raw = Design(plain.design.run, request, plain.design.scale_factor)
+    try:
+        design = settled_design(raw, plain.mode, plain.weights, groups)
+    except IdentifiabilityError:
+        return None
+    summaries = (
+        plain.counted.reduce(design) if plain.counted else reduce_segments(design, plain.mode, plain.weights)
+    )
+    solution = solve(design, summaries, groups)
+    named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
+    return {c.key: c.value for c in named}
+
+
+def _both_meanings(
+    coefficients: tuple[Coefficient, ...],
+    before: dict[str, float],
+    after: dict[str, float],
+    k3: float,
+    square: float,
+) -> LeftOut:
+    """A cube that neither ``servo`` nor ``k3`` takes; ``k3`` [1/(m/s^2)^2] beside the coefficients ``after``."""
+    cube = after["scale_factor"]
+    under = {"servo": cube * (1.0 + k3 * square), "k3": cube}
+    change = np.array([0.0 if c.name == "phi" else after[c.key] - before[c.key] for c in coefficients])
+    return cubic_doubt(coefficients, change, under, k3 / si_factor("k3"))
+
+
+def cubic_doubt(
+    coefficients: tuple[Coefficient, ...], change: Array, under: dict[str, float], size: float
+) -> LeftOut:
+    """A clear cube of ``size`` (file unit) whose meaning the stand cannot tell.
+
+    ``change`` is that of the coefficients when a cube is added; ``under`` is K with each term (file unit).
+    """
+    at = next(i for i, c in enumerate(coefficients) if c.name == "scale_factor")
+    change = change.copy()
+    change[at] = max((value - coefficients[at].value for value in under.values()), key=abs)
+    named = ", ".join(f"{value:.8g} with {name}" for name, value in under.items())
+    words = (
+        f"the residuals hold a cube of a_x ({size:.3g} g/g^3): a_x^2 + a_t^2 never changes here, so that no record of "
+        f"this stand can say whether it is the servo or k3. scale_factor would be {named} {unit_of('scale_factor')}; "
+        "its uncertainty holds both. Add 'servo' (and 'servo_damping') to [model] terms if the servo has a finite "
+        "stiffness, as every servo has; a run on a centrifuge or [instrument] servo decides"
+    )
+    return LeftOut(CUBIC_SOURCE, change, words)
+
+
+def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
+    """The other meaning of a ``k3`` that is asked for, where ``a_x^2 + a_t^2`` is ``square`` [m^2/s^4] throughout."""
+    named = {c.name: c for c in coefficients}
+    scale, k3 = named.get("scale_factor"), named.get("k3")
+    if scale is None or k3 is None or abs(k3.value) <= SEEN * k3.std:
+        return ()
+    shift = scale.value * k3.value * si_factor("k3") * square
+    change = np.array([shift if c is scale else 0.0 for c in coefficients])
+    return (LeftOut(CUBIC_SOURCE, change, asked_words(scale, shift)),)
+
+
+def asked_words(scale: Coefficient, shift: float) -> str:
+    """The note on a ``k3`` that is asked for; with ``servo`` in its place the scale factor moves by ``shift``."""
+    return (
+        "k3 may as well be the servo: a_x^2 + a_t^2 never changes here, and with 'servo' in the place of 'k3' the fit "
+        f"is the same and scale_factor is {scale.value + shift:.8g} instead of {scale.value:.8g} {scale.unit}, "
+        f"{1e6 * shift / scale.value:+.3g} ppm. The uncertainty of scale_factor holds both. The choice is one of meaning: "
+        "a run on a centrifuge, calibrated together with this one, or [instrument] servo makes it"
+    )
+
+
+def damped(
+    coefficients: tuple[Coefficient, ...],
+    before: dict[str, float],
+    after: dict[str, float],
+    test: Tested,
+    scale_factor: float,
+) -> LeftOut:
+    """A wave of ``servo_damping`` that the model lacks.
+
+    It is looked at where it is clear, or where a clear cube says that the servo gives way: then a damping is expected.
+    ``before`` and ``after`` are the coefficients without it and with it. What it turns is held from the reported value on,
+    which may have other weights. One standard uncertainty of the damping is added to its size.
+    """
+    size, std = abs(float(test.columns[0])), float(test.std[0])
+    damping = float(test.columns[0]) / scale_factor / si_factor("servo_damping")
+    reported = {c.key: c.value for c in coefficients if c.name in TURNED}
+    change = difference(coefficients, before | reported, after)
+    turned = ", ".join(
+        f"{c.key} by {1e3 * step:.3g} mrad"
+        for c, step in zip(coefficients, change, strict=True)
+        if c.name == "phi"
+    )
+    words = (
+        f"the residuals hold a wave of the gimbal angle that grows with the square of a_x (servo_damping = {damping:.3g} "
+        f"g/g^3): taken out it turns {turned}, and the uncertainties hold this. Add 'servo_damping' to [model] terms to "
+        "take it out"
+    )
+    return LeftOut(DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= CLEAR else "")
+
+
+def difference(
+    coefficients: tuple[Coefficient, ...], before: dict[str, float], after: dict[str, float]
+) -> Array:
+    """Change of each coefficient between two results, a phase by the nearer way round."""
+    change = np.array([after[c.key] - before[c.key] for c in coefficients])
+    turning = np.array([c.name == "phi" for c in coefficients])
+    return np.where(turning, np.angle(np.exp(1j * change)), change)
+
+
+def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
+    """What a scale factor beside an asked ``k2o`` rests on, where the record can hardly tell it from the servo."""
+    odd = next((c for c in coefficients if c.name == "k2o"), None)
+    scaled = any(c.name == "scale_factor" for c in coefficients)
+    if odd is None or not scaled or fit.design.turning_servo or constant_squares(fit.design.run)[0] is None:
+        return ()
+    if abs(odd.value) <= SEEN * odd.std:
+        return ()
+    words = (
+        "k2o takes much of what the stiffness of the servo makes of this record, and scale_factor depends on which of "
+        "them is asked for: compare the sets with 'k2o' and with 'servo' in its place (--compare)"
+    )
+    return (words,)

@@ -1,0 +1,241 @@
+"""Leverage: how much each segment (position, level) determines the coefficients, and what it does to them.
+
+The summaries of the segments add, so that the estimate without one of them is the merger of the others:
+exact, without reading the record again. (With a phase per segment the step is linear about the estimate.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit.one_run import Fit
+from piga.calibration.intervals.whitened_rows import whitened_rows
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.identifiability import RANK, SHARE, term_of
+from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.segment_parts import has_phases, parameter_rows
+from piga.calibration.model.solution import Estimate, Layout, layout_of, solve_parts
+from piga.calibration.noise.slow_bases import SegmentBasis
+from piga.records.calibration import Coefficient
+
+Array = NDArray[np.float64]
+
+DETERMINES = 0.9
+"""Share of a coefficient's information from which one segment determines it: u grows threefold without it."""
+SHIFTS = 3.0
+"""Shift of a coefficient, in standard uncertainties, from which leaving a segment out is said to move it."""
+UNLIKELY = 4.5
+"""The same in standard deviations that the noise gives such a shift: 1 in 150 000."""
+NORMAL_MEDIAN = 0.6745
+"""Median size of a normal deviate of one."""
+MOST = 500
+"""Segments up to which each is left out in turn."""
+WORDS = 4
+"""Sentences of a kind at most."""
+
+
+@dataclass(frozen=True)
+class Without:
+    """Coefficients (values and Type A standard uncertainties) when a segment is left out; lost ones by name."""
+
+    values: dict[str, float]
+    std: dict[str, float]
+    lost: frozenset[str]
+
+
+def find_leverage(
+    fit: Fit,
+    groups: tuple[int, ...],
+    per_segment: bool,
+    coefficients: tuple[Coefficient, ...],
+    slow: bool = False,
+) -> tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]:
+    """Leverage of every segment for ``diagnostics``, and what is to be said about it.
+
+    Parameters
+    ----------
+    fit, groups, per_segment:
+        The finished fit and its phases.
+    coefficients:
+        The result, with combined standard uncertainties, slow noise left out of them.
+    slow:
+        A slow noise was found: all segments move coefficients by more than the noise of the angle lets expect, and one
+        is named only if its rate stands out among the others.
+
+    Returns
+    -------
+    tuple
+        ``{"leverage": {label: {"leverage", "share", "shift"}}}``, sentences on segments that alone determine a
+        coefficient, and sentences on segments that move one. ``leverage`` is the trace of
+        the segment's information in the total, together the number of parameters. ``share`` is the part of
+        each coefficient's information that goes with the segment, ``1 - (u/u_without)^2``; ``shift`` the
+        change of the coefficient, in its standard uncertainties, when the segment is left out (None where
+        nothing determines it then). Empty for one segment, and beyond ``MOST``.
+    """
+    labels = fit.design.run.labels
+    if not 1 < len(labels) <= MOST:
+        return {}, (), ()
+    layout = layout_of(fit.design, len(set(groups)))
+    linear = has_phases(layout, groups)
+    parts = _amplitude_parts(layout, fit, groups) if linear else fit.summaries
+    common = [c for c in coefficients if c.segment is None]
+    whole = _named(fit, layout, _merged(parts), per_segment, linear)
+    size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
+    table: dict[str, Any] = {}
+    for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
+        left = _named(fit, layout, rest, per_segment, linear)
+        table[label] = {"leverage": traced + (1.0 if linear else 0.0)} | _influence(common, whole, left)
+    alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
+    unit = "standard uncertainties" + (" by the noise of the angle" if slow else "")
+    return {"leverage": table}, alone, _shift_words({k: table[k] for k in named}, common, whole, size, unit)
+
+
+def odd_segments(fit: Fit) -> tuple[str, ...]:
+    """Labels of the segments whose residual rate is far from that of the others, by their median deviation."""
+    basis, size = SegmentBasis.of(fit.design.run), len(fit.design.run.labels)
+    product, square = np.zeros(size), np.zeros(size)
+    for segment, columns in whitened_rows(fit, fit.design, fit.noise, basis):
+        y = columns[-1] - fit.solution.values[segment] @ columns[:-2]
+        product[segment] += columns[-2] @ y
+        square[segment] += columns[-2] @ columns[-2]
+    rate = np.divide(product, square, out=np.zeros(size), where=square > 0.0)
+    away = np.abs(rate - np.median(rate))
+    odd = away > UNLIKELY * np.median(away) / NORMAL_MEDIAN
+    return tuple(label for label, far in zip(fit.design.run.labels, odd, strict=True) if far)
+
+
+def _amplitude_parts(layout: Layout, fit: Fit, groups: tuple[int, ...]) -> list[Reduction]:
+    """Summaries over the amplitudes, the phase of each segment taken out; observed is the residual."""
+    names = tuple(name for name, _ in layout.amplitude_keys)
+    parts = []
+    for segment, summary in enumerate(fit.summaries):
+        rows = summary.factor
+        rows[:, -1] -= rows[:, :-1] @ fit.solution.values[segment]
+        part = Reduction.empty(names)
+        part.absorb(parameter_rows(layout, fit.solution, groups, segment, rows).T)
+        parts.append(part)
+    return parts
+
+
+def _merged(parts: list[Reduction]) -> Reduction:
+    total = Reduction.empty(parts[0].names)
+    for part in parts:
+        total.merge(part)
+    return total
+
+
+def all_but_one(parts: list[Reduction]) -> list[Reduction]:
+    """The merger of all other parts, for each part: running mergers from both ends."""
+    before = [Reduction.empty(parts[0].names)]
+    for part in parts[:-1]:
+        before.append(_merged([before[-1], part]))
+    found, after = [], Reduction.empty(parts[0].names)
+    for part, first in zip(reversed(parts), reversed(before), strict=True):
+        found.append(_merged([first, after]))
+        after.merge(part)
+    return found[::-1]
+
+
+def leverages(parts: list[Reduction]) -> list[float]:
+    """Trace of each part's information in the total."""
+    covariance = _merged(parts).solve()[1]
+    factors = [part.factor[:, :-1] for part in parts]
+    return [float(np.einsum("ij,jk,ik->", f, covariance, f)) for f in factors]
+
+
+def _lost(total: Reduction) -> frozenset[str]:
+    """Terms of the directions in which a summary holds no information."""
+    factor = total.factor[:-1, :-1]
+    norms = np.linalg.norm(factor, axis=0)
+    lost = {term_of(name) for name, norm in zip(total.names, norms, strict=True) if norm == 0.0}
+    _, singular, right = np.linalg.svd(factor / np.where(norms > 0.0, norms, 1.0))
+    for direction in np.abs(right[singular <= RANK * singular[0]]):
+        lost |= {term_of(n) for n, w in zip(total.names, direction, strict=True) if w > SHARE * direction.max()}
+    return frozenset(lost | ({"phi"} if "tan_beta" in lost else set()))
+
+
+def _named(fit: Fit, layout: Layout, total: Reduction, per_segment: bool, linear: bool) -> Without:
+    """Coefficients of a merger; ``linear``: it holds corrections of the amplitudes."""
+    lost = _lost(total)
+    if lost:
+        return Without({}, {}, lost)
+    if linear:
+        change, covariance, _ = total.solve()
+        padded = np.zeros_like(fit.solution.covariance)
+        padded[: layout.size, : layout.size] = covariance
+        estimate: Estimate = replace(
+            fit.solution, amplitudes=fit.solution.amplitudes + change, covariance=padded
+        )
+    else:
+        estimate = solve_parts(replace(layout, tails=layout.tails[:1]), [total])
+    named, _ = name_coefficients(fit.design, estimate, estimate.covariance, per_segment)
+    common = [c for c in named if c.segment is None]
+    return Without({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
+
+
+def _influence(common: list[Coefficient], whole: Without, left: Without) -> dict[str, Any]:
+    share: dict[str, float] = {}
+    shift: dict[str, float | None] = {}
+    for c in common:
+        if c.name in left.lost:
+            share[c.name], shift[c.name] = 1.0, None
+        elif left.lost:
+            share[c.name], shift[c.name] = 0.0, None
+        else:
+            change = left.values[c.name] - whole.values[c.name]
+            change = float(np.angle(np.exp(1j * change))) if c.name == "phi" else change
+            share[c.name] = max(0.0, 1.0 - (whole.std[c.name] / left.std[c.name]) ** 2)
+            shift[c.name] = change / c.std
+    return {"share": share, "shift": shift}
+
+
+def _residual_size(parts: list[Reduction], fit: Fit) -> float:
+    """Standard deviation of a weighted row, for methods that do not weight by the noise found."""
+    total = _merged(parts)
+    return float(np.sqrt(total.solve()[2] / max(fit.design.rows - len(total.names), 1)))
+
+
+def _sole_words(table: dict[str, Any], common: list[Coefficient]) -> tuple[str, ...]:
+    """Segments that determine a coefficient alone."""
+    found = []
+    for label, row in table.items():
+        sole = [c.name for c in common if row["share"][c.name] > DETERMINES]
+        if sole:
+            verb = "rests" if len(sole) == 1 else "rest"
+            found.append(
+                f"{', '.join(sole)} {verb} on segment '{label}' alone (more than {100.0 * DETERMINES:.0f} % of the "
+                "information): an error there is not seen; add a position or level like it"
+            )
+    return _few(found)
+
+
+def _shift_words(
+    table: dict[str, Any], common: list[Coefficient], whole: Without, size: float, unit: str
+) -> tuple[str, ...]:
+    """Segments that move a coefficient by more than noise would."""
+    found: list[tuple[float, str]] = []
+    for label, row in table.items():
+        for c in common:
+            share, shift = row["share"][c.name], row["shift"][c.name]
+            if shift is None or share > DETERMINES or abs(shift) <= SHIFTS:
+                continue
+            usual = size * whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
+            if abs(shift) > UNLIKELY * usual:
+                words = (
+                    f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
+                    f"explain {usual:.1g}): look at that segment"
+                )
+                found.append((abs(shift), words))
+    return _few([words for _, words in sorted(found, key=lambda item: -item[0])])
+
+
+def _few(found: list[str]) -> tuple[str, ...]:
+    """The first sentences, and how many more there would be."""
+    more = len(found) - WORDS
+    rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
+    return (*found[:WORDS], *rest)

@@ -1,0 +1,373 @@
+"""Terms that the model lacks and the residuals ask for: an added-variable test of every candidate.
+
+All candidates are reduced together with the model in one square-root reduction. Given the model's
+columns, what a candidate would take from the sum of squares and its estimate follow from the factor:
+``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``, x and e being candidate and residual less their part in the
+model (own derivation, docs/theory). A candidate must pass twice: against the noise, and against the
+scatter between segments, so that errors of single positions are not taken for a term.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit.one_run import Fit
+from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.reduction import solve_upper
+from piga.calibration.model.segment_parts import has_phases, parameter_rows
+from piga.calibration.model.solution import layout_of
+from piga.calibration.noise.weighting import Whitener, rate_share
+from piga.calibration.remarks.candidate_columns import CUBIC, candidate_sums, candidate_terms, constant_squares
+from piga.calibration.remarks.thinning import smooth_step
+from piga.records.calibration import Coefficient
+from piga.records.spool import gathered
+from piga.records.terms import si_factor, unit_of
+
+Array = NDArray[np.float64]
+Names = tuple[str, ...]
+
+FALSE_ALARMS = 0.002
+"""Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
+THERMAL = 0.005
+"""The same for the bias following a recorded temperature: one candidate, expected before the record is looked at."""
+ROWS = 4096
+"""Rows that the test looks at: neighbouring increments of longer records are joined."""
+WIDEST = 0.3
+"""Turn of the output inside a joined increment [rad]; more would average its harmonics out."""
+SMOOTH = 0.1
+"""Turn of the output between the samples that candidates are evaluated at [rad]: the trapezoid misses 1e-3."""
+CONFOUNDED = 1e-3
+"""Part of a candidate that the model leaves, relative to its size, below which it cannot be told apart."""
+NOTABLE = 0.01
+"""Fall of the sum of squares from which a term is worth a word by itself."""
+LIKE_A_CUBE = 0.5
+"""Share of the best candidate's fall from which the stiffness of the servo is suggested in place of a cube of a_x."""
+ALIKE = 0.9
+"""Share of the best candidate's fall from which another explains much the same."""
+SUGGESTIONS = 3
+PIECES = 24
+"""Parts that a record of few segments is cut into, for the scatter between parts."""
+SPARE = 3
+"""Segments beyond the parameters from which the scatter is that between segments."""
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A candidate (one column, or a pair that turns with the output) against the model.
+
+    ``columns`` are its column coefficients with ``std``; ``fall`` is the relative decrease of the sum of
+    squares, ``probability`` that of so much by chance (the larger of both tests), ``change`` the parameters'
+    change when it is added.
+    """
+
+    names: Names
+    columns: Array
+    std: Array
+    fall: float
+    probability: float
+    change: Array
+
+
+def suggest_terms(
+    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
+) -> tuple[dict[str, Any], ...]:
+    """The few missing terms that the residuals have the signature of, best first; none is applied.
+
+    Parameters
+    ----------
+    fit, groups, per_segment:
+        The finished fit and its phases.
+    coefficients:
+        The result, with combined standard uncertainties.
+
+    Returns
+    -------
+    tuple of dict
+        ``terms``, ``estimate``, ``standard_uncertainty`` and ``unit`` (lists by term), ``chi2_fall`` (relative),
+        ``probability``, ``largest_shift`` (standard uncertainties) of ``coefficient``, and ``alike``: candidates
+        that explain nearly as much.
+    """
+    left = candidate_terms(fit.design)
+    if fit.design.request.phase_source != "output" or not left:
+        return ()
+    layout = layout_of(fit.design, len(set(groups)))
+    pieces, rows = pieces_of(fit, groups, [name for names in left for name in names])
+    found: list[dict[str, Any]] = []
+    order = [name for names in left for name in names]
+    limit = FALSE_ALARMS / len(left)
+    square = constant_squares(fit.design.run)[0]
+    for _ in range(SUGGESTIONS):
+        tests = [
+            t
+            for names in left
+            if (t := tested(pieces, order, names, rows))
+            and t.probability < (THERMAL if names == ("k0_T",) else limit)
+        ]
+        shifts = [_largest_shift(fit, per_segment, coefficients, t, has_phases(layout, groups)) for t in tests]
+        worth = [
+            (test, shift)
+            for test, shift in zip(tests, shifts, strict=True)
+            if shift[0] > 1.0 or test.fall > NOTABLE
+        ]
+        if not worth:
+            break
+        best, shift = max(worth, key=lambda item: item[0].fall)
+        if best.names == ("k0_t",):
+            warm = [item for item in worth if item[0].names == ("k0_T",) and item[0].fall > ALIKE * best.fall]
+            best, shift = (warm or [(best, shift)])[0]
+        best, shift = _servo_first(best, shift, worth, square)
+        alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > ALIKE * best.fall]
+        entry = _as_dict(best, shift, alike, fit.design.scale_factor)
+        if square is not None and best.names[0] in ("servo", "k3"):
+            after = after_change(fit, per_segment, best.change, has_phases(layout, groups))
+            entry |= _both_meanings(best, after, square, fit.design.scale_factor)
+        found.append(entry)
+        pieces = [with_term(piece, order, best.names) for piece in pieces]
+        order = [name for name in order if name not in best.names]
+        taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
+        left = [names for names in left if names != best.names and names[0] not in taken]
+    return tuple(found)
+
+
+def _servo_first(
+    best: Tested, shift: tuple[float, str], worth: list[tuple[Tested, tuple[float, str]]], square: float | None
+) -> tuple[Tested, tuple[float, str]]:
+    """The stiffness of the servo in place of a cube of a_x that fits about as well, where the record cannot tell them."""
+    if square is None or best.names[0] not in CUBIC:
+        return best, shift
+    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > LIKE_A_CUBE * best.fall]
+    return servo[0] if servo else (best, shift)
+
+
+def _both_meanings(test: Tested, after: dict[str, float], square: float, scale_factor: float) -> dict[str, Any]:
+    """K under each name of a cubic signature: they differ by the coefficient times ``a_x^2 + a_t^2``."""
+    size, scale = float(test.columns[0]) / scale_factor * square, after.get("scale_factor")
+    if scale is None:
+        return {}
+    under = (scale, scale * (1.0 - size)) if test.names == ("servo",) else (scale * (1.0 + size), scale)
+    return {"scale_factor_under": dict(zip(CUBIC[:2], under, strict=True))}
+
+
+def terms_of(names: Names) -> Names:
+    """Terms of the columns of a candidate."""
+    return ("tan_beta",) if names == ("p", "q") else names
+
+
+def pieces_of(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list[Array], int]:
+    """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows."""
+    design, layout = fit.design, layout_of(fit.design, len(set(groups)))
+    segments = len(design.run.labels)
+    parameters = len(layout.columns) + len(extra[:2])
+    parts = 1 if segments >= parameters + SPARE else math.ceil(PIECES / segments)
+    collected: list[list[Array]] = [[] for _ in range(segments)]
+    total = 0
+    for segment, weighted, formed in _weighted(fit, extra):
+        total += formed
+        collected[segment].append(weighted)
+    pieces = []
+    for segment, chunks in enumerate(collected):
+        rows = np.concatenate(chunks) if chunks else np.zeros((0, 0))
+        if chunks and _stated(fit):
+            own, rows = rows[:, 0], rows[:, 1:]
+            rows = rows - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rows)
+        split = np.array_split(rows, parts) if chunks else []
+        pieces += [parameter_rows(layout, fit.solution, groups, segment, piece) for piece in split]
+    return pieces, total
+
+
+def _stated(fit: Fit) -> bool:
+    """Whether the weights know of a stated scatter of the segments."""
+    return bool(fit.noise.stated) and fit.counted is None and fit.mode == "increments"
+
+
+def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
+    """Segment, weighted rows ``[columns | extra | residual]`` and number of those formed, block by block.
+
+    Beside a stated scatter of the segments the intervals come first.
+    """
+    design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
+    count, step = _joined(fit), smooth_step(design.run, SMOOTH)
+    stated = _stated(fit)
+    whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1 + stated)
+    for block in design.blocks():
+        values = fit.solution.values[block.segment]
+        starts, h = block.joins(count)
+        model = np.add.reduceat(block.columns, starts, axis=1)
+        others = np.stack(candidate_sums(fit, block, extra, starts, step))
+        columns = np.vstack([model[:-1], others, model[-1] - values @ model[:-1]])
+        if mode == "samples":
+            columns = columns / np.sqrt(np.maximum(h, 1.0))
+        if stated:
+            columns = np.vstack([h, columns])
+        weighted = whitener.apply_columns(np.ascontiguousarray(columns), h)
+        kept = h > 0.0
+        yield block.segment, np.ascontiguousarray(weighted[:, kept].T), int(np.count_nonzero(kept))
+
+
+def _joined(fit: Fit) -> int:
+    """How many increments are joined to one."""
+    run = fit.design.run
+    every = max(1, run.size // ROWS)
+    turn = np.abs(np.diff(gathered(fit.design.phase_angle, np.arange(0, run.size, every))))
+    step = float(np.quantile(turn, 0.9)) / every
+    most = WIDEST / step if step > 0.0 else math.inf
+    return max(1, min(math.ceil(fit.design.rows / ROWS), int(min(most, 1e6))))
+
+
+def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
+    """Test of a candidate; None when the model leaves nothing of it."""
+    from scipy.special import fdtrc
+
+    m, q = pieces[0].shape[1] - len(order) - 1, len(names)
+    chosen = [*range(m), *(m + order.index(name) for name in names), -1]
+    parts = [piece[:, chosen] for piece in pieces]
+    stacked = np.vstack(parts)
+    scale = np.linalg.norm(stacked[:, :-1], axis=0)
+    if not scale.all():
+        return None
+    R: Array = np.asarray(np.linalg.qr(stacked / np.append(scale, 1.0), mode="r"))
+    own = R[m : m + q, m : m + q]
+    if np.linalg.svd(own, compute_uv=False)[-1] < CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
+        return None
+    z = R[m : m + q, -1]
+    fall, rest = float(z @ z), float(R[m + q, -1] ** 2)
+    freedom = rows - m - q
+    if freedom < 1 or fall + rest == 0.0:
+        return None
+    size = solve_upper(own, z)
+    model = solve_upper(R[:m, :m], R[:m, m : m + q])
+    variance = rest / freedom
+    by_noise = float(fdtrc(q, freedom, fall / q / max(variance, 1e-300)))
+    by_parts = _scatter_probability(parts, scale, model, R, size)
+    std = np.sqrt(variance * np.sum(solve_upper(own, np.eye(q)) ** 2, axis=1))
+    change = -(model @ size) / scale[:m]
+    return Tested(
+        names, size / scale[m:], std / scale[m:], fall / (fall + rest), max(by_noise, by_parts), change
+    )
+
+
+def _scatter_probability(parts: list[Array], scale: Array, model: Array, R: Array, size: Array) -> float:
+    """Probability of the estimate given how its score scatters between the parts of the record."""
+    from scipy.special import fdtrc
+
+    m, q = model.shape
+    own = R[m : m + q, m : m + q]
+    fitted = solve_upper(R[: m + q, : m + q], R[: m + q, -1])
+    scatter = np.zeros((q, q))
+    for part in parts:
+        x = part[:, :-1] / scale
+        score = (x[:, m:] - x[:, :m] @ model).T @ (part[:, -1] - x @ fitted)
+        scatter += np.outer(score, score)
+    count = len(parts)
+    freedom = max(count - m - q, 4)
+    weight = own.T @ own @ size
+    ratio = float(weight @ np.linalg.pinv(scatter * count / freedom) @ weight) / q
+    return float(fdtrc(q, freedom, ratio))
+
+
+def after_change(fit: Fit, per_segment: bool, change: Array, amplitudes: bool) -> dict[str, float]:
+    """Coefficients (file units) by key after a change of the parameters: ``amplitudes``, or column coefficients."""
+    layout = layout_of(fit.design, max(len(fit.solution.phases), 1))
+    if amplitudes:
+        moved = replace(fit.solution, amplitudes=fit.solution.amplitudes + change[: layout.size])
+    else:
+        linear = fit.solution.values[0] + change[: len(layout.columns)]
+        phase = math.atan2(linear[1], linear[0]) if layout.coupled else 0.0
+        moved = replace(
+            fit.solution,
+            amplitudes=layout.from_linear(linear, phase),
+            phases=np.array([phase]) if layout.coupled else fit.solution.phases,
+        )
+    named, _ = name_coefficients(fit.design, moved, fit.solution.covariance, per_segment)
+    return {c.key: c.value for c in named}
+
+
+def _largest_shift(
+    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...], test: Tested, amplitudes: bool
+) -> tuple[float, str]:
+    """Largest change of a reported coefficient in its standard uncertainties, and its name.
+
+    The phase is looked at where a candidate turns it by nature.
+    """
+    after = after_change(fit, per_segment, test.change, amplitudes)
+    left_out = () if test.names == ("servo_damping",) else ("phi",)
+    shifts = [
+        (abs(_difference(c, after[c.key])) / c.std, c.name)
+        for c in coefficients
+        if c.name not in left_out and c.std > 0.0
+    ]
+    return max(shifts, default=(0.0, ""))
+
+
+def _difference(coefficient: Coefficient, value: float) -> float:
+    change = value - coefficient.value
+    return math.remainder(change, 2.0 * math.pi) if coefficient.name == "phi" else change
+
+
+def with_term(piece: Array, order: list[str], names: Names) -> Array:
+    """The factor with the columns of a candidate among the parameters."""
+    m = piece.shape[1] - len(order) - 1
+    taken = [m + order.index(name) for name in names]
+    rest = [m + k for k, name in enumerate(order) if name not in names]
+    return piece[:, [*range(m), *taken, *rest, piece.shape[1] - 1]]
+
+
+def _as_dict(test: Tested, shift: tuple[float, str], alike: list[str], scale_factor: float) -> dict[str, Any]:
+    size, std = test.columns / scale_factor, test.std / scale_factor
+    if test.names == ("p", "q"):
+        size, std = np.array([math.hypot(*size)]), std[:1]
+    terms = terms_of(test.names)
+    units = np.array([si_factor(name) for name in terms])
+    return {
+        "terms": list(terms),
+        "estimate": (size / units).tolist(),
+        "standard_uncertainty": (std / units).tolist(),
+        "unit": [unit_of(name) for name in terms],
+        "chi2_fall": test.fall,
+        "probability": test.probability,
+        "largest_shift": shift[0],
+        "coefficient": shift[1],
+        "alike": alike,
+    }
+
+
+def suggestions_in_words(
+    found: tuple[dict[str, Any], ...], *, held: bool = False, turned: bool = False
+) -> tuple[str, ...]:
+    """One sentence for each suggestion.
+
+    ``held``, ``turned``: both meanings of a cube, and what ``servo_damping`` would change, are in the budget.
+    """
+    notes = []
+    for entry in found:
+        sizes = ", ".join(
+            f"{name} = {value:.3g} +/- {std:.1g} {unit}"
+            for name, value, std, unit in zip(
+                entry["terms"], entry["estimate"], entry["standard_uncertainty"], entry["unit"], strict=True
+            )
+        )
+        under = entry.get("scale_factor_under")
+        meaning = (
+            "; no record of this stand can tell servo from k3, for a_x^2 + a_t^2 never changes: scale_factor becomes "
+            + " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
+            + f" {unit_of('scale_factor')}, a choice of meaning"
+            + (", and its uncertainty here holds both" if held else "")
+            + "; a servo of finite stiffness has 'servo', and 'servo_damping' with it"
+            if under
+            else ""
+        )
+        alike = f"; {', '.join(entry['alike'])} would explain nearly as much" if entry["alike"] else ""
+        if turned and entry["terms"] == ["servo_damping"]:
+            meaning += "; the uncertainties hold this shift"
+        notes.append(
+            f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
+            f"{100.0 * entry['chi2_fall']:.2g} % and move {entry['coefficient']} by {entry['largest_shift']:.2g} "
+            f"standard uncertainties{alike}{meaning}; not applied: add it to [model] terms if it makes sense"
+        )
+    return tuple(notes)

@@ -1,0 +1,1 @@
+"""ISO/IEC 17025 certificates and digital calibration certificates (DCC)."""

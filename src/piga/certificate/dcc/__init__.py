@@ -1,0 +1,1 @@
+"""The digital calibration certificate: written, read, signed and verified."""

@@ -1,0 +1,297 @@
+"""The calibration certificate by ISO/IEC 17025:2017, 7.8.2 and 7.8.4, as one HTML file that prints on A4.
+
+The unique number stands on every printed page (running head, and page foot with "page n of m"), and a line
+marks the end. Nothing is issued while an item is missing: :func:`certificate_html` refuses with the whole list.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from piga.certificate.certificate_file import CertificateFile, missing_items
+from piga.certificate.statements import Conformity, decision_rule, statements, verdicts
+from piga.errors import CalibrationError
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.terms import meaning_of, shown_unit
+from piga.reports.calibration.budget import DESCRIBED, budget_table
+from piga.reports.calibration.tables import (
+    common_coefficients,
+    correlation_table,
+    factor,
+    freedom,
+    monte_carlo_interval,
+    sentence,
+)
+from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, significant
+from piga.reports.render.page import Column, Table, resource, template
+
+_ACROSS = 5
+"""Coefficients side by side in a table of the certificate."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One part of the certificate: heading, paragraphs, tables."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+
+
+def require_complete(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None = None
+) -> None:
+    """Refuse a certificate that lacks an item.
+
+    Raises
+    ------
+    CalibrationError
+        With everything that is missing, and the clause that asks for it.
+    """
+    found = missing_items(data, calibration, before)
+    if found:
+        listed = "\n".join(f"  - {item}" for item in found)
+        raise CalibrationError(
+            f"the certificate cannot be issued: {len(found)} item{'s' * (len(found) > 1)} of ISO/IEC 17025:2017 "
+            f"missing or wrong\n{listed}",
+            remedy="complete the file given with --data",
+        )
+
+
+def certificate_html(
+    data: CertificateFile,
+    calibration: Calibration,
+    before: Calibration | None = None,
+    *,
+    record_sha256: str = "",
+    working_copy: bool = False,
+) -> str:
+    """The certificate as HTML text; the same input always gives the same bytes.
+
+    ``working_copy`` makes the page that stays in the laboratory: marked as such, with the cautions of the calibration
+    in front, for the person who authorises the certificate.
+
+    Raises
+    ------
+    CalibrationError
+        If an item is missing.
+    """
+    require_complete(data, calibration, before)
+    return template("certificate.html.jinja").render(
+        data=data,
+        css=resource("templates", "certificate.css"),
+        number_css=_css_string(data.certificate.number),
+        identity=_identity(data),
+        parts=_parts(data, calibration, before),
+        cautions=_cautions(calibration) if working_copy else None,
+        statements=statements(data, calibration),
+        record=_record(calibration, record_sha256),
+    )
+
+
+def _cautions(calibration: Calibration) -> tuple[str, list[str]]:
+    """The verdict on the calibration, and what does not hold, for the laboratory."""
+    found = calibration.verdict
+    return found.headline, [f"{sentence(doubt.words)}." for doubt in found.doubts]
+
+
+def write_certificate(html: str, path: Path) -> Path:
+    """Write the page in UTF-8, line ends as they are on every system; returns ``path``."""
+    path.write_bytes(html.encode("utf-8"))
+    return path
+
+
+def _css_string(text: str) -> str:
+    """Text for a CSS string: everything but letters, digits and some marks is escaped."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in " -_.:") else f"\\{ord(c):x} " for c in text)
+
+
+def _identity(data: CertificateFile) -> list[tuple[str, str]]:
+    item, when = data.item, data.calibration
+    performed = f"{when.begin}" if when.begin == when.end else f"{when.begin} to {when.end}"
+    place = {
+        "laboratory": "in the laboratory",
+        "customer": "at the customer's",
+        "laboratoryBranch": "in a branch of the laboratory",
+        "customerBranch": "in a branch of the customer",
+        "other": "elsewhere",
+    }[when.place or "laboratory"]
+    rows = [
+        ("Customer", f"{data.customer.name}, {data.customer.address}"),
+        ("Order", when.order),
+        ("Item", item.description),
+        ("Manufacturer, model", f"{item.manufacturer}, {item.model}"),
+        ("Serial number", item.serial),
+        ("Customer's identification", item.customer_id),
+        ("Condition on receipt", item.condition),
+        ("Received", f"{item.received}"),
+        ("Calibrated", f"{performed}, {place}{': ' + when.place_detail if when.place_detail else ''}"),
+        ("Issued", f"{data.certificate.issued}"),
+    ]
+    return [(name, value) for name, value in rows if value]
+
+
+def _parts(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> list[_Part]:
+    parts = [
+        _method(data),
+        _Part("Conditions", (), (_conditions_table(data),)),
+        _Part("Traceability", (data.traceability.statement,), (_standards_table(data),)),
+        _results(calibration, before),
+    ]
+    found = verdicts(data, calibration)
+    if found and data.conformity is not None:
+        rule = f"Specification: {data.conformity.specification}. Decision rule, agreed with the customer: "
+        parts.append(_Part("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(found),)))
+    return parts
+
+
+def _method(data: CertificateFile) -> _Part:
+    documents = ", ".join(data.method.documents)
+    lines = (f"{data.method.name} ({documents}).", data.method.description)
+    return _Part("Method", tuple(line for line in lines if line))
+
+
+def _conditions_table(data: CertificateFile) -> Table:
+    columns = (Column("Condition", align="text"), Column("Value"), Column("Expanded uncertainty (k = 2)"))
+    rows = tuple((c.name, _quantity(c.value), _quantity(c.uncertainty) or "–") for c in data.environment)
+    return Table(columns, rows)
+
+
+def _quantity(text: str) -> str:
+    """A quantity that a person wrote, as it is printed."""
+    number, _, unit = text.partition(" ")
+    return f"{printed(number.lower())} {pretty_unit(unit)}".strip()
+
+
+def _standards_table(data: CertificateFile) -> Table:
+    headings = ("Standard", "Realises", "Identification", "Certificate")
+    rows = tuple(
+        (s.name, s.realises or "–", s.identification or "–", s.certificate or "–")
+        for s in data.traceability.standard
+    )
+    return Table(tuple(Column(heading, align="text") for heading in headings), rows)
+
+
+def _results(calibration: Calibration, before: Calibration | None) -> _Part:
+    text = (
+        "U is the expanded uncertainty for a coverage probability of 95 %: the standard uncertainty times the coverage "
+        "factor k of Student's t for the effective degrees of freedom ν of the result. It was evaluated by JCGM 100 "
+        "from the contributions below and stands in the unit of the value. The unit g is 9.80665 m/s² exactly."
+    )
+    paragraphs = [text, *_monte_carlo(calibration)]
+    tables = [_result_table(calibration, "Results" if before is None else "Results after adjustment")]
+    if before is not None:
+        tables.insert(0, _result_table(before, "Results before adjustment"))
+    if len(common_coefficients(calibration)) < len(calibration.coefficients):
+        paragraphs.append(
+            "Phases of single segments hold for one power-up of the readout each and are not listed."
+        )
+    budget = replace(budget_table(calibration), caption="Standard uncertainty of each coefficient by source")
+    tables += replace(budget, notes=()).parts(DESCRIBED, _ACROSS)
+    correlation = correlation_table(calibration)
+    if correlation is not None:
+        tables += replace(correlation, caption="Correlation coefficients of the results").parts(1, _ACROSS)
+    return _Part("Results", tuple(paragraphs), tuple(tables))
+
+
+def _result_table(calibration: Calibration, caption: str) -> Table:
+    columns = (
+        Column("Coefficient", align="text"),
+        Column("Meaning", align="text"),
+        Column("Value"),
+        Column("U (95 %)"),
+        Column("Unit", align="text"),
+        Column("U / value"),
+        Column("ν"),
+        Column("k"),
+    )
+    rows = tuple(_result_row(c) for c in common_coefficients(calibration))
+    return Table(columns, rows, caption)
+
+
+def _monte_carlo(calibration: Calibration) -> list[str]:
+    """The intervals of the coefficients that the first order does not hold for, in words."""
+    intervals = [(c.key, monte_carlo_interval(c)) for c in common_coefficients(calibration) if c.interval]
+    if not intervals:
+        return []
+    listed = "; ".join(f"{key} {interval}" for key, interval in intervals)
+    return [
+        f"Shortest 95 % interval by Monte Carlo (JCGM 101), where JCGM 100 does not hold: {listed}. U is half its width."
+    ]
+
+
+def _result_row(c: Coefficient) -> tuple[str, ...]:
+    if not c.determined:
+        return c.name, meaning_of(c.name), "not determined", "–", pretty_unit(c.unit), "–", "–", "–"
+    scale, unit = shown_unit(c.name, c.unit)
+    value, wide = c.value * scale, c.expanded * scale
+    number = rounded(value, wide)
+    if c.std == 0.0:
+        return (
+            c.name,
+            meaning_of(c.name),
+            printed(number.value),
+            "given",
+            pretty_unit(unit) or "1",
+            "–",
+            "–",
+            "–",
+        )
+    share = relative(value, wide)
+    return (
+        c.name,
+        meaning_of(c.name),
+        printed(number.value),
+        printed(number.uncertainty),
+        pretty_unit(unit) or "1",
+        share,
+        freedom(c),
+        factor(c),
+    )
+
+
+def _conformity_table(found: tuple[Conformity, ...]) -> Table:
+    columns = (
+        Column("Coefficient", align="text"),
+        Column("Lower limit"),
+        Column("Value"),
+        Column("U (95 %)"),
+        Column("Upper limit"),
+        Column("Unit", align="text"),
+        Column("Verdict", align="text"),
+    )
+    rows = []
+    for verdict in found:
+        scale, unit = shown_unit(verdict.key, verdict.unit)
+        number = rounded(verdict.value * scale, verdict.coverage.half_width * scale)
+        ends = [printed(significant(end * scale)) for end in (verdict.low, verdict.high)]
+        rows.append(
+            (
+                verdict.key,
+                ends[0],
+                printed(number.value),
+                printed(number.uncertainty),
+                ends[1],
+                pretty_unit(unit) or "1",
+                verdict.words,
+            )
+        )
+    return Table(columns, tuple(rows))
+
+
+def _record(calibration: Calibration, record_sha256: str) -> list[tuple[str, Any]]:
+    """What ties the certificate to data and software."""
+    quality = calibration.quality
+    rows = [
+        ("Software", calibration.provenance.software),
+        ("Evaluated", calibration.provenance.created),
+        ("Model terms", ", ".join(calibration.terms)),
+        ("Rows", f"{count(quality.used)} of {count(quality.rows)} used, {count(quality.masked)} masked"),
+    ]
+    rows += [
+        (f"SHA-256 of {Path(name).name}", digest)
+        for name, digest in calibration.provenance.input_sha256.items()
+    ]
+    return [*rows, ("SHA-256 of calibration.json", record_sha256)] if record_sha256 else rows

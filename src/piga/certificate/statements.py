@@ -1,0 +1,189 @@
+"""What a certificate declares, in sentences with the clause of ISO/IEC 17025:2017 that asks for them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+
+from piga.certificate.certificate_file import (
+    WORST,
+    CertificateFile,
+    Status,
+    limits_in_file_units,
+    overall,
+    range_sentence,
+    validity_ranges,
+)
+from piga.records.calibration import Calibration
+from piga.records.coverage import Coverage
+
+_WORDS: dict[Status, str] = {
+    "pass": "conforms",
+    "fail": "does not conform",
+    "conditionalPass": "inside the limits, by less than the expanded uncertainty",
+    "conditionalFail": "outside the limits, by less than the expanded uncertainty",
+}
+_RULES = {
+    "simple": "simple acceptance: a result conforms when it lies inside the limits, whatever its uncertainty",
+    "guarded": "guarded acceptance (guard band of one expanded uncertainty): a result conforms when the interval of "
+    "its expanded uncertainty lies inside the limits, and does not when the interval lies outside",
+}
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One declaration; ``ranges`` are (name, low, high, SI unit), ``ref_type`` names it in a DCC."""
+
+    title: str
+    text: str
+    clause: str
+    kind: str = ""
+    ref_type: str = ""
+    conformity: str = ""
+    date: dt.date | None = None
+    ranges: tuple[tuple[str, float, float, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Conformity:
+    """Conformity of one coefficient: limits and values in its file unit."""
+
+    key: str
+    unit: str
+    low: float
+    high: float
+    value: float
+    coverage: Coverage
+    status: Status
+
+    @property
+    def words(self) -> str:
+        """The verdict in words."""
+        return _WORDS[self.status]
+
+    @property
+    def dcc(self) -> str:
+        """The verdict as a DCC writes it."""
+        return self.status
+
+
+def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformity, ...]:
+    """Conformity of each coefficient that has limits, by the agreed decision rule (JCGM 106, 8.2 and 8.3.2)."""
+    rule = data.conformity
+    if rule is None:
+        return ()
+    found = []
+    for key, pair in rule.limits.items():
+        low, high = limits_in_file_units(key, pair)
+        c = calibration[key]
+        least, most = c.limits if rule.rule == "guarded" else (c.value, c.value)
+        status = _status(c.value, least, most, low, high)
+        found.append(Conformity(key, c.unit, low, high, c.value, c.coverage, status))
+    return tuple(found)
+
+
+def _status(value: float, least: float, most: float, low: float, high: float) -> Status:
+    """Verdict on an interval ``least`` to ``most`` around a value, against the limits ``low`` and ``high``."""
+    if low <= least and most <= high:
+        return "pass"
+    if most < low or least > high:
+        return "fail"
+    return "conditionalPass" if low <= value <= high else "conditionalFail"
+
+
+def decision_rule(data: CertificateFile) -> str:
+    """The decision rule in words."""
+    return "" if data.conformity is None or data.conformity.rule is None else _RULES[data.conformity.rule]
+
+
+def statements(data: CertificateFile, calibration: Calibration) -> tuple[Statement, ...]:
+    """All declarations that apply, in the order of the standard."""
+    found = [
+        Statement(
+            "Scope of the results",
+            "The results relate only to the item described here, in the state in which it was calibrated.",
+            "7.8.2.1 l",
+        ),
+        Statement(
+            "Reproduction",
+            "This certificate shall not be reproduced except in full without approval of the laboratory.",
+            "7.8.2.1",
+        ),
+        Statement("Sampling", f"Sampling plan: {data.method.sampling}.", "7.8.2.1 k"),
+        Statement(
+            "Method",
+            f"Additions, deviations and exclusions from the method: {data.method.deviations}.",
+            "7.8.2.1 n",
+        ),
+        Statement(
+            "External providers",
+            f"Results from external providers: {data.method.external_results}.",
+            "7.8.2.1 p",
+        ),
+        Statement("Adjustment", _adjustment(data), "7.8.4.1 d"),
+        Statement(
+            "Traceability",
+            data.traceability.statement,
+            "7.8.4.1 c",
+            kind="traceability",
+            ref_type="basic_traceability",
+        ),
+        *_validity(calibration),
+        *_conformity(data, calibration),
+        *_optional(data),
+    ]
+    return tuple(found)
+
+
+def _adjustment(data: CertificateFile) -> str:
+    if not data.adjustment.performed:
+        return "The item was neither adjusted nor repaired; the results are those of the item as received."
+    how = f": {data.adjustment.description}" if data.adjustment.description else ""
+    return f"The item was adjusted or repaired{how}. Results before and after are given."
+
+
+def _validity(calibration: Calibration) -> list[Statement]:
+    ranges = validity_ranges(calibration)
+    if not ranges:
+        return []
+    return [
+        Statement("Range", range_sentence(ranges), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
+    ]
+
+
+def _conformity(data: CertificateFile, calibration: Calibration) -> list[Statement]:
+    rule = data.conformity
+    if rule is None:
+        return []
+    found = verdicts(data, calibration)
+    worst = max((verdict.status for verdict in found), key=WORST.index)
+    names = ", ".join(verdict.key for verdict in found)
+    text = f"Specification: {rule.specification}. Decision rule: {decision_rule(data)}. Applies to: {names}."
+    return [
+        Statement(
+            "Conformity",
+            f"{text} Overall: {overall(worst)}.",
+            "7.8.6.2",
+            ref_type="basic_conformity",
+            conformity=worst,
+        )
+    ]
+
+
+def _optional(data: CertificateFile) -> list[Statement]:
+    found = []
+    if data.statements.opinions:
+        text = f"{data.statements.opinions} (Opinion of {data.statements.opinions_by}.)"
+        found.append(Statement("Opinions and interpretations", text, "7.8.7"))
+    if data.statements.recalibrate and data.statements.interval_agreed:
+        text = "As agreed with the customer, the item is to be recalibrated by this date."
+        when = data.statements.recalibrate
+        found.append(Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when))
+    if data.certificate.replaces:
+        text = (
+            f"This certificate replaces certificate {data.certificate.replaces}. {data.certificate.amendment}"
+        )
+        found.append(Statement("Amendment", text, "7.8.8"))
+    if data.statements.remarks:
+        found.append(Statement("Remarks", data.statements.remarks, "7.8.2"))
+    return found

@@ -1,0 +1,1 @@
+"""Compensation from file to file and of live streams."""

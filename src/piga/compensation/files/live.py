@@ -1,0 +1,278 @@
+"""A stream through a pipe: lines of text or Arrow record batches in, the same kind out.
+
+Columns are in SI and named ``t, output, fx, fy, fz`` and, if there are, ``wx, wy, wz, temperature, angle``
+(see :meth:`piga.Compensator.push`); out come ``t, ax, dv, u_ax, flags``.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation.compensator import Compensator
+from piga.compensation.result import Compensated
+from piga.compensation.writers import schema_of
+from piga.errors import ArgumentError, DataError
+from piga.formats.arrow_columns import number_column
+from piga.formats.stream import numbers_of
+from piga.records.limits import FREE_UNPACKED, MAX_RATIO, MAX_UNPACKED, first_line
+
+FORCE = ("fx", "fy", "fz")
+RATE = ("wx", "wy", "wz")
+NEEDED = ("t", "output", *FORCE)
+MAX_LINE = 1 << 16
+"""Longest line [characters]; a row of eleven numbers has some 250."""
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+KNOWN = (*NEEDED, *RATE, "temperature", "angle")
+
+
+def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns by name to a chunk for :meth:`piga.Compensator.push`."""
+    chunk: dict[str, Any] = {"t": columns["t"], "output": columns["output"]}
+    chunk["f"] = np.stack([np.asarray(columns[name]) for name in FORCE], axis=-1)
+    if all(name in columns for name in RATE):
+        chunk["base_rate"] = np.stack([np.asarray(columns[name]) for name in RATE], axis=-1)
+    return chunk | {name: columns[name] for name in ("temperature", "angle") if name in columns}
+
+
+def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int:
+    """Compensate comma-separated lines, each answered at once; the first line names the columns.
+
+    Numbers are written with the digits 0 to 9, a point and an exponent; nothing else is taken for a number.
+
+    Returns
+    -------
+    rows:
+        Lines compensated.
+
+    Raises
+    ------
+    DataError
+        With the number of the line that is wrong, too long, or cut off.
+    """
+    header = [name.strip() for name in _line(source, 1).split(",")]
+    _check_names(header)
+    rows, number = 0, 1
+    while line := _line(source, number := number + 1):
+        if not line.strip():
+            continue
+        found = _pushed(stream, _row(line, header, number), f"line {number}").columns()
+        if rows == 0:
+            sink.write(",".join(found) + "\n")
+        sink.write(",".join(repr(column[0].item()) for column in found.values()) + "\n")
+        sink.flush()
+        rows += 1
+    return rows
+
+
+def _line(source: IO[str], number: int) -> str:
+    """The next line; empty at the end."""
+    line = source.readline(MAX_LINE)
+    if line and not line.endswith("\n"):
+        long = len(line) >= MAX_LINE
+        what = f"is longer than {MAX_LINE} characters" if long else "has no end: the stream was cut off there"
+        raise DataError(f"standard input: line {number} {what}", remedy="end every line with a line feed")
+    return line
+
+
+def _row(line: str, header: list[str], number: int) -> dict[str, float]:
+    cells = [cell.strip() for cell in line.split(",")]
+    values = [float(cell) if _NUMBER.fullmatch(cell) else math.nan for cell in cells]
+    if len(cells) != len(header) or not all(map(math.isfinite, values)):
+        raise DataError(
+            f"standard input: line {number}: '{line.strip()[:60]}' is no row of {len(header)} numbers",
+            remedy="send finite numbers separated by commas",
+        )
+    return dict(zip(header, values, strict=True))
+
+
+def _pushed(stream: Compensator, columns: Mapping[str, Any], where: str) -> Compensated:
+    try:
+        return stream.push(chunk_of(columns))
+    except ArgumentError as error:
+        raise DataError(f"standard input: {where}: {error.message}", remedy=error.remedy) from None
+
+
+def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) -> int:
+    """Compensate an Arrow IPC stream, batch by batch.
+
+    Returns
+    -------
+    rows:
+        Rows compensated.
+
+    Raises
+    ------
+    DataError
+        If the stream is none, is cut off or damaged, lacks a column, or one holds no numbers.
+    """
+    import pyarrow as pa
+
+    rows, writer = 0, None
+    for number, batch in enumerate(_batches(source), start=1):
+        columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
+        found = _pushed(stream, columns, f"batch {number}").columns()
+        schema = schema_of(found, notes=stream.notes)
+        writer = writer or pa.ipc.new_stream(sink, schema)
+        writer.write_batch(_batch(found, schema))
+        sink.flush()
+        rows += batch.num_rows
+    if writer is not None:
+        writer.close()
+    return rows
+
+
+def _batches(source: IO[bytes]) -> Iterator[Any]:
+    """The batches of a stream, each checked; whatever the library says of a damaged one becomes one message."""
+    import pyarrow as pa
+
+    try:
+        reader = pa.ipc.MessageReader.open_stream(Bounded(source))
+        first = _message(reader)
+        if first is None:
+            raise EOFError("it is empty")
+        schema = pa.ipc.read_schema(first)
+        _check_names(schema.names)
+        for field in schema:
+            if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+                raise DataError(
+                    f"standard input: column '{field.name}' holds {str(field.type)[:60]}, not numbers",
+                    remedy="send doubles or integers",
+                )
+        while (batch := _next(reader, schema)) is not None:
+            yield batch
+    except (pa.ArrowException, OSError, EOFError, ValueError, MemoryError) as error:
+        raise DataError(
+            f"standard input: no Arrow stream, or one that is cut off or damaged ({first_line(error)[:200]})",
+            remedy="send an Arrow IPC stream",
+        ) from None
+
+
+def _next(reader: Any, schema: Any) -> Any:
+    """The next batch, its size known before it is unpacked, its buffers checked; None at the end of the stream."""
+    import pyarrow as pa
+
+    message = _message(reader)
+    if message is None:
+        return None
+    if message.type != "record batch":
+        raise ValueError(f"a {message.type} among the batches")
+    packed = 0 if message.body is None else message.body.size
+    unpacked = unpacked_size(bytes(message.metadata), b"" if message.body is None else message.body)
+    if unpacked > MAX_UNPACKED or (unpacked > FREE_UNPACKED and unpacked > MAX_RATIO * packed):
+        raise DataError(
+            f"standard input: a batch of {packed} bytes unpacks to {unpacked}",
+            remedy="send smaller batches, without compression",
+        )
+    batch = pa.ipc.read_record_batch(message, schema)
+    batch.validate(full=True)
+    return batch
+
+
+def _message(reader: Any) -> Any:
+    """The next message; None at the end of the stream."""
+    try:
+        return reader.read_next_message()
+    except StopIteration:
+        return None
+
+
+class Bounded(io.RawIOBase):
+    """A source that is not asked for more at once than a batch may have: a length that is damage costs no memory."""
+
+    def __init__(self, source: IO[bytes]) -> None:
+        self._source = source
+
+    def readable(self) -> bool:
+        """True: Arrow asks."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """Bytes of the source; OSError for more than a batch may have."""
+        if not 0 <= size <= MAX_UNPACKED:
+            raise OSError(f"a message of {size} bytes, more than {MAX_UNPACKED >> 20} MiB")
+        return self._source.read(size)
+
+
+def unpacked_size(metadata: bytes, body: Any) -> int:
+    """Bytes that a record batch unpacks to, from its metadata: ``Message`` of Arrow's ``Message.fbs``.
+
+    That of its rows as doubles, and that of its buffers; a compressed buffer begins with its unpacked length.
+
+    Raises
+    ------
+    ValueError
+        If the metadata or a buffer lead outside of the message.
+    """
+    try:
+        root = struct.unpack_from("<I", metadata)[0]
+        batch = _place(metadata, _field(metadata, root, 2))
+        rows = struct.unpack_from("<q", metadata, _field(metadata, batch, 0))[0]
+        columns = struct.unpack_from("<I", metadata, _place(metadata, _field(metadata, batch, 1)))[0]
+        buffers = _place(metadata, _field(metadata, batch, 2))
+        count = struct.unpack_from("<I", metadata, buffers)[0]
+        places = [struct.unpack_from("<qq", metadata, buffers + 4 + 16 * k) for k in range(count)]
+        compressed = _field(metadata, batch, 3) != 0
+        total = 8 * rows * columns
+        for start, length in places:
+            if min(start, length) < 0 or start + length > len(body):
+                raise ValueError("a buffer outside of its message")
+            size = length
+            if compressed and length:
+                size = struct.unpack_from("<q", body, start)[0]
+                size = length - 8 if size == -1 else size
+            if size < 0:
+                raise ValueError("a buffer of negative length")
+            total += size
+    except struct.error:
+        raise ValueError("damaged metadata") from None
+    if rows < 0:
+        raise ValueError("a negative number of rows")
+    return int(total)
+
+
+def _field(data: bytes, table: int, index: int) -> int:
+    """Place of a field of a flatbuffer's table; 0 where the table does not have it."""
+    entries = table - struct.unpack_from("<i", data, table)[0]
+    if entries < 0 or 4 + 2 * index >= struct.unpack_from("<H", data, entries)[0]:
+        return 0
+    place = struct.unpack_from("<H", data, entries + 4 + 2 * index)[0]
+    return table + place if place else 0
+
+
+def _place(data: bytes, reference: int) -> int:
+    """What a reference of a flatbuffer points to."""
+    if not reference:
+        raise ValueError("damaged metadata")
+    return int(reference + struct.unpack_from("<I", data, reference)[0])
+
+
+def _batch(columns: Mapping[str, NDArray], schema: Any) -> Any:
+    import pyarrow as pa
+
+    return pa.RecordBatch.from_arrays([number_column(column) for column in columns.values()], schema=schema)
+
+
+def _check_names(names: list[str]) -> None:
+    missing = [name for name in NEEDED if name not in names]
+    unknown = [name for name in names if name not in KNOWN]
+    twice = [name for name in names if names.count(name) > 1]
+    rates = [name for name in RATE if name not in names]
+    what = ""
+    if missing:
+        what = f"no column '{missing[0]}'"
+    elif unknown:
+        what = f"the unknown column '{unknown[0][:60]}'"
+    elif twice:
+        what = f"the column '{twice[0]}' is there twice"
+    elif 0 < len(rates) < len(RATE):
+        what = f"no column '{rates[0]}' beside the other base rates"
+    if what:
+        raise DataError(f"standard input: {what}", remedy=f"columns in SI: {', '.join(KNOWN)}")

@@ -1,0 +1,1 @@
+"""Several instruments on one body, compensated together."""

@@ -1,0 +1,195 @@
+"""Several run files of instruments that are solved together, from file to file in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation.files.file_to_file import (
+    GIVEN_BACK_AFTER,
+    GIVEN_BACK_SOONER,
+    HELD_BYTES,
+    HELD_ROWS,
+    found_while_reading,
+)
+from piga.compensation.flags import FLAGS
+from piga.compensation.mounting import Mounted
+from piga.compensation.rate_angle import RateAngle
+from piga.compensation.resample import Resampler
+from piga.compensation.result import CompensatedSet, notes_on
+from piga.compensation.sets.published_set import PublishedSet
+from piga.compensation.sets.set_compensator import SetCompensator
+from piga.compensation.sets.triad import check_member, check_together, mounted_on, set_stream
+from piga.compensation.writers import TableWriter
+from piga.records.run import Run
+from piga.records.spool import give_back, trim
+from piga.stand.run_reference import read_run
+
+Array = NDArray[np.float64]
+
+READINGS = 1 << 15
+"""Rows worked on at a time, times the instruments."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows that all files have: ``t`` (n,), ``output`` (N, n), ``begins`` (n,), base rates and temperatures or None."""
+
+    t: Array
+    output: Array
+    begins: NDArray[np.bool_]
+    base_rate: list[Array] | None
+    temperature: list[Array] | None
+
+
+Watch = Callable[[str, Rows, CompensatedSet], None]
+"""Sees the label of the first instrument's segment, what was read, and what became of it."""
+
+
+def compensate_set_files(
+    runs: Sequence[Path],
+    instruments: Sequence[Mounted],
+    out: Path,
+    kind: str,
+    *,
+    uncertainty: bool = True,
+    max_age_days: float | None = None,
+    force: bool = False,
+    period: float | None = None,
+    method: str = "exact",
+    advance: Callable[[int], None] = lambda _rows: None,
+    watch: Watch | None = None,
+) -> dict[str, Any]:
+    """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
+
+    The files are read one after another, with the checks of :func:`piga.read_run`; the columns of long ones lie on disk.
+    They are solved piece by piece. With a ``period`` [s] the increments are brought to that interval. ``watch`` is shown
+    every piece before that.
+
+    Raises
+    ------
+    DataError
+        If the files have not the same times, or hold different kinds of output.
+    CalibrationError, ArgumentError
+        As :func:`piga.compensation.compensate_triad`.
+    """
+    resampler = None if period is None else Resampler(period)
+    held = HELD_ROWS // len(runs)
+    records = [_read(run, item, force, held) for run, item in zip(runs, instruments, strict=True)]
+    give_back()
+    check_together(records)
+    counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
+    parts = _solved(records, instruments, uncertainty, max_age_days, method, watch is not None)
+    with TableWriter(out, kind, notes_on(*(item.calibration for item in instruments))) as writer:
+        for number, (label, read, part) in enumerate(parts, 1):
+            advance(part.size)
+            if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
+                give_back(HELD_BYTES)
+            if watch is not None and part.size:
+                watch(label, read, part)
+            for name in FLAGS:
+                counts[name] += int(part.flagged(name).sum())
+            velocity += part.dv.sum(axis=0)
+            columns = part.columns() if resampler is None else resampler.push_set(part)
+            rows += columns["t"].size
+            writer.write(columns)
+    return {
+        "rows": rows,
+        "velocity_m_s": velocity.tolist(),
+        "flags": {k: v for k, v in counts.items() if v},
+        "repairs": found_while_reading(*records),
+    }
+
+
+def _solved(
+    records: Sequence[Run],
+    instruments: Sequence[Mounted],
+    uncertainty: bool,
+    max_age: float | None,
+    method: str,
+    details: bool,
+) -> Iterator[tuple[str, Rows, CompensatedSet]]:
+    """Pieces of the records, and what becomes of them."""
+    sampled, label = records[0].kind == "rate", records[0].labels[0]
+    stream = set_stream(
+        mounted_on(records, instruments), method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age,
+        details=details,
+    )  # fmt: skip
+    followers = [RateAngle() for _ in records]
+    waiting: Rows | None = None
+    for rows in _together(records):
+        if not sampled:
+            part = stream.push(
+                rows.t, rows.output, base_rate=rows.base_rate, temperature=rows.temperature, begins=rows.begins
+            )
+            yield label, rows, part
+            continue
+        psi = [f.push(rows.t, rate, rows.begins) for f, rate in zip(followers, rows.output, strict=True)]
+        known = rows if waiting is None else _joined(waiting, rows)
+        ready, waiting = _split(known, known.t.size - 1)
+        yield label, ready, _push_sampled(stream, ready, psi)
+    if waiting is not None:
+        yield label, waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
+
+
+def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[Array]) -> CompensatedSet:
+    return stream.push(
+        rows.t, np.array(psi), rate=rows.output, base_rate=rows.base_rate, temperature=rows.temperature,
+        begins=rows.begins,
+    )  # fmt: skip
+
+
+def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
+    """The record of an instrument without what a set does not need."""
+    record = read_run(path, need_reference=False, held=held)
+    check_member(record, item, force)
+    nothing = np.zeros((0, 3))
+    return replace(record, f=nothing, segment=record.segment[:0])
+
+
+def _together(records: Sequence[Run]) -> Iterator[Rows]:
+    """Rows of all records together; the fewer at a time, the more records there are."""
+    first, step = records[0], max(READINGS // len(records), 1)
+    base = any(record.base_rate is not None for record in records)
+    warm = all(record.temperature is not None for record in records)
+    for start in range(0, first.size, step):
+        part = slice(start, min(start + step, first.size))
+        trim()
+        still = np.zeros((part.stop - part.start, 3))
+        yield Rows(
+            np.ascontiguousarray(first.t[part]),
+            np.array([record.output[part] for record in records]),
+            np.logical_or.reduce([record.begins[part] for record in records]),
+            [still if r.base_rate is None else np.ascontiguousarray(r.base_rate[part]) for r in records]
+            if base else None,
+            [np.ascontiguousarray(r.temperature[part]) for r in records if r.temperature is not None]
+            if warm else None,
+        )  # fmt: skip
+
+
+def _split(rows: Rows, count: int) -> tuple[Rows, Rows | None]:
+    """The first ``count`` rows, and what is left (None: nothing)."""
+    head, tail = (
+        Rows(
+            rows.t[cut], np.ascontiguousarray(rows.output[:, cut]), rows.begins[cut],
+            None if rows.base_rate is None else [values[cut] for values in rows.base_rate],
+            None if rows.temperature is None else [values[cut] for values in rows.temperature],
+        )
+        for cut in (slice(0, count), slice(count, None))
+    )  # fmt: skip
+    return head, tail if tail.t.size else None
+
+
+def _joined(a: Rows, b: Rows) -> Rows:
+    def both(x: list[Array] | None, y: list[Array] | None) -> list[Array] | None:
+        return None if x is None or y is None else [np.concatenate(pair) for pair in zip(x, y, strict=True)]
+
+    return Rows(
+        np.concatenate((a.t, b.t)), np.concatenate((a.output, b.output), axis=1),
+        np.concatenate((a.begins, b.begins)), both(a.base_rate, b.base_rate), both(a.temperature, b.temperature),
+    )  # fmt: skip

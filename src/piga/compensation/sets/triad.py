@@ -1,0 +1,147 @@
+"""Whole records of a triad, or of any set of three or more instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation.compensate import check_phase_kept, check_serial
+from piga.compensation.model import METHODS
+from piga.compensation.mounting import Mounted
+from piga.compensation.rate_angle import integrated_rate
+from piga.compensation.result import CompensatedSet
+from piga.compensation.sets.published_set import PublishedSet
+from piga.compensation.sets.set_compensator import SetCompensator
+from piga.compensation.validity import Limits
+from piga.errors import ArgumentError, DataError
+from piga.records.run import Run
+from piga.records.spool import spans
+
+Array = NDArray[np.float64]
+
+APART = 1e-6
+"""Part of the first interval by which the times of one row may differ between the records of a set."""
+
+
+def compensate_triad(
+    records: Sequence[Run],
+    instruments: Sequence[Mounted],
+    *,
+    uncertainty: bool = True,
+    limits: Limits | None = None,
+    max_age_days: float | None = None,
+    force: bool = False,
+    method: str = "exact",
+    details: bool = False,
+) -> CompensatedSet:
+    """Specific force of whole records of three or more instruments, sampled at the same times.
+
+    Records of angles give the mean over each interval; records of rates the force at the samples, the angles
+    integrated from the rates. ``details`` keeps misfits and flags of the single instruments, too.
+
+    Raises
+    ------
+    DataError
+        If the records have not the same times, or hold different kinds of output.
+    CalibrationError, ArgumentError
+        As :class:`SetCompensator`, and for calibrations of other instruments unless ``force``.
+    """
+    check_together(records)
+    for record, item in zip(records, instruments, strict=True):
+        check_member(record, item, force)
+    first = records[0]
+    begins = np.logical_or.reduce([record.begins for record in records])
+    mounted = mounted_on(records, instruments)
+    sampled = first.kind == "rate"
+    stream = set_stream(
+        mounted, method, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
+        details=details,
+    )  # fmt: skip
+    outputs = np.array([record.output for record in records])
+    base, warm = [r.base_rate for r in records], [r.temperature for r in records]
+    return stream.push(
+        first.t,
+        outputs
+        if first.kind == "angle"
+        else np.array([integrated_rate(r.t, r.output, begins) for r in records]),
+        rate=None if first.kind == "angle" else outputs,
+        base_rate=None
+        if all(b is None for b in base)
+        else [np.zeros((first.size, 3)) if b is None else b for b in base],
+        temperature=None if any(w is None for w in warm) else [w for w in warm if w is not None],
+        begins=begins,
+    )
+
+
+def set_stream(
+    mounted: Sequence[Mounted], method: str, *, sampled: bool, uncertainty: bool, limits: Limits | None = None,
+    max_age_days: float | None = None, details: bool = False,
+) -> SetCompensator | PublishedSet:  # fmt: skip
+    """The compensator of a set by its method.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown method.
+    """
+    if method not in METHODS:
+        raise ArgumentError(f"method: '{method}' is not known", remedy=f"one of: {', '.join(METHODS)}")
+    if method == "published":
+        return PublishedSet(mounted, sampled=sampled, max_age_days=max_age_days)
+    return SetCompensator(
+        mounted, sampled=sampled, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days,
+        details=details,
+    )  # fmt: skip
+
+
+def mounted_on(records: Sequence[Run], instruments: Sequence[Mounted]) -> list[Mounted]:
+    """The instruments, each with the segment whose phase holds for its record: the first, unless one is named."""
+    return [
+        replace(item, segment=item.segment or record.labels[0])
+        for record, item in zip(records, instruments, strict=True)
+    ]
+
+
+def check_member(record: Run, item: Mounted, force: bool) -> None:
+    """Refuse a record that the calibration of its instrument does not hold for.
+
+    Raises
+    ------
+    CalibrationError
+        If it is of another instrument (unless ``force``), or lost the zero of its angle on the way: one phase holds for
+        all of a record in a set.
+    """
+    check_serial(record, item.calibration, force)
+    check_phase_kept(record, item.calibration, item.phase, alone=False)
+
+
+def check_together(records: Sequence[Run]) -> None:
+    """Refuse records that were not sampled together.
+
+    Raises
+    ------
+    DataError
+        If they have not the same times, or hold different kinds of output.
+    """
+    first = records[0]
+    apart = APART * (first.t[1] - first.t[0])
+    for index, record in enumerate(records[1:], start=1):
+        name, other = record.source or f"record {index}", first.source or "record 0"
+        if record.kind != first.kind:
+            raise DataError(f"{name}: holds {record.kind}, {other}: {first.kind}", remedy="log one kind")
+        for part in spans(min(record.size, first.size)):
+            differs = np.abs(record.t[part] - first.t[part]) > apart
+            if differs.any():
+                at = part.start + int(np.argmax(differs))
+                raise DataError(
+                    f"{name}: row {record.row[at]}, t = {record.t[at]:.9g} s: the times are not those of {other}",
+                    remedy="sample all instruments together, or bring them to common times first",
+                )
+        if record.size != first.size:
+            raise DataError(
+                f"{name}: has {record.size} rows that can be used, {other} has {first.size}",
+                remedy="sample all instruments together, and cut the records to the time they share",
+            )

@@ -1,0 +1,1 @@
+"""HDF5, MATLAB, TDMS and XLSX files, read in a process of their own."""

@@ -1,0 +1,155 @@
+"""Binary containers (HDF5, MATLAB, TDMS, XLSX), read in a process of their own with limits."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piga.errors import DataError
+from piga.formats.columns import RawTable
+from piga.formats.stream import CHUNK_ROWS, Chunk
+from piga.records.calibration import Event
+from piga.records.limits import CPU_BASE, CPU_PER_MIB, FULL, MEMORY_LIMIT
+from piga.records.spool import mapped, trim
+
+SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
+"""File name endings of the containers that are read."""
+
+
+class ContainerStream:
+    """A container, read whole in its own process, handed on in chunks; see :class:`piga.formats.stream.RecordStream`."""
+
+    def __init__(
+        self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None,
+        chunk_rows: int = CHUNK_ROWS,
+    ) -> None:  # fmt: skip
+        self._table = read_container(path, kind, numeric, label, sheet)
+        self._label, self._chunk_rows = label, chunk_rows
+        self.units, self.expected_rows = self._table.units, self._table.rows
+        self.label_names = list(self._table.labels[label][1]) if label else []
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows in order."""
+        table = self._table
+        codes = table.labels[self._label][0] if self._label else None
+        for start in range(0, table.rows, self._chunk_rows):
+            part = slice(start, min(start + self._chunk_rows, table.rows))
+            numbers = {name: np.array(column[part], dtype=float) for name, column in table.numbers.items()}
+            yield Chunk(numbers, None if codes is None else np.array(codes[part]), table.file_rows(part))
+            trim()
+
+    def events(self) -> list[Event]:
+        """What was found."""
+        return list(self._table.events)
+
+
+def read_container(
+    path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None
+) -> RawTable:
+    """Read the named columns of a container.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    kind:
+        One of :data:`SUFFIXES`, or ``.parquet`` for the labels of a Parquet file.
+    numeric, label:
+        Names of the number columns and of the segment column, as the reader of that kind takes them.
+    sheet:
+        Sheet of an ``.xlsx``.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as asked, or its reading needs more memory or time than is given.
+    """
+    if not path.is_file():
+        raise DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
+    if kind == ".xlsx" and path.with_name(f"~${path.name}").exists():
+        raise DataError(f"{path}: is open in a spreadsheet program", remedy="close it there, then try again")
+    with tempfile.TemporaryDirectory(prefix="piga-") as name:
+        folder = Path(name)
+        cpu = CPU_BASE + CPU_PER_MIB * path.stat().st_size / (1 << 20)
+        request = {
+            "path": str(path.resolve()), "kind": kind, "numeric": list(numeric), "label": label, "sheet": sheet,
+            "folder": str(folder), "cpu": cpu,
+        }  # fmt: skip
+        _run(path, request, 4.0 * cpu)
+        return _answer(path, folder)
+
+
+def _run(path: Path, request: dict[str, Any], seconds: float) -> None:
+    """Run the reading process; its own failures become one clear message."""
+    environment = os.environ | {
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+        "HDF5_PLUGIN_PRELOAD": "::",
+        "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry),
+    }
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-W", "ignore", "-m", "piga.formats.containers.container_child"],
+            input=json.dumps(request).encode(),
+            capture_output=True,
+            timeout=seconds,
+            check=False,
+            env=environment,
+        )
+    except subprocess.TimeoutExpired:
+        raise _too_long(path, seconds) from None
+    if (Path(request["folder"]) / "answer.json").exists() and done.returncode == 0:
+        return
+    if done.returncode == FULL:
+        raise DataError(
+            f"{path}: cannot be read: the temporary folder {tempfile.gettempdir()} is full",
+            remedy="make room there, or name another folder in TMPDIR",
+        )
+    if done.returncode in (-24, -9):
+        raise _too_long(path, request["cpu"])
+    if b"MemoryError" in done.stderr:
+        raise _too_large(path)
+    words = done.stderr.decode("utf-8", errors="replace").strip().splitlines()
+    reason = words[-1] if words else f"signal {-done.returncode}"
+    raise DataError(
+        f"{path}: the reading library failed on it ({reason[:200]})",
+        remedy="the file is damaged: export it again",
+    )
+
+
+def _answer(path: Path, folder: Path) -> RawTable:
+    answer = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+    if "memory" in answer:
+        raise _too_large(path)
+    if "error" in answer:
+        message = str(answer["error"]).removeprefix(f"{path.resolve()}")
+        raise DataError(f"{path}{message}" if message != answer["error"] else message, remedy=answer["remedy"])
+    numbers = {name: mapped(folder / f"{index}.npy") for index, name in enumerate(answer["numbers"])}
+    labels = {name: (mapped(folder / "label.npy"), tuple(names)) for name, names in answer["labels"].items()}
+    return RawTable(
+        path, numbers, labels, answer["rows"], answer["first_row"], answer["units"],
+        tuple(Event(*event) for event in answer["events"]),
+        mapped(folder / "rows.npy") if answer["row_numbers"] else None,
+    )  # fmt: skip
+
+
+def _too_long(path: Path, seconds: float) -> DataError:
+    return DataError(
+        f"{path}: reading it took more than {seconds:.0f} s of computing time",
+        remedy="the file is damaged or not what it says; export it again, or as Parquet",
+    )
+
+
+def _too_large(path: Path) -> DataError:
+    return DataError(
+        f"{path}: reading it needs more than {MEMORY_LIMIT >> 30} GiB of memory",
+        remedy="the file is damaged, or export it as Parquet",
+    )

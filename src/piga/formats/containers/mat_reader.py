@@ -1,0 +1,149 @@
+"""MATLAB files: v7.3 as the HDF5 that it is, columns of v5 to v7 piece by piece, v4 and all else through SciPy."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.formats.columns import RawTable
+from piga.formats.containers.array_columns import (
+    Label,
+    as_label,
+    as_numbers,
+    make_table,
+    no_column,
+    split_name,
+    vector,
+)
+from piga.formats.containers.hdf5_reader import read_hdf5
+from piga.formats.containers.mat_elements import MatColumns, OtherKindError
+from piga.records.limits import check_unpacked, first_line, open_regular
+
+HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+COMPRESSED = 15
+MAX_LEVELS = 4
+
+
+def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+    """Read the named variables of a MATLAB file.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    numeric, label:
+        ``name``, ``struct.field``, or ``name(:,2)`` for a column of a matrix.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged, unpacks to too much, lacks a variable, or one is no plain column.
+    """
+    with open_regular(path) as stream:
+        head = stream.read(520)
+    if HDF5_MARK in (head[:8], head[512:520]):
+        return read_hdf5(path, numeric, label)
+    numbers: dict[str, NDArray] = {}
+    if head[:4].isascii() and head[:6] == b"MATLAB":
+        _check_unpacked(path, head)
+        numbers = _in_pieces(path, "<" if head[126:128] == b"IM" else ">", numeric, label)
+    wanted = [name for name in numeric if name not in numbers]
+    variables = _load(
+        path, [split_name(name)[0].split(".")[0] for name in (*wanted, *([label] if label else []))]
+    )
+    for name in dict.fromkeys(wanted):
+        numbers[name] = as_numbers(path, name, _column(path, variables, name))
+    labels: dict[str, Label] = {}
+    if label is not None:
+        labels[label] = as_label(_cells(_column(path, variables, label)))
+    return make_table(path, numbers, labels, {})
+
+
+def _in_pieces(path: Path, order: str, numeric: tuple[str, ...], label: str | None) -> dict[str, NDArray]:
+    """All number columns without holding them; none when one is not plain, or the label is no variable."""
+    try:
+        source = MatColumns(path, order)
+        if label is not None and label not in source.plain:
+            return {}
+        return {name: source.column(name) for name in dict.fromkeys(numeric)}
+    except (OtherKindError, zlib.error):
+        return {}
+
+
+def _load(path: Path, names: list[str]) -> dict[str, Any]:
+    from scipy.io import loadmat, whosmat
+
+    try:
+        present = [entry[0] for entry in whosmat(path)]
+        found = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
+    except MemoryError:
+        raise
+    except Exception as error:  # SciPy lets whatever a damaged file provokes through
+        raise DataError(
+            f"{path}: not a readable MATLAB file ({first_line(error)})",
+            remedy="save it again with -v7 or -v7.3",
+        ) from None
+    return {name: found.get(name) for name in present}
+
+
+def _column(path: Path, variables: dict[str, Any], name: str) -> NDArray:
+    plain, column = split_name(name)
+    first, *fields = plain.split(".")
+    item = variables.get(first)
+    for field in fields[:MAX_LEVELS]:
+        names = getattr(getattr(item, "dtype", None), "names", None)
+        if not names or field not in names or item is None or item.size != 1:
+            raise no_column(path, name, _names(variables))
+        item = item[field].reshape(-1)[0]
+    if not isinstance(item, np.ndarray) or item.dtype.names:
+        raise no_column(path, name, _names(variables))
+    return vector(path, name, item, column)
+
+
+def _names(variables: dict[str, Any]) -> list[str]:
+    found = []
+    for name, item in variables.items():
+        fields = getattr(getattr(item, "dtype", None), "names", None)
+        found += [f"{name}.{field}" for field in fields] if fields else [name]
+    return found
+
+
+def _cells(values: NDArray) -> list[object]:
+    """Text of a char matrix or of a cell array of char rows; numbers as they are."""
+    if values.dtype.kind != "O":
+        return list(values.tolist())
+    return [
+        cell.reshape(-1)[0] if isinstance(cell, np.ndarray) and cell.size == 1 else str(cell) for cell in values
+    ]
+
+
+def _check_unpacked(path: Path, head: bytes) -> None:
+    """Unpack the packed elements of a v5-v7 file in passing, and stop at the limit."""
+    order = "<" if head[126:128] == b"IM" else ">"
+    packed = path.stat().st_size
+    unpacked = 0
+    with open_regular(path) as stream:
+        stream.seek(128)
+        while len(tag := stream.read(8)) == 8:
+            kind, size = struct.unpack(order + "II", tag)
+            if kind != COMPRESSED:
+                stream.seek(size, 1)
+                continue
+            unpack = zlib.decompressobj()
+            while size > 0 and (piece := stream.read(min(size, 1 << 16))):
+                size -= len(piece)
+                while piece:
+                    try:
+                        unpacked += len(unpack.decompress(piece, 1 << 20))
+                    except zlib.error as error:
+                        raise DataError(
+                            f"{path}: not a readable MATLAB file ({error})", remedy="save it again"
+                        ) from None
+                    piece = unpack.unconsumed_tail
+                    check_unpacked(path, unpacked, packed)

@@ -1,0 +1,162 @@
+"""Parquet data: the named columns, with units from the field metadata where it holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.formats.columns import RawTable
+from piga.formats.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.records.calibration import Event
+from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_regular
+
+
+class ParquetStream:
+    """The named columns of a Parquet file, chunk by chunk; see :class:`piga.formats.stream.RecordStream`.
+
+    Raises
+    ------
+    DataError
+        If the file is no Parquet, lacks a column, or a column holds no numbers.
+    """
+
+    def __init__(
+        self, path: Path, numeric: tuple[str, ...], label: str | None, chunk_rows: int = CHUNK_ROWS
+    ) -> None:
+        self._path, self._numeric, self._label = path, tuple(dict.fromkeys(numeric)), label
+        self._chunk_rows = chunk_rows
+        with _open(path) as source:
+            schema = source.schema_arrow
+            _check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
+            self.expected_rows = source.metadata.num_rows
+        self.units = _units(schema, self._numeric)
+        self.label_names: list[str] = []
+        self._missed = MissingCount()
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows in order."""
+        if self.expected_rows == 0:
+            raise DataError(f"{self._path}: no data row", remedy="check that the logger wrote data")
+        codes = self._labels() if self._label else None
+        row = 1
+        with _open(self._path) as source:
+            for batch in self._batches(source):
+                rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
+                row += batch.num_rows
+                numbers = {name: self._column(batch.column(name), name, rows) for name in self._numeric}
+                yield Chunk(numbers, None if codes is None else np.array(codes[rows[0] - 1 : row - 1]), rows)
+
+    def _batches(self, source: Any) -> Iterator[Any]:
+        """The number columns; where there are none, empty batches of the rows."""
+        import pyarrow as pa
+
+        if self._numeric:
+            yield from source.iter_batches(self._chunk_rows, columns=list(self._numeric))
+            return
+        for start in range(0, self.expected_rows, self._chunk_rows):
+            count = min(self._chunk_rows, self.expected_rows - start)
+            yield pa.record_batch({"": pa.nulls(count)})
+
+    def _labels(self) -> NDArray[np.int32]:
+        """Codes of the segment column, read in a process of its own: labels of a few bytes can unpack to gigabytes."""
+        from piga.formats.containers.container import read_container
+
+        label = str(self._label)
+        codes, names = read_container(self._path, ".parquet", (), label).labels[label]
+        if codes.size != self.expected_rows:
+            raise DataError(
+                f"{self._path}: {codes.size} labels for {self.expected_rows} rows", remedy="export it again"
+            )
+        self.label_names.extend(names)
+        return codes
+
+    def events(self) -> list[Event]:
+        """What was found, after the last chunk."""
+        return self._missed.events(self._numeric)
+
+    def _column(self, column: Any, name: str, rows: Any) -> Any:
+        if column.null_count:
+            self._missed.add(name, nulls_of(column), rows)
+        return numbers_of(column)
+
+
+def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
+    """The segment column alone; runs in the process that reads containers.
+
+    Raises
+    ------
+    DataError
+        If the file is no Parquet, or holds too many segments or too long a label.
+    """
+    names: list[str] = []
+    codes, parts = LabelCodes(names), []
+    with _open(path, [label]) as source:
+        for batch in source.iter_batches(CHUNK_ROWS, columns=[label]):
+            parts.append(codes.of(batch.column(0)))
+            if len(names) > MAX_SEGMENTS:
+                raise DataError(
+                    f"{path}: column '{label}' has more than {MAX_SEGMENTS} different segments",
+                    remedy="name the column that numbers the positions",
+                )
+    long = next((name for name in names if len(name) > MOST_LETTERS), None)
+    if long is not None:
+        raise DataError(
+            f"{path}: column '{label}': the label '{long[:40]}...' has {len(long)} characters",
+            remedy=f"use {MOST_LETTERS} or fewer",
+        )
+    whole = np.concatenate(parts) if parts else np.zeros(0, np.int32)
+    return RawTable(path, {}, {label: (whole, tuple(names))}, whole.size, 1, {})
+
+
+@contextmanager
+def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with (
+            open_regular(path, wanted="the data file in [data] file") as stream,
+            parquet.ParquetFile(
+                stream, pre_buffer=False, buffer_size=1 << 18, read_dictionary=list(labels)
+            ) as source,
+        ):
+            yield source
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise DataError(
+            f"{path}: not a readable Parquet file ({first_line(error)})", remedy="export it again"
+        ) from None
+
+
+def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[str, ...]) -> None:
+    import pyarrow as pa
+
+    for name in wanted:
+        if name not in schema.names:
+            raise DataError(
+                f"{path}: no column '{name}'; the columns are: {', '.join(schema.names)}",
+                remedy="correct the column name in [data]",
+            )
+        if schema.names.count(name) > 1:
+            raise DataError(
+                f"{path}: the column name '{name}' stands more than once", remedy="rename one of them"
+            )
+        kind = schema.field(name).type
+        if name in numeric and not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+            raise DataError(
+                f"{path}: column '{name}' holds {kind}, not numbers", remedy="store it as double or integer"
+            )
+
+
+def _units(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:
+    metadata = {name: schema.field(name).metadata or {} for name in numeric}
+    return {
+        name: found[b"unit"].decode("utf-8", errors="replace")
+        for name, found in metadata.items()
+        if b"unit" in found
+    }

@@ -1,0 +1,95 @@
+"""TDMS data (LabVIEW): channels by name, with their units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.formats.columns import RawTable
+from piga.formats.containers.array_columns import (
+    Label,
+    as_label,
+    as_numbers,
+    long_column,
+    make_table,
+    no_column,
+)
+from piga.records.limits import MAX_UNPACKED, check_unpacked, extra_missing, first_line, open_regular
+
+UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit")
+
+
+def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
+    """Read the named channels: ``channel`` where one group has it, else ``group/channel``.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged, lacks a channel, or a channel's name is in several groups.
+    """
+    try:
+        import nptdms
+    except ImportError:
+        raise extra_missing(path, "TDMS", "tdms") from None
+    numbers: dict[str, NDArray] = {}
+    labels: dict[str, Label] = {}
+    units: dict[str, str] = {}
+    try:
+        with open_regular(path) as stream, nptdms.TdmsFile.open(stream) as source:
+            channels = [channel for group in source.groups() for channel in group.channels()]
+            _check_size(path, channels, (*numeric, *([label] if label else [])))
+            for name in dict.fromkeys(numeric):
+                channel = _find(path, channels, name)
+                numbers[name] = _numbers(path, name, channel)
+                unit = next((channel.properties[key] for key in UNIT_KEYS if key in channel.properties), "")
+                if isinstance(unit, str) and unit:
+                    units[name] = unit
+            if label is not None:
+                labels[label] = as_label(_find(path, channels, label)[:].tolist())
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # the library lets whatever a damaged file provokes through
+        raise DataError(
+            f"{path}: not a readable TDMS file ({first_line(error)})",
+            remedy="was the logger stopped? copy it again",
+        ) from None
+    return make_table(path, numbers, labels, units)
+
+
+def _numbers(path: Path, name: str, channel: Any) -> NDArray:
+    """The numbers of a channel, read as they were written, piece after piece; a long one lies on disk."""
+    found = long_column(channel.dtype)
+    count = 0
+    if channel.dtype.kind in "iuf":
+        for piece in channel.data_chunks():
+            count += len(piece)
+            if len(piece):
+                found.append(as_numbers(path, name, np.asarray(piece[:])), len(channel))
+    if count == 0 or count != len(channel):  # no numbers, or cut off: the library has its ways
+        return as_numbers(path, name, np.asarray(channel[:]))
+    return found.finish()
+
+
+def _check_size(path: Path, channels: list[Any], names: tuple[str, ...]) -> None:
+    """Declared lengths against the file: TDMS is not packed, so no channel can be longer than the file."""
+    declared = sum(len(_find(path, channels, name)) for name in dict.fromkeys(names))
+    if declared > path.stat().st_size:
+        raise DataError(
+            f"{path}: declares {declared} values, more than its {path.stat().st_size} bytes can hold",
+            remedy="the file is damaged: copy it again",
+        )
+    check_unpacked(path, min(8 * declared, MAX_UNPACKED + 1), path.stat().st_size)
+
+
+def _find(path: Path, channels: list[Any], name: str) -> Any:
+    found = [channel for channel in channels if name in (channel.name, f"{channel.group_name}/{channel.name}")]
+    if not found:
+        raise no_column(path, name, [f"{channel.group_name}/{channel.name}" for channel in channels])
+    if len(found) > 1:
+        groups = ", ".join(f"'{channel.group_name}/{channel.name}'" for channel in found[:5])
+        raise DataError(f"{path}: several groups have a channel '{name}'", remedy=f"name it as one of {groups}")
+    return found[0]

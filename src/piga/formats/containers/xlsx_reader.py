@@ -1,0 +1,247 @@
+"""XLSX data: one sheet, cached values, every cell checked; the container is examined before it is opened."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from piga.errors import DataError
+from piga.formats.columns import RawTable, column_letter
+from piga.formats.containers.array_columns import label_codes
+from piga.formats.text.convention import INFINITE, MISSING, check_names, is_units_row, units_in_names
+from piga.records.calibration import Event
+from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
+from piga.records.spool import Arrays
+
+MAX_LISTED = 100
+HELD_ROWS = 1 << 14
+"""Rows whose cells are held as the library gives them."""
+_DOCTYPE = re.compile(rb"<!\s*(DOCTYPE|ENTITY)|<\0!\0D\0O\0|\0<\0!\0D\0O", re.IGNORECASE)
+_FORMULA = re.compile(rb"<f[ />]")
+_HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
+_OVERLAP = 512
+
+
+def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> RawTable:
+    """Read the named columns of a sheet; its first row that is not empty holds the names.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    numeric, label:
+        Names of the number columns and of the segment column.
+    sheet:
+        Name of the sheet; may be None when there is only one.
+
+    Raises
+    ------
+    DataError
+        If the container is damaged or unpacks to too much, the sheet is not clear, or cells are no numbers:
+        with row and column letter of each (100 listed).
+    """
+    try:
+        import openpyxl
+    except ImportError:
+        raise extra_missing(path, "XLSX", "xlsx") from None
+    try:
+        with open_regular(path) as stream:
+            events = _examine(path, stream)
+            stream.seek(0)
+            book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
+            rows = _sheet(path, book, sheet).iter_rows(values_only=True)
+            return _Sheet(path, numeric, label, events).read(rows)
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # the library lets whatever a damaged file provokes through
+        raise DataError(
+            f"{path}: not a readable XLSX file ({first_line(error)})", remedy="save it again as .xlsx"
+        ) from None
+
+
+def _examine(path: Path, stream: BinaryIO) -> list[Event]:
+    """Unpack every part in passing: sizes, names, no document types; counts formulas and hidden rows."""
+    packed = os.fstat(stream.fileno()).st_size
+    unpacked, formulas, hidden = 0, 0, 0
+    try:
+        with zipfile.ZipFile(stream) as container:
+            parts = container.infolist()
+            if len(parts) > MAX_MEMBERS:
+                raise DataError(
+                    f"{path}: {len(parts)} parts, at most {MAX_MEMBERS} are read", remedy="export as CSV"
+                )
+            check_unpacked(path, sum(part.file_size for part in parts), packed)
+            for part in parts:
+                _check_part(path, part)
+                with container.open(part) as unpacking:
+                    kept = b""
+                    while piece := unpacking.read(1 << 18):
+                        unpacked += len(piece)
+                        check_unpacked(path, unpacked, packed)
+                        window = kept + piece
+                        if _DOCTYPE.search(window):
+                            raise DataError(
+                                f"{path}: part '{part.filename}' declares a document type or entity",
+                                remedy="no spreadsheet program writes that; do not trust the file",
+                            )
+                        if part.filename.startswith("xl/worksheets/"):
+                            formulas += len(_FORMULA.findall(window)) - len(_FORMULA.findall(kept))
+                            hidden += len(_HIDDEN.findall(window)) - len(_HIDDEN.findall(kept))
+                        kept = window[-_OVERLAP:]
+    except (DataError, MemoryError):
+        raise
+    except Exception as error:  # zipfile, zlib and lzma each raise their own kinds
+        raise DataError(
+            f"{path}: not a readable XLSX file ({error})", remedy="save it again as .xlsx"
+        ) from None
+    found = []
+    if formulas:
+        found.append(Event("formula", formulas, None, "the value last computed is used"))
+    if hidden:
+        found.append(Event("hidden-row", hidden, None, "used like the others"))
+    return found
+
+
+def _check_part(path: Path, part: zipfile.ZipInfo) -> None:
+    name = part.filename
+    if name.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", name) or ":" in name or "\0" in name:
+        raise DataError(f"{path}: a part has the unsafe name {name[:80]!r}", remedy="do not trust the file")
+    if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise DataError(
+            f"{path}: part '{name[:80]}' is packed in a way that spreadsheet programs do not use",
+            remedy="save it again as .xlsx",
+        )
+    if part.flag_bits & 1:
+        raise DataError(f"{path}: the file is encrypted", remedy="save it without a password")
+
+
+def _sheet(path: Path, book: Any, name: str | None) -> Any:
+    """The wanted sheet, or the only one."""
+    sheets = {sheet.title: sheet for sheet in book.worksheets}
+    listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
+    if name is None and len(sheets) > 1:
+        raise DataError(
+            f"{path}: there are {len(sheets)} sheets: {listed}",
+            remedy="add [data] sheet = '...' with one of them",
+        )
+    if not sheets or (name is not None and name not in sheets):
+        raise DataError(f"{path}: no sheet '{name}'; the sheets are: {listed}", remedy="correct [data] sheet")
+    sheet = sheets[name] if name is not None else next(iter(sheets.values()))
+    sheet.reset_dimensions()
+    return sheet
+
+
+class _Sheet:
+    """Rows of a sheet to columns, long ones on disk; bad cells are collected, then reported together."""
+
+    def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None, events: list[Event]) -> None:
+        self.path, self.numeric, self.label, self.events = path, tuple(dict.fromkeys(numeric)), label, events
+        self.bad: list[str] = []
+        self.total = 0
+        self.missing: dict[str, tuple[int, int]] = {}
+        self.values: dict[str, list[float]] = {name: [] for name in self.numeric}
+        self.labels: list[object] = []
+        self.numbers: list[int] = []
+        self.rows = 0
+        self.label_names: dict[str, int] = {}
+        folder = Arrays(Path(tempfile.gettempdir()))
+        self.columns = {name: folder.growing(np.float64) for name in self.numeric}
+        self.codes, self.places = folder.growing(np.int32), folder.growing(np.int64)
+
+    def read(self, rows: Iterator[tuple[Any, ...]]) -> RawTable:
+        filled = ((at, row) for at, row in enumerate(rows, 1) if any(cell is not None for cell in row))
+        at, header = next(filled, (0, ()))
+        if not header:
+            raise DataError(f"{self.path}: the sheet is empty", remedy="check [data] sheet")
+        names = tuple("" if cell is None else str(cell).strip() for cell in header)
+        if all(not isinstance(cell, str) for cell in header if cell is not None):
+            raise DataError(
+                f"{self.path}: row {at}: the first row holds numbers, not column names",
+                remedy="add a header row with the column names",
+            )
+        check_names(tuple(name for name in names if name), self.path, at)
+        names, units = units_in_names(names)
+        where = self._places(names, at)
+        for number, row in filled:
+            if not self.rows and is_units_row(["" if cell is None else str(cell) for cell in row]):
+                units |= {n: str(u).strip("[]()（） ") for n, u in zip(names, row, strict=False) if n and u}
+                continue
+            self.rows += 1
+            self.numbers.append(number)
+            for name in self.numeric:
+                self.values[name].append(self._number(row, where[name], name, number))
+            if self.label is not None:
+                self.labels.append(row[where[self.label]] if where[self.label] < len(row) else None)
+            if self.rows % HELD_ROWS == 0:
+                self._put()
+        self._put()
+        return self._table(units)
+
+    def _put(self) -> None:
+        """Put the cells that are held to the end of the columns: a number in a list takes 32 bytes."""
+        for name, held in self.values.items():
+            self.columns[name].append(np.array(held, dtype=np.float64))
+            held.clear()
+        self.codes.append(label_codes(self.labels, self.label_names))
+        self.places.append(np.array(self.numbers, dtype=np.int64))
+        self.labels.clear()
+        self.numbers.clear()
+
+    def _places(self, names: tuple[str, ...], at: int) -> dict[str, int]:
+        wanted = [*self.numeric, *([self.label] if self.label else [])]
+        for name in wanted:
+            if name not in names:
+                raise DataError(
+                    f"{self.path}: row {at}: no column '{name}'; the columns are: {', '.join(n for n in names if n)}",
+                    remedy="correct the column name in [data]",
+                )
+        return {name: names.index(name) for name in wanted}
+
+    def _number(self, row: tuple[Any, ...], place: int, name: str, number: int) -> float:
+        cell = row[place] if place < len(row) else None
+        if isinstance(cell, (int, float)) and not isinstance(cell, bool):
+            return float(cell)
+        text = "" if cell is None else str(cell).strip()
+        if cell is None or (isinstance(cell, str) and (text in MISSING or text in INFINITE)):
+            count, first = self.missing.get(name, (0, number))
+            self.missing[name] = count + 1, first
+            return float("nan")
+        self.total += 1
+        if len(self.bad) < MAX_LISTED:
+            kind = "text" if isinstance(cell, str) else type(cell).__name__
+            self.bad.append(
+                f"row {number}, column '{name}' ({column_letter(place)}): '{text[:40]}' is {kind}, not a number"
+            )
+        return float("nan")
+
+    def _table(self, units: dict[str, str]) -> RawTable:
+        if self.bad:
+            more = f"; and {self.total - len(self.bad)} more" if self.total > len(self.bad) else ""
+            raise DataError(
+                f"{self.path}: {'; '.join(self.bad)}{more}",
+                remedy="set the format of these cells to number and enter them again; dates: export seconds",
+            )
+        if not self.rows:
+            raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")
+        for name in self.numeric:
+            if name in self.missing:
+                count, first = self.missing[name]
+                self.events.append(Event("missing-value", count, first, f"column '{name}'"))
+        places = self.places.finish()
+        return RawTable(
+            self.path,
+            {name: column.finish() for name, column in self.columns.items()},
+            {self.label: (self.codes.finish(), tuple(self.label_names))} if self.label is not None else {},
+            self.rows,
+            int(places[0]),
+            {name: unit for name, unit in units.items() if name in self.numeric},
+            tuple(self.events),
+            places,
+        )

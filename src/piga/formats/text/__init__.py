@@ -1,0 +1,1 @@
+"""Text logs: encoding, separators, decimal signs, faults."""

@@ -1,0 +1,177 @@
+"""Where a text file is damaged: every row and cell that cannot be read, found in one pass.
+
+Slow and thorough; used only when the fast reader has complained, or bytes are there that no log holds.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from piga.errors import DataError
+from piga.formats.columns import column_letter
+from piga.formats.text.convention import INFINITE, MISSING, TextFormat
+from piga.formats.text.source import Bytes
+from piga.records.calibration import Event
+
+MAX_LISTED = 100
+"""Faults listed in one message; the rest is counted."""
+_NUMBER = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf|infinity|nan)", re.IGNORECASE | re.ASCII)
+
+
+@dataclass
+class Faults:
+    """Faults of a file, added piece by piece: ``listed`` in words, rows left out counted by kind."""
+
+    listed: list[str] = field(default_factory=list)
+    total: int = 0
+    hint: str = ""
+    kinds: dict[str, list[int]] = field(default_factory=dict)
+    last_row: int = 0
+
+    def add(self, row: int, kind: str, words: str, hint: str = "") -> None:
+        """One more fault; a row counts once, by its first."""
+        if row != self.last_row:
+            self.kinds.setdefault(kind, [0, row])[0] += 1
+            self.last_row = row
+        self.total += 1
+        if len(self.listed) < MAX_LISTED:
+            self.listed.append(words)
+        self.hint = self.hint or hint
+
+    def error(self, path: Path) -> DataError:
+        """All of it as one error."""
+        more = f"; and {self.total - len(self.listed)} more" if self.total > len(self.listed) else ""
+        return DataError(
+            f"{path}: {'; '.join(self.listed)}{more}",
+            remedy=f"repair or delete these rows, or leave them out with [data] damaged_rows = 'mask'{self.hint}",
+        )
+
+    def events(self) -> list[Event]:
+        """Rows left out, counted by kind."""
+        return [Event(kind, count, first, "the row is not used") for kind, (count, first) in self.kinds.items()]
+
+    @property
+    def rows(self) -> int:
+        """Rows with a fault."""
+        return sum(count for count, _ in self.kinds.values())
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a piece of text begins: file row (1-based) and byte offset of its first line."""
+
+    row: int
+    byte: int
+
+
+def find_faults(
+    found: Faults,
+    raw: Bytes,
+    place: Place,
+    form: TextFormat,
+    numeric: tuple[str, ...],
+    missing: tuple[str, ...] = (),
+) -> list[int]:
+    """Look at every cell of a piece that is needed; adds to ``found`` and gives the lines (0-based) with faults."""
+    tokens = {*MISSING, *INFINITE, *missing}
+    places = [(name, form.names.index(name)) for name in dict.fromkeys(numeric)]
+    damaged = []
+    offset = place.byte
+    for index, line in enumerate(bytes(raw).split(b"\n")):
+        before = found.total
+        if line.strip():
+            _look_at_line(found, place.row + index, offset, line, form, places, tokens)
+        if found.total > before:
+            damaged.append(index)
+        offset += len(line) + 1
+    return damaged
+
+
+def _look_at_line(
+    found: Faults,
+    row: int,
+    offset: int,
+    line: Bytes,
+    form: TextFormat,
+    places: list[tuple[str, int]],
+    tokens: set[str],
+) -> None:
+    if b"\0" in line:
+        words = (
+            f"row {row}: {line.count(0)} NUL bytes from byte {offset + line.find(0)} (the logger lost power?)"
+        )
+        found.add(row, "nul-bytes", words)
+        return
+    try:
+        text = line.decode("utf-8")
+    except UnicodeDecodeError as error:
+        words = f"row {row}: byte {error.start} of the row is no UTF-8 text"
+        found.add(row, "bad-encoding", words, "; or add [data] encoding = '...'")
+        return
+    _look_at(found, row, text.rstrip("\r"), form, places, tokens)
+
+
+def _look_at(
+    found: Faults, row: int, line: str, form: TextFormat, places: list[tuple[str, int]], tokens: set[str]
+) -> None:
+    cells = split_cells(line, form.separator)
+    if cells is None:
+        found.add(row, "open-quote", f"row {row}: a quotation mark is not closed")
+        return
+    if len(cells) != len(form.names):
+        many = form.separator == "," and len(cells) > len(form.names)
+        found.add(
+            row,
+            "long-row" if len(cells) > len(form.names) else "short-row",
+            f"row {row} has {len(cells)} cells, the header has {len(form.names)}",
+            "; commas as decimal marks need another separator" if many else "",
+        )
+        return
+    for name, column in places:
+        cell = cells[column].strip().strip('"').strip()
+        if cell in tokens or is_number(cell, form.decimal):
+            continue
+        words = f"row {row}, column '{name}' ({column_letter(column)}): '{cell[:40]}' is not a number"
+        found.add(row, "not-a-number", words, _cell_hint(cell, form))
+
+
+def split_cells(line: str, separator: str) -> list[str] | None:
+    """Cells of a line, those in quotation marks whole; None when a mark is not closed."""
+    if '"' not in line:
+        return line.split(separator)
+    cells, at = [], 0
+    while at <= len(line):
+        if line[at : at + 1] == '"':
+            closing = re.compile(r'(?:[^"]|"")*"').match(line, at + 1)
+            if closing is None:
+                return None
+            end = line.find(separator, closing.end())
+        else:
+            end = line.find(separator, at)
+        end = len(line) if end < 0 else end
+        cells.append(line[at:end])
+        at = end + 1
+    return cells
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Whether a cell holds a number in plain digits with this decimal mark."""
+    if decimal != ".":
+        if "." in cell:
+            return False
+        cell = cell.replace(decimal, ".")
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def _cell_hint(cell: str, form: TextFormat) -> str:
+    if not cell.isascii() and cell.replace(".", "").replace("．", "").strip("-－+").isdecimal():
+        return "; write the digits as plain 0-9 (these are full-width)"
+    if "," in cell and "," not in (form.separator, form.decimal):
+        return "; is ',' a decimal mark ([data] decimal = ',') or a thousands separator (remove it)?"
+    if cell.replace("'", "").replace(" ", "").replace("\u00a0", "").isdecimal():
+        return "; remove the thousands separators"
+    if cell and not cell[0].isdigit():
+        return f"; if '{cell[:20]}' marks a missing value, add [data] missing = ['{cell[:20]}']"
+    return ""

@@ -1,0 +1,282 @@
+"""CSV and other separated text, through PyArrow's tokenizer, with errors that name row and column."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import DataError
+from piga.formats.stream import Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.text.convention import INFINITE, MISSING, TextFormat, find_format
+from piga.formats.text.faults import Faults, Place, find_faults, split_cells
+from piga.formats.text.source import Bytes, TextSource
+from piga.records.calibration import Event
+
+_SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
+_ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
+BLOCK_BYTES = 4 << 20
+"""Bytes that PyArrow tokenizes on one thread at a time."""
+
+
+class TextStream:
+    """The named columns of a text file, chunk by chunk; see :class:`piga.formats.stream.RecordStream`.
+
+    Parameters
+    ----------
+    path:
+        ``.csv`` (``.txt``, ``.tsv``), plain or ``.gz``.
+    numeric, label:
+        Names of the number columns and of the segment column.
+    separator, decimal, encoding:
+        From the run file; None means found from the file.
+    missing:
+        Words that stand for a missing value, besides the usual ones.
+    mask_damaged:
+        Leave damaged rows out and count them by kind, instead of refusing the file.
+    piece:
+        Bytes read at a time (None: ``text_source.PIECE_BYTES``); what is read does not depend on it.
+    see:
+        Is shown the bytes of the file as they are read.
+
+    Raises
+    ------
+    DataError
+        With file, row, column, the offending text and the remedy.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        numeric: tuple[str, ...],
+        label: str | None,
+        *,
+        separator: str | None = None,
+        decimal: str | None = None,
+        encoding: str | None = None,
+        missing: tuple[str, ...] = (),
+        mask_damaged: bool = False,
+        piece: int | None = None,
+        see: Callable[[Bytes], object] = len,
+    ) -> None:
+        self._path, self._numeric, self._label, self._missing = (
+            path,
+            tuple(dict.fromkeys(numeric)),
+            label,
+            missing,
+        )
+        self._source = TextSource(path, encoding, see, piece)
+        head = self._source.head.decode("utf-8", errors="replace")
+        self._form = find_format(head, path, self._source.encoding, separator, decimal)
+        _check_columns(self._form, numeric, label, path)
+        self.units = {name: unit for name, unit in self._form.units.items() if name in numeric}
+        self.label_names: list[str] = []
+        self._codes = LabelCodes(self.label_names)
+        self._mask, self._faults, self._missed = mask_damaged, Faults(), MissingCount()
+        self._row, self._byte = self._form.skip + 1, self._source.header_bytes(self._form.skip)
+        self._read, self._last_filled = 0, self._form.skip
+        self._piece_rows = self._piece_bytes = 0
+        self._truncated: int | None = None
+
+    @property
+    def expected_rows(self) -> int:
+        """About how many rows there will be, from those of the last piece; 0 for a packed file."""
+        if self._path.suffix.lower() == ".gz" or self._piece_bytes == 0:
+            return 0
+        return int(1.02 * self._piece_rows * self._path.stat().st_size / self._piece_bytes)
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The rows in order; in a damaged file those before the first damage, then the error that lists all."""
+        for raw, ends in self._source.pieces(self._form.skip):
+            piece, table = self._parse_or_mask(raw, ends)
+            if table is not None and not (self._faults.total and not self._mask):
+                self._piece_rows, self._piece_bytes = table.num_rows, len(raw)
+                rows = self._file_rows(piece, table.num_rows, ends)
+                yield from self._convert(table, rows)
+            self._row += ends
+            self._byte += len(raw)
+        if self._faults.total and not self._mask:
+            raise self._faults.error(self._path)
+        self._truncated = self._row if self._source.cut else None
+        if self._read == 0:
+            raise DataError(
+                f"{self._path}: a header but no complete data row", remedy="check that the logger wrote data"
+            )
+
+    def events(self) -> list[Event]:
+        """What was found, after the last chunk."""
+        found = []
+        if self._source.encoding != "utf-8":
+            found.append(Event("encoding", 1, 1, f"read as {self._source.encoding}"))
+        if self._truncated is not None:
+            row = self._truncated
+            found.append(Event("truncated-last-line", 1, row, f"row {row} has no line end: not used"))
+        found += self._faults.events()
+        blank = self._last_filled - self._form.skip - self._read - self._faults.rows
+        if blank > 0:
+            found.append(Event("blank-line", blank, None, "skipped"))
+        return [*found, *self._missed.events(self._numeric)]
+
+    def _file_rows(self, raw: Bytes, read: int, ends: int) -> NDArray[np.int64]:
+        """File rows of the data rows of a piece (blank lines are counted, as an editor does)."""
+        if read == ends:
+            rows = np.arange(self._row, self._row + read, dtype=np.int64)
+        else:
+            filled = (row for row, line in enumerate(bytes(raw).split(b"\n"), start=self._row) if line.strip())
+            rows = np.fromiter(filled, dtype=np.int64)
+        self._last_filled = int(rows[-1]) if rows.size else self._last_filled
+        self._read += read
+        return rows
+
+    def _convert(self, table: Any, rows: NDArray[np.int64]) -> Iterator[Chunk]:
+        start = 0
+        for batch in table.to_batches():
+            part = rows[start : start + batch.num_rows]
+            start += batch.num_rows
+            numbers = {}
+            for name in self._numeric:
+                column = batch.column(name)
+                numbers[name] = numbers_of(column)
+                if column.null_count:
+                    self._missed.add(name, nulls_of(column), part)
+            codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
+            yield Chunk(numbers, codes, part)
+
+    def _parse_or_mask(self, raw: Bytes, ends: int) -> tuple[Bytes, Any]:
+        """The table; when rows are damaged they are listed, and the table without them is given."""
+        if len(self._form.names) == 1:
+            raw = _SPACES_ONLY.sub(b"\n", raw)
+        table, complaint = self._parse(raw, ends)
+        if table is None and (b"\n " in raw or b"\n\t" in raw or raw[:1] in b" \t"):
+            raw = _SPACES_ONLY.sub(b"\n", raw)
+            table, complaint = self._parse(raw)
+        if table is None and b"\r\r\n" in raw:
+            raw = re.sub(rb"\r+\n", b"\r\n", raw)
+            table, complaint = self._parse(raw)
+        if table is not None:
+            return raw, table
+        place = Place(self._row, self._byte)
+        damaged = find_faults(self._faults, raw, place, self._form, self._numeric, self._missing)
+        if damaged:
+            raw = _blanked(raw, damaged)
+            table, complaint = self._parse(raw)
+        if table is None and (bare := self._without_padding(raw)) != raw:
+            raw = bare
+            table, complaint = self._parse(raw)
+        if table is None:
+            row = self._row + self._first_refused(raw)
+            raise DataError(
+                f"{self._path}: row {row}: {_words(complaint)}", remedy="check this row's cells and separators"
+            )
+        return raw, table
+
+    def _without_padding(self, raw: Bytes) -> bytes:
+        """Blanks beside separators taken off: PyArrow knows words for missing values only without them."""
+        separator = self._form.separator.encode()
+        return b"\n".join(
+            separator.join(cell.strip(b" ") for cell in line.split(separator)) if b" " in line else line
+            for line in raw.split(b"\n")
+        )
+
+    def _first_refused(self, raw: Bytes) -> int:
+        """Index of the first line without which the lines before it can be read."""
+        lines = raw.split(b"\n")
+        low, high = 0, len(lines)
+        while high - low > 1:
+            middle = (low + high) // 2
+            table, _ = self._parse(b"\n".join(lines[:middle]) + b"\n")
+            low, high = (middle, high) if table is not None else (low, middle)
+        return low
+
+    def _parse(self, raw: Bytes, ends: int | None = None) -> tuple[Any, str]:
+        """Tokenize with PyArrow: the table, or None and the complaint."""
+        import pyarrow as pa
+        from pyarrow import csv
+
+        if b"\0" in raw:
+            return None, "NUL bytes"
+        if raw.isspace():
+            return _no_rows(self._numeric, self._label), ""
+        if b"\r" in raw and raw.count(b"\r") != raw.count(b"\r\n"):
+            return None, "a carriage return inside a line"
+        form, types = self._form, dict.fromkeys(self._numeric, pa.float64())
+        if self._label is not None:
+            types[self._label] = pa.string()
+        bad: list[Any] = []
+
+        def collect(row: Any) -> str:
+            bad.append(row)
+            return "skip"
+
+        try:
+            table = csv.read_csv(
+                pa.BufferReader(pa.py_buffer(raw)),
+                read_options=csv.ReadOptions(
+                    column_names=list(form.names),
+                    block_size=BLOCK_BYTES,
+                    use_threads=len(raw) > BLOCK_BYTES // 8,
+                ),
+                parse_options=csv.ParseOptions(delimiter=form.separator, invalid_row_handler=collect),
+                convert_options=csv.ConvertOptions(
+                    include_columns=list(types),
+                    column_types=types,
+                    null_values=[*MISSING, *INFINITE, *self._missing],
+                    decimal_point=form.decimal,
+                    strings_can_be_null=False,
+                ),
+            )
+        except pa.ArrowInvalid as error:
+            return None, str(error).splitlines()[0]
+        if bad:
+            return None, f"the row does not have {len(form.names)} cells"
+        counted = table.num_rows == ends or table.num_rows == _filled(raw)
+        if not counted or _open_quote(raw, form.separator):
+            return None, "a quotation mark is not closed"
+        return table, ""
+
+
+def _filled(raw: Bytes) -> int:
+    return sum(1 for line in raw.split(b"\n") if line.strip())
+
+
+def _open_quote(raw: Bytes, separator: str) -> bool:
+    """Whether a cell begins with a quotation mark that its line does not close."""
+    if b'"' not in raw:
+        return False
+    odd = (match.group().decode("utf-8", errors="replace") for match in _ODD_QUOTES.finditer(raw))
+    return any(split_cells(line, separator) is None for line in odd)
+
+
+def _words(complaint: str) -> str:
+    """PyArrow's complaint without the row that it counts in a piece."""
+    return re.sub(r"^(In CSV column #\d+: )?(CSV parse error: )?(Row #\d+: )?", "", complaint)
+
+
+def _blanked(raw: Bytes, damaged: list[int]) -> bytes:
+    """The text with the damaged lines empty, so that the others keep their numbers."""
+    lines = bytes(raw).split(b"\n")
+    for index in damaged:
+        lines[index] = b""
+    return b"\n".join(lines)
+
+
+def _no_rows(numeric: tuple[str, ...], label: str | None) -> Any:
+    import pyarrow as pa
+
+    types = dict.fromkeys(numeric, pa.float64()) | ({label: pa.string()} if label is not None else {})
+    return pa.schema(list(types.items())).empty_table()
+
+
+def _check_columns(form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path) -> None:
+    wanted = [*numeric, *([label] if label else [])]
+    missing = list(dict.fromkeys(name for name in wanted if name not in form.names))
+    if missing:
+        listed = ", ".join(f"'{name}'" for name in missing)
+        raise DataError(
+            f"{path}: row {form.skip}: no column {listed}; the columns are: {', '.join(form.names)}",
+            remedy="correct the column name in [data], or [data] delimiter if the columns are not split",
+        )

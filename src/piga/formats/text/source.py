@@ -1,0 +1,281 @@
+"""The bytes of a text file as complete lines of UTF-8, piece by piece, whatever its length and encoding.
+
+An error further on in the file (bytes that are no text, a damaged ``.gz``) is raised when that place is reached,
+so that what is reported does not depend on the size of the pieces.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import os
+import re
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import BinaryIO, TypeVar, cast
+
+import numpy as np
+
+from piga.errors import DataError
+from piga.formats.text.convention import SNIFF_BYTES, find_encoding
+from piga.records.limits import open_regular
+
+MAX_EXPANSION = 200
+"""Largest ratio of unpacked to packed size accepted for .gz files."""
+GZIP_FIRST = 16 << 20
+"""Bytes unpacked before anything is said about the content."""
+PIECE_BYTES = 16 << 20
+"""Bytes read at a time."""
+MAX_LINE = 16 << 20
+"""Longest line [bytes]."""
+MAX_HEAD = 1 << 20
+"""Bytes within which header, units and first data row must lie."""
+FIRST_ROWS = 3
+"""Header, units and first data row."""
+LINE_FEED = ord("\n")
+LINE_END = re.compile(rb"\r\n|\n|\r")
+
+T = TypeVar("T")
+Bytes = bytes | bytearray
+
+
+def ahead(items: Iterator[T]) -> Iterator[T]:
+    """The same items; the next one is made on another thread while one is worked on."""
+    with ThreadPoolExecutor(1) as pool:
+        end = object()
+        pending = pool.submit(next, items, end)
+        while (item := pending.result()) is not end:
+            pending = pool.submit(next, items, end)
+            yield cast("T", item)
+
+
+class TextSource:
+    """Lines of a text file.
+
+    Attributes
+    ----------
+    encoding:
+        How the file is written: by its mark, strict UTF-8, GB18030, or as declared.
+    head:
+        The first complete lines as UTF-8, of :data:`~piga.formats.text.convention.SNIFF_BYTES` at most, of
+        :data:`MAX_HEAD` when the first three need more.
+    cut:
+        After the last piece: the last line had no line end and was left out.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, empty, damaged, or no text in its encoding, or its first lines are too long.
+    """
+
+    def __init__(
+        self, path: Path, encoding: str | None, see: Callable[[Bytes], object], piece: int | None = None
+    ) -> None:
+        self.path, self.cut, self._see = path, False, see
+        self._piece = piece or PIECE_BYTES
+        packed = path.suffix.lower() == ".gz"
+        self._blocks = self._packed() if packed else self._plain()
+        first = _gather(self._blocks, GZIP_FIRST if packed else SNIFF_BYTES)
+        if not first or (len(first) < SNIFF_BYTES and first.isspace()):
+            raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
+        self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding)
+        self._blocks = _sliced(first, self._blocks, self._piece)
+        if self.encoding not in ("utf-8", "utf-8-sig", "ascii"):
+            self._blocks = self._decoded(self._blocks)
+        self._first = _gather(self._blocks, SNIFF_BYTES).removeprefix(b"\xef\xbb\xbf")
+        self._refuse_utf16()
+        self.head = self._complete_lines(SNIFF_BYTES)
+        if len(self._first) >= SNIFF_BYTES and _rows(self.head) < FIRST_ROWS:
+            self._first += _gather(self._blocks, MAX_HEAD + 1 - len(self._first))
+            self.head = self._complete_lines(MAX_HEAD)
+            self._refuse_long_head()
+
+    def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
+        """Complete lines in order and how many, without the first ``skip``; read ahead on another thread."""
+        found = ((piece, _line_feeds(piece)) for piece in self._pieces(skip))
+        return found if self.path.stat().st_size < self._piece else ahead(found)
+
+    def _complete_lines(self, most: int) -> bytes:
+        """The complete lines of the first ``most`` bytes; all of a shorter file that has no line end."""
+        head = self._first[:most]
+        self._only_cr = b"\n" not in head
+        if self._only_cr:
+            head = head.replace(b"\r", b"\n")
+        end = max(head.rfind(b"\n"), head.rfind(b"\r")) + 1
+        return head[:end] if end or len(self._first) > most else head
+
+    def _refuse_long_head(self) -> None:
+        if len(self._first) > MAX_HEAD and _rows(self.head) < FIRST_ROWS:
+            row = sum(1 for _ in LINE_END.finditer(self.head)) + 1
+            raise DataError(
+                f"{self.path}: row {row}: a line too long, or too many comments: header, units and first data row must lie "
+                f"within the first {MAX_HEAD >> 20} MiB",
+                remedy="check that this is the log; export it again",
+            )
+
+    def header_bytes(self, skip: int) -> int:
+        """Bytes of the first ``skip`` lines."""
+        ends = [match.end() for _, match in zip(range(skip), LINE_END.finditer(self.head), strict=False)]
+        return ends[-1] if len(ends) == skip else len(self.head)
+
+    def _pieces(self, skip: int) -> Iterator[Bytes]:
+        rest = b""
+        for block in _without(self.header_bytes(skip), _sliced(self._first, self._blocks, self._piece)):
+            data = bytearray(block.replace(b"\r", b"\n")) if self._only_cr else _shortable(block)
+            first = data.find(b"\n") + 1
+            if not first:
+                rest += data
+                self._check_line(rest)
+                continue
+            if rest:
+                yield rest + data[:first]
+                del data[:first]
+            end = data.rfind(b"\n") + 1
+            rest = bytes(data[end:])
+            del data[end:]
+            if data:
+                yield data
+        if rest:
+            end = rest.rfind(b"\r") + 1
+            self.cut = end < len(rest)
+            if end:
+                yield rest[:end]
+
+    def _check_line(self, line: bytes) -> None:
+        if len(line) > MAX_LINE:
+            raise DataError(
+                f"{self.path}: a line is longer than {MAX_LINE >> 20} MiB",
+                remedy="check that this is the log; export it again",
+            )
+
+    def _plain(self) -> Iterator[Bytes]:
+        try:
+            with open_regular(self.path, wanted="the data file in [data] file") as stream:
+                size = SNIFF_BYTES
+                while count := stream.readinto(block := bytearray(size)):
+                    del block[count:]
+                    self._see(block)
+                    yield block
+                    size = self._piece
+        except FileNotFoundError:
+            raise _no_file(self.path) from None
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
+
+    def _packed(self) -> Iterator[Bytes]:
+        total = 0
+        try:
+            packed = open_regular(self.path, wanted="the data file in [data] file")
+            limit = os.fstat(packed.fileno()).st_size * MAX_EXPANSION
+            with packed, _unpacking(_Seen(packed, self._see)) as stream:
+                while block := stream.read1(1 << 18):
+                    total += len(block)
+                    if total > limit:
+                        raise DataError(
+                            f"{self.path}: unpacks to more than {MAX_EXPANSION} times its size",
+                            remedy="unpack it by hand",
+                        )
+                    yield block
+        except FileNotFoundError:
+            raise _no_file(self.path) from None
+        except (OSError, EOFError, zlib.error) as error:
+            raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
+
+    def _decoded(self, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
+        """UTF-8 of text in another encoding; good text before a bad byte is given first."""
+        decoder = codecs.getincrementaldecoder(self.encoding)()
+        offset = lines = 0
+        for block, last in _marked(blocks):
+            held, state = decoder.getstate()
+            try:
+                yield decoder.decode(block, last).encode("utf-8", errors="surrogatepass")
+            except UnicodeDecodeError as error:
+                decoder.setstate((held, state))
+                yield decoder.decode(block[: max(error.start - len(held), 0)]).encode("utf-8")
+                row = lines + block[: max(error.start - len(held), 0)].count(b"\n") + 1
+                raise DataError(
+                    f"{self.path}: row {row}: byte {offset - len(held) + error.start} is not {self.encoding} text",
+                    remedy="add [data] encoding = '...'",
+                ) from None
+            offset += len(block)
+            lines += block.count(b"\n")
+
+    def _refuse_utf16(self) -> None:
+        """Text with a NUL in every second byte is UTF-16 without its mark."""
+        head = self._first[:256]
+        if 0.8 * len(head) < 2 * max(head[::2].count(0), head[1::2].count(0)) and len(head) > 8:
+            raise DataError(
+                f"{self.path}: row 1: {head.count(0)} NUL bytes in the first {len(head)}: UTF-16 without a "
+                "byte-order mark?",
+                remedy="add [data] encoding = 'utf-16-le' (or 'utf-16-be'), or export again",
+            )
+
+
+class _Seen:
+    """A file whose bytes are shown to ``see`` as they are read."""
+
+    def __init__(self, stream: BinaryIO, see: Callable[[Bytes], object]) -> None:
+        self._stream, self._see = stream, see
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._stream.read(size)
+        self._see(data)
+        return data
+
+
+def _unpacking(packed: _Seen) -> gzip.GzipFile:
+    return gzip.GzipFile(fileobj=cast("BinaryIO", packed), mode="rb")
+
+
+def _no_file(path: Path) -> DataError:
+    return DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
+
+
+def _shortable(block: Bytes) -> bytearray:
+    """A block that may be shortened in place."""
+    return block if isinstance(block, bytearray) else bytearray(block)
+
+
+def _line_feeds(piece: Bytes) -> int:
+    """Counted by NumPy, which lets the other threads work meanwhile."""
+    return int(np.count_nonzero(np.frombuffer(piece, np.uint8) == LINE_FEED))
+
+
+def _rows(head: bytes) -> int:
+    """Lines that are neither empty nor comments."""
+    lines = (line.strip() for line in LINE_END.split(head))
+    return sum(1 for line in lines if line and not line.startswith(b"#"))
+
+
+def _gather(blocks: Iterator[Bytes], least: int) -> bytes:
+    """Blocks joined until there are ``least`` bytes, or the end."""
+    parts: list[Bytes] = []
+    size = 0
+    while size < least and (block := next(blocks, None)) is not None:
+        parts.append(block)
+        size += len(block)
+    return b"".join(parts)
+
+
+def _sliced(first: bytes, blocks: Iterator[Bytes], size: int) -> Iterator[Bytes]:
+    """``first`` in parts of ``size``, then the blocks."""
+    for start in range(0, len(first), size):
+        yield first[start : start + size]
+    yield from blocks
+
+
+def _without(count: int, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
+    """The blocks less their first ``count`` bytes."""
+    for block in blocks:
+        if count < len(block):
+            yield block[count:]
+        count = max(count - len(block), 0)
+
+
+def _marked(blocks: Iterator[Bytes]) -> Iterator[tuple[Bytes, bool]]:
+    """Each block, and an empty last one marked so."""
+    for block in blocks:
+        yield block, False
+    yield b"", True

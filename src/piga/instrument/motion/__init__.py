@@ -1,0 +1,1 @@
+"""The exact motion of the output for each form of input."""

@@ -1,0 +1,117 @@
+r"""Motion under constant input in closed form: one expression for all four regimes.
+
+With ``A = u_x t``, ``Y = tan(beta) u_Y t``, ``Z = tan(beta) u_Z t`` and ``x = (Y^2 + Z^2 - A^2)/4``,
+
+.. math::
+
+   \alpha = \alpha_0 + 2\,\mathrm{atan2}\!\left(\tfrac{S}{2}(A + Y\sin\alpha_0 - Z\cos\alpha_0),\;
+   C - \tfrac{S}{2}(Y\cos\alpha_0 + Z\sin\alpha_0)\right), \quad
+   C = \cosh\sqrt{x},\; S = \frac{\sinh\sqrt{x}}{\sqrt{x}}
+
+has no branch and no pole. The rate is ``alpha'(0)`` over the squared length of the same pair, so a
+rate that decays keeps its digits. Derived in docs/theory/motion; the published forms that it
+replaces are in :mod:`piga.instrument.published`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels.arithmetic import double_double as dd
+from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
+from piga.errors import ArgumentError
+from piga.instrument.parameters import Instrument
+from piga.instrument.regimes import effective_rates
+
+Array = NDArray[np.float64]
+
+
+def exact_rates(
+    inst: Instrument, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
+) -> Array:
+    """``a``, ``y``, ``z`` [rad/s] as three double-doubles, shape (3, 2), from the float64 inputs."""
+    effective_rates(inst, a_x, a_Y, a_Z, base_rate)
+    omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
+    gains = ((1.0, 0.0), (inst.tan_beta, 0.0), (inst.tan_beta, 0.0))
+    rates = np.empty((3, 2))
+    for axis, force in enumerate((a_x, a_Y, a_Z)):
+        u = dd.add(dd.two_product(inst.scale_factor, float(force)), (-float(omega[axis]), 0.0))
+        rates[axis] = dd.multiply(u, gains[axis])
+    return rates
+
+
+def closed_form_turns(
+    inst: Instrument,
+    t: ArrayLike,
+    a_x: float,
+    a_Y: float,
+    a_Z: float,
+    *,
+    base_rate: ArrayLike | None = None,
+) -> tuple[Array, Array, Array]:
+    """Whole turns, rest [rad] in [-pi, pi] and rate [rad/s] under constant input.
+
+    ``alpha = 2 pi turns + rest``. After 1e9 revolutions ``alpha`` as one float64 resolves 1e-6 rad;
+    turns and rest lose nothing. Arguments and errors as in :func:`closed_form`.
+    """
+    times = np.asarray(t, dtype=float)
+    if times.size == 0:
+        raise ArgumentError("t: empty", remedy="give at least one time")
+    if not np.isfinite(times).all():
+        index = int(np.flatnonzero(~np.isfinite(times))[0])
+        raise ArgumentError(f"t: {times.ravel()[index]} at index {index} is not a finite number")
+    result = np.empty((3, times.size))
+    turns, rest = split_turns(inst.alpha0)
+    constant_motion_at(exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)
+    shaped = result.reshape((3, *times.shape))
+    return shaped[0], shaped[1], shaped[2]
+
+
+def closed_form(
+    inst: Instrument,
+    t: ArrayLike,
+    a_x: float,
+    a_Y: float,
+    a_Z: float,
+    *,
+    base_rate: ArrayLike | None = None,
+) -> tuple[Array, Array]:
+    """Angle and rate under constant input, in any regime and on its borders.
+
+    Equation (4) of docs/theory/motion. The float64 inputs are taken as exact; the phase is carried
+    in double-double, so that the count of revolutions is exact and closeness to the separatrix
+    costs no digits.
+
+    Parameters
+    ----------
+    inst:
+        The instrument; ``inst.alpha0`` is the angle at ``t = 0``.
+    t:
+        Time since the start [s], scalar or any shape; negative times run backwards.
+    a_x, a_Y, a_Z:
+        Constant specific force in base axes [m/s^2].
+    base_rate:
+        Constant inertial rate of the base in base axes, shape (3,) [rad/s]; None: none.
+
+    Returns
+    -------
+    alpha:
+        Unwrapped outer-gimbal angle [rad], the shape of ``t``.
+    rate:
+        Its derivative [rad/s], the shape of ``t``.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is not finite, or ``t`` is empty.
+
+    Examples
+    --------
+    >>> inst = Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0="45 deg")
+    >>> alpha, rate = closed_form(inst, 10.0, a_x=9.80665, a_Y=49.03325, a_Z=0.0)
+    >>> round(float(alpha), 9), round(float(rate), 9)
+    (9.707147027, 0.882399502)
+    """
+    turns, rest, rate = closed_form_turns(inst, t, a_x, a_Y, a_Z, base_rate=base_rate)
+    return np.asarray(turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest)), rate

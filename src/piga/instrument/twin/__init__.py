@@ -1,0 +1,1 @@
+"""The servo-loop twin: rigid body, electronics and what theory predicts of it."""

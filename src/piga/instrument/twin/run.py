@@ -1,0 +1,228 @@
+"""The servo twin in the time domain: a PIGA whose float, gimbal and servo move as rigid bodies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga._kernels.motion import servo
+from piga.errors import ArgumentError, PigaError
+from piga.instrument.twin.parameters import TwinParameters
+
+Array = NDArray[np.float64]
+Start = Literal["slow-manifold", "transient"]
+
+ACCURACY = 1e-12
+"""Default local error per step in alpha and beta [rad]."""
+
+
+@dataclass(frozen=True)
+class TwinMotion:
+    """What the twin did, at the sample times.
+
+    ``alpha`` and ``beta`` [rad], ``rate`` [rad/s], ``tilt_rate`` [rad/s], ``integral`` [rad s],
+    ``torque`` [N m] of the motor, ``locked`` whether pick-off and torque motor are inside their limits.
+    ``local_error`` [rad] is the sum of the integrator's own error estimates in alpha over all steps,
+    an upper estimate of the global error while errors do not grow (they do not: the loop is stable).
+    """
+
+    t: Array
+    alpha: Array
+    beta: Array
+    rate: Array
+    tilt_rate: Array
+    integral: Array
+    torque: Array
+    locked: NDArray[np.bool_]
+    local_error: float
+    steps: int
+
+    def lock_changes(self) -> tuple[tuple[float, str], ...]:
+        """Times [s] at which lock was lost or recovered."""
+        turns = np.flatnonzero(np.diff(self.locked.astype(np.int8)))
+        return tuple((float(self.t[i + 1]), "recovered" if self.locked[i + 1] else "lost") for i in turns)
+
+
+@dataclass(frozen=True)
+class _Tableau:
+    tableau: Array
+    weights: Array
+    nodes: Array
+    E3: Array
+    E5: Array
+
+
+def _tableau() -> _Tableau:
+    """The eighth-order method of Dormand and Prince with its two error estimators, as SciPy publishes it."""
+    from scipy.integrate import DOP853
+
+    parts = (DOP853.A, DOP853.B, DOP853.C, DOP853.E3, DOP853.E5)
+    return _Tableau(*(np.ascontiguousarray(part, dtype=float) for part in parts))
+
+
+def _inputs(t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None) -> tuple[Array, Array, Array]:
+    times = np.ascontiguousarray(t, dtype=float)
+    force = np.ascontiguousarray(f, dtype=float)
+    rate = np.zeros_like(force) if base_rate is None else np.ascontiguousarray(base_rate, dtype=float)
+    if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
+        raise ArgumentError("t: needs at least two strictly increasing times")
+    for name, array in (("f", force), ("base_rate", rate)):
+        if array.shape != (times.size, 3):
+            raise ArgumentError(f"{name}: shape {array.shape} found, ({times.size}, 3) needed")
+        if not np.all(np.isfinite(array)):
+            raise ArgumentError(f"{name}: row {int(np.argwhere(~np.isfinite(array))[0, 0])} is not finite")
+    return times, force, rate
+
+
+def quasi_steady_state(p: TwinParameters, t: float, alpha: float, f: ArrayLike, base_rate: ArrayLike) -> Array:
+    """State with zero tilt rate in which all torques balance at gimbal angle ``alpha``, shape (5,).
+
+    The first guess for the slow manifold: pick-off at null where the servo integrates, else the tilt
+    that the proportional gain needs to hold the outer-axis torque.
+    """
+    a_x, a_Y, a_Z = np.asarray(f, dtype=float)
+    o_x, o_Y, o_Z = np.asarray(base_rate, dtype=float)
+    H, _ = servo.wheel(p.constants(), t)
+    c, s = math.cos(alpha), math.sin(alpha)
+    load = p.pendulosity * (a_Y * c + a_Z * s) - H * (o_Y * c + o_Z * s) + p.outer_torque
+    w = p.pendulosity / H * a_x - o_x
+    load += servo.friction(p.constants(), w)
+    if p.integral_gain > 0.0:
+        return np.array([alpha, p.pick_off_null, w, 0.0, load / p.integral_gain])
+    tilt = load / p.proportional_gain if p.proportional_gain > 0.0 else 0.0
+    return np.array([alpha, p.pick_off_null + tilt, w, 0.0, 0.0])
+
+
+def slow_manifold(
+    p: TwinParameters, t: float, alpha: float, f: ArrayLike, base_rate: ArrayLike, *, accuracy: float = ACCURACY
+) -> Array:
+    """State at ``t`` on the slow manifold: no nutation and no servo transient, shape (5,).
+
+    The manifold attracts, so it is reached by running the twin up to ``t`` with the inputs (and the
+    wheel speed) held, for as long as the slowest loop pole needs to forget the first guess; the start
+    angle is corrected until the run ends at ``alpha``. Own method.
+    """
+    from piga.instrument.twin.linear import loop_poles
+
+    slowest = -float(np.max(loop_poles(p).real))
+    if slowest <= 0.0:
+        raise PigaError("the loop is unstable: it has no slow manifold", remedy='start with the "transient"')
+    H, _ = servo.wheel(p.constants(), t)
+    held = replace(p, angular_momentum=H, hunting=0.0, spin_start=1.0)
+    duration = 30.0 / slowest
+    times = np.linspace(-duration, 0.0, max(2, math.ceil(duration * 50.0)))
+    force, rate = (np.tile(np.asarray(v, dtype=float), (times.size, 1)) for v in (f, base_rate))
+    state = quasi_steady_state(held, 0.0, alpha, f, base_rate)
+    start = alpha - duration * state[2]
+    for _ in range(20):
+        first = quasi_steady_state(held, 0.0, start, f, base_rate)
+        state = _run(held, times, force, rate, np.zeros_like(force), first, accuracy)[0][-1]
+        start += alpha - state[0]
+        if abs(alpha - state[0]) < 1e-10:
+            break
+    state[0] = alpha
+    return state
+
+
+def _tolerance(p: TwinParameters, accuracy: float) -> Array:
+    fast = p.nutation
+    return accuracy * np.array([1.0, 1.0, fast, fast, 1.0])
+
+
+def _run(
+    p: TwinParameters, t: Array, f: Array, base_rate: Array, noise: Array, start: Array, accuracy: float
+) -> tuple[Array, float, int]:
+    method = _tableau()
+    states = np.empty((t.size, servo.STATES))
+    step = min(float(t[1] - t[0]), 0.5 / p.nutation)
+    _, error, steps, failed = servo.integrate(
+        p.constants(), t, f, base_rate, noise, start.copy(), step, _tolerance(p, accuracy),
+        method.tableau, method.weights, method.nodes, method.E3, method.E5, states,
+    )  # fmt: skip
+    if failed >= 0:
+        raise PigaError(
+            f"the twin's motion cannot be followed beyond t = {t[failed]:.6g} s: it is too fast",
+            remedy="the design is unstable or too stiff; look at its linear analysis",
+        )
+    return states, float(error), int(steps)
+
+
+def run_twin(
+    p: TwinParameters,
+    t: ArrayLike,
+    f: ArrayLike,
+    base_rate: ArrayLike | None = None,
+    *,
+    noise: ArrayLike | None = None,
+    start: Start | ArrayLike = "slow-manifold",
+    accuracy: float = ACCURACY,
+) -> TwinMotion:
+    """Integrate the twin through sampled inputs.
+
+    Parameters
+    ----------
+    p:
+        Parameters of the instrument.
+    t:
+        Sample times [s], shape (n,), increasing.
+    f, base_rate:
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, shape (n, 3), linear between
+        samples.
+    noise:
+        Disturbing torque on the outer axis [N m], on the inner axis [N m], and pick-off noise [rad];
+        shape (n, 3), held from a sample to the next.
+    start:
+        ``"slow-manifold"`` starts without transient, ``"transient"`` with the float at pick-off null and
+        everything at rest; or a state ``(alpha, beta, rate, tilt rate, integral)``.
+    accuracy:
+        Local error allowed per step in alpha and beta [rad]. With the default the global error over 10 s
+        is below 1e-9 rad.
+
+    Raises
+    ------
+    ArgumentError
+        If shapes do not fit or inputs are not finite.
+    PigaError
+        If the motion cannot be followed (unstable design).
+
+    Notes
+    -----
+    Explicit Runge-Kutta method of order 8 with local error control, substeps inside each sample
+    interval: nutation is resolved when it is excited, and merely kept stable when it is not.
+    """
+    times, force, rate = _inputs(t, f, base_rate)
+    held = np.zeros_like(force) if noise is None else np.ascontiguousarray(noise, dtype=float)
+    if held.shape != force.shape:
+        raise ArgumentError(f"noise: shape {held.shape} found, {force.shape} needed")
+    first = _start(p, start, times[0], force[0], rate[0], accuracy)
+    states, error, steps = _run(p, times, force, rate, held, first, accuracy)
+    return _motion(p, times, states, held[:, 2], error, steps)
+
+
+def _start(
+    p: TwinParameters, start: Start | ArrayLike, t: float, f: Array, base_rate: Array, accuracy: float
+) -> Array:
+    if not isinstance(start, str):
+        state = np.asarray(start, dtype=float)
+        if state.shape != (servo.STATES,):
+            raise ArgumentError(f"start: a state has {servo.STATES} numbers, got shape {state.shape}")
+        return state
+    if start == "transient":
+        return np.array([p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0])
+    if start != "slow-manifold":
+        raise ArgumentError(f"start: '{start}' is unknown", remedy="choose slow-manifold or transient")
+    return slow_manifold(p, t, p.alpha0, f, base_rate, accuracy=accuracy)
+
+
+def _motion(p: TwinParameters, t: Array, x: Array, noise: Array, error: float, steps: int) -> TwinMotion:
+    signal = x[:, 1] - p.pick_off_null + noise
+    e = np.clip(signal, -p.pick_off_range, p.pick_off_range)
+    asked = -(p.proportional_gain * e + p.integral_gain * x[:, 4] + p.rate_gain * x[:, 3])
+    locked = (np.abs(signal) <= p.pick_off_range) & (np.abs(asked) <= p.torque_limit)
+    torque = np.clip(asked, -p.torque_limit, p.torque_limit)
+    alpha, beta, rate, tilt_rate, integral = (np.ascontiguousarray(column) for column in x.T)
+    return TwinMotion(t, alpha, beta, rate, tilt_rate, integral, torque, locked, error, steps)

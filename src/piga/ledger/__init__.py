@@ -1,0 +1,15 @@
+"""Calibrations kept as evidence: calibrate and store, recompute what is stored."""
+
+from piga.ledger.compare import Comparison, compare_calibrations
+from piga.ledger.keep import Prepared, prepare_results, prepare_run
+from piga.ledger.reproduce import Reproduced, reproduce
+
+__all__ = [
+    "Comparison",
+    "Prepared",
+    "Reproduced",
+    "compare_calibrations",
+    "prepare_results",
+    "prepare_run",
+    "reproduce",
+]

@@ -1,0 +1,185 @@
+"""Calibrate and store: inputs, result and report become one record, or nothing does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piga.errors import CalibrationError
+from piga.ledger.inputs import input_files
+from piga.ledger.store import Draft, DraftFile, Record, Store
+from piga.ledger.store.software import software_identity
+from piga.records import Calibration
+from piga.records.calibration_json import MAX_BYTES, calibration_from_bytes
+from piga.records.limits import read_whole
+
+if TYPE_CHECKING:
+    from piga.ledger.store.record import Position
+
+_ID, _NUMBER, _STORE, _AFTER = (f"\u27e6record {name}\u27e7" for name in ("id", "number", "store", "after"))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A calibration ready to be kept: the record but for its place, and the report with blanks for it."""
+
+    draft: Draft
+    calibration: Calibration
+    page: str | None = None
+
+    def keep(self, store: Store) -> Record:
+        """Write it; when this returns, the record is on disk.
+
+        Raises
+        ------
+        PigaError
+            With nothing stored.
+        """
+        return store.append(self._filled)
+
+    def _filled(self, place: Position) -> Draft:
+        """The draft with its report, the blanks filled in."""
+        if self.page is None:
+            return self.draft
+        page = self.page
+        blanks = ((_ID, place.id), (_NUMBER, str(place.number)), (_STORE, place.store), (_AFTER, place.after))
+        for blank, value in blanks:
+            page = page.replace(blank, value)
+        report = DraftFile("report", "results/report.html", page.encode())
+        return replace(self.draft, files=(*self.draft.files, report))
+
+
+def prepare_run(
+    run: Path,
+    operator: str,
+    reason: str,
+    *,
+    terms: list[str] | None = None,
+    method: str | None = None,
+    phase: str | None = None,
+    phase_source: str | None = None,
+    measured: str | None = None,
+    supersedes: str | None = None,
+    report: bool = True,
+) -> Prepared:
+    """Calibrate a run, to be kept with its inputs and a report that carries the record's name and the head.
+
+    Parameters
+    ----------
+    run:
+        Run file.
+    operator, reason:
+        Who keeps it and why.
+    terms, method, phase, phase_source:
+        As for :func:`piga.calibrate`.
+    measured:
+        Time of the test, in ISO form; without a zone it is UTC.
+    supersedes:
+        Name of the record that this one amends.
+    report:
+        Make the report too.
+
+    Raises
+    ------
+    PigaError
+        If it cannot be calibrated.
+    """
+    from piga.calibration.calibrate import calibrate
+    from piga.records.calibration_json import calibration_to_bytes
+    from piga.stand import read_run
+
+    calibration = calibrate(read_run(run), terms, method, phase=phase, phase_source=phase_source)
+    inputs = input_files(run, calibration.provenance.input_sha256)
+    draft = Draft(
+        calibration.serial,
+        operator,
+        reason,
+        (*inputs, DraftFile("calibration", "results/calibration.json", calibration_to_bytes(calibration))),
+        _request(calibration),
+        software_identity(),
+        measured,
+        supersedes,
+    )
+    return Prepared(draft, calibration, _report(calibration, draft) if report else None)
+
+
+def prepare_results(
+    run: Path,
+    results: Path,
+    operator: str,
+    reason: str,
+    *,
+    measured: str | None = None,
+    supersedes: str | None = None,
+) -> Prepared:
+    """What ``piga calibrate`` left in a directory, to be kept with the run it came from, every file as it is.
+
+    Parameters
+    ----------
+    run:
+        Run file.
+    results:
+        Directory with ``calibration.json`` and, if there is one, ``report.html``.
+    operator, reason, measured, supersedes:
+        As for :func:`prepare_run`.
+
+    Raises
+    ------
+    PigaError
+        If the results are not those of this run.
+    """
+    path = results / "calibration.json"
+    raw = read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError)
+    calibration = calibration_from_bytes(raw, path)
+    inputs = input_files(run, calibration.provenance.input_sha256)
+    files = [*inputs, DraftFile("calibration", "results/calibration.json", raw)]
+    if (results / "report.html").is_file():
+        files.append(DraftFile("report", "results/report.html", results / "report.html"))
+    software = {"piga": calibration.provenance.software.removeprefix("piga ")}
+    draft = Draft(
+        calibration.serial,
+        operator,
+        reason,
+        tuple(files),
+        _request(calibration),
+        software,
+        measured,
+        supersedes,
+    )
+    return Prepared(draft, calibration)
+
+
+def _request(calibration: Calibration) -> dict[str, Any]:
+    """What was asked for, so that it can be asked again."""
+    return {
+        "terms": list(calibration.terms),
+        "method": calibration.method,
+        "phase": calibration.phase,
+        "phase_source": calibration.phase_source,
+    }
+
+
+def _report(calibration: Calibration, draft: Draft) -> str:
+    """The report with blanks for what is known only when the record gets its place."""
+    from piga.reports.calibration.page import calibration_page
+    from piga.reports.calibration.tables import facts_table
+    from piga.reports.render.page import Section, Text, page_html
+
+    lead = (
+        "This report is part of a record that is never changed. The head below vouches for every record before it: "
+        "piga records verify --head compares it with the store."
+    )
+    rows = [
+        ("Record", _ID),
+        ("Number in the store", _NUMBER),
+        ("Store", _STORE),
+        ("Head before this record", _AFTER),
+    ]
+    rows += [("Operator", draft.operator), ("Reason", draft.reason)]
+    rows += [("Measured", draft.measured)] if draft.measured else []
+    rows += [("Supersedes", draft.supersedes)] if draft.supersedes else []
+    page = calibration_page(calibration)
+    section = Section("Record", "record", (Text(lead, lead=True), facts_table(rows, code=True)))
+    footer = f"Record {_ID}, number {_NUMBER}, after head {_AFTER}. {page.footer}"
+    return page_html(replace(page, sections=(*page.sections, section), footer=footer))

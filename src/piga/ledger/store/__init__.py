@@ -1,0 +1,50 @@
+"""The store of records: append-only, chained, in one SQLite file or a PostgreSQL database."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from piga.errors import StoreError
+
+if TYPE_CHECKING:
+    from piga.ledger.store.record import Draft, DraftFile, Head, Record
+    from piga.ledger.store.store import Store
+
+__all__ = ["Draft", "DraftFile", "Head", "Record", "Store", "open_store"]
+
+
+def open_store(where: str | Path, *, create: bool = False) -> Store:
+    """Open the store in a SQLite file, or in a PostgreSQL database by URL.
+
+    Parameters
+    ----------
+    where:
+        ``lab.sqlite`` or ``postgresql://user@server/database``.
+    create:
+        Make a new store where there is none.
+
+    Raises
+    ------
+    StoreError
+        If there is no store, it is damaged, foreign or made by a newer piga, or the extra is not installed.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("sqlalchemy") is None or find_spec("alembic") is None:
+        raise StoreError(
+            "the store of records needs the extra 'records', which is not installed",
+            remedy="install it with: pip install 'piga[records]'",
+        )
+    from piga.ledger.store.database import open_database
+    from piga.ledger.store.store import Store
+
+    return Store(open_database(where, create=create))
+
+
+def __getattr__(name: str) -> object:
+    if name in __all__:
+        from piga.ledger.store import record, store
+
+        return getattr(store if name == "Store" else record, name)
+    raise AttributeError(f"module 'piga.ledger.store' has no attribute '{name}'")

@@ -1,0 +1,237 @@
+"""Files inside the store: named by their SHA-256, kept once, in parts of a megabyte."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from piga.errors import StoreError
+from piga.ledger.store.documents import sha256
+from piga.ledger.store.tables import BLOB, CHUNK
+from piga.records.limits import open_regular
+
+PART = 1 << 20
+"""Bytes of a file per row."""
+COMPRESS_ABOVE = 1 << 16
+"""Files larger than this are stored compressed [bytes]; ``Store(compress_above=...)`` changes it."""
+
+
+def parts_of(path: Path) -> Iterator[bytes]:
+    """A file in parts.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read.
+    """
+    try:
+        with open_regular(path, error=StoreError) as stream:
+            while part := stream.read(PART):
+                yield part
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check the file") from None
+
+
+def as_bytes(value: object, what: str) -> bytes:
+    """A column that must hold bytes.
+
+    Raises
+    ------
+    StoreError
+        If it holds anything else.
+    """
+    if not isinstance(value, bytes | memoryview):
+        raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
+    return bytes(value)
+
+
+def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
+    """SHA-256 and size [bytes] of what comes in parts."""
+    digest, size = hashlib.sha256(), 0
+    for part in parts:
+        digest.update(part)
+        size += len(part)
+    return digest.hexdigest(), size
+
+
+def insert_blob(
+    connection: sa.Connection,
+    name: str,
+    size: int,
+    parts: Iterable[bytes],
+    compress_above: int = COMPRESS_ABOVE,
+) -> None:
+    """Store a file under the digest and size it was announced with; one that is there already is not stored twice.
+
+    Raises
+    ------
+    StoreError
+        If the content is not the one that was announced.
+    """
+    if connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
+        return
+    connection.execute(BLOB.insert().values(sha256=name, size=size))
+    found, length = hashlib.sha256(), 0
+    for number, part in enumerate(_evenly(parts)):
+        found.update(part)
+        length += len(part)
+        codec, data = ("zlib", zlib.compress(part, 6)) if size > compress_above else ("plain", part)
+        connection.execute(
+            CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
+        )
+    if (found.hexdigest(), length) != (name, size):
+        raise StoreError(
+            f"file {name[:12]}: changed while it was stored",
+            remedy="stop the program that writes it, try again",
+        )
+
+
+def _evenly(parts: Iterable[bytes]) -> Iterator[bytes]:
+    """The same bytes in parts of exactly :data:`PART`."""
+    rest = b""
+    for part in parts:
+        rest += part
+        while len(rest) >= PART:
+            yield rest[:PART]
+            rest = rest[PART:]
+    if rest:
+        yield rest
+
+
+def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
+    """The parts of a stored file, each checked as it lies there, the whole checked at the end.
+
+    Raises
+    ------
+    StoreError
+        If the file is not in the store, or not what it was.
+    """
+    row = connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).one_or_none()
+    if row is None:
+        raise _missing(name)
+    digest, length, number = hashlib.sha256(), 0, 0
+    while part_row := connection.execute(
+        sa.select(CHUNK).where(CHUNK.c.sha256 == name, CHUNK.c.part == number)
+    ).one_or_none():
+        part = _unpacked(part_row)
+        digest.update(part)
+        length += len(part)
+        number += 1
+        yield part
+    if (digest.hexdigest(), length) != (name, row.size):
+        raise _damaged(name)
+
+
+BATCH_FILES, BATCH_BYTES = 200, 32 << 20
+"""Files, and bytes of them, that are read at once."""
+
+
+def read_blobs(connection: sa.Connection, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, bytes]]:
+    """Many small files whole, in the order asked for; each is checked as :func:`read_blob` does.
+
+    ``wanted`` are name and size [bytes] of each.
+
+    Raises
+    ------
+    StoreError
+        For the first file that is missing or not what it was.
+    """
+    for name, _, data in _in_batches(connection, wanted):
+        if isinstance(data, StoreError):
+            raise data
+        yield name, data
+
+
+def check_blobs(
+    connection: sa.Connection, wanted: Iterable[tuple[str, int]]
+) -> Iterator[tuple[str, StoreError | None]]:
+    """What is wrong with each stored file, None where it is what it was and as large as announced."""
+
+    def small() -> Iterator[tuple[str, int]]:
+        for name, size in wanted:
+            if size <= PART:
+                yield name, size
+            else:
+                large.append((name, size))
+
+    large: list[tuple[str, int]] = []
+    for name, size, data in _in_batches(connection, small()):
+        altered = not isinstance(data, StoreError) and len(data) != size
+        yield name, _altered(name) if altered else data if isinstance(data, StoreError) else None
+    for name, size in large:
+        try:
+            found = digest_of(read_blob(connection, name))
+        except StoreError as error:
+            yield name, error
+        else:
+            yield name, None if found == (name, size) else _altered(name)
+
+
+def _altered(name: str) -> StoreError:
+    return StoreError(f"file {name[:12]}: was altered", remedy="restore a backup")
+
+
+def _in_batches(
+    connection: sa.Connection, wanted: Iterable[tuple[str, int]]
+) -> Iterator[tuple[str, int, bytes | StoreError]]:
+    batch: list[tuple[str, int]] = []
+    held = 0
+    for name, size in wanted:
+        batch.append((name, size))
+        held += size
+        if len(batch) == BATCH_FILES or held > BATCH_BYTES:
+            yield from _read_batch(connection, batch)
+            batch, held = [], 0
+    yield from _read_batch(connection, batch)
+
+
+def _read_batch(
+    connection: sa.Connection, batch: list[tuple[str, int]]
+) -> Iterator[tuple[str, int, bytes | StoreError]]:
+    names = [name for name, _ in batch]
+    there = {
+        row.sha256: row.size for row in connection.execute(sa.select(BLOB).where(BLOB.c.sha256.in_(names)))
+    }
+    parts: dict[str, list[bytes]] = {}
+    faults: dict[str, StoreError] = {}
+    chunks = sa.select(CHUNK).where(CHUNK.c.sha256.in_(names)).order_by(CHUNK.c.sha256, CHUNK.c.part)
+    for row in connection.execute(chunks):
+        try:
+            parts.setdefault(row.sha256, []).append(_unpacked(row))
+        except StoreError as error:
+            faults.setdefault(row.sha256, error)
+    for name, size in batch:
+        data = b"".join(parts.get(name, []))
+        if name not in there:
+            faults[name] = _missing(name)
+        elif name not in faults and (sha256(data), len(data)) != (name, there[name]):
+            faults[name] = _damaged(name)
+        yield name, size, faults.get(name, data)
+
+
+def _missing(name: str) -> StoreError:
+    return StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
+
+
+def _unpacked(row: sa.Row) -> bytes:
+    data = as_bytes(row.data, f"file {row.sha256[:12]}")
+    if sha256(data) != row.digest or row.codec not in ("plain", "zlib"):
+        raise _damaged(row.sha256)
+    if row.codec == "plain":
+        return data
+    unpacker = zlib.decompressobj()
+    try:
+        part = unpacker.decompress(data, PART)
+    except zlib.error:
+        raise _damaged(row.sha256) from None
+    if not unpacker.eof or unpacker.unused_data:
+        raise _damaged(row.sha256)
+    return part
+
+
+def _damaged(name: str) -> StoreError:
+    return StoreError(f"file {name[:12]}: is damaged in the store", remedy="restore a backup")

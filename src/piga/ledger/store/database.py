@@ -1,0 +1,323 @@
+"""A store's database: opened, made, migrated and put right; SQLite file or PostgreSQL by URL.
+
+SQLite: one file, rollback journal, ``synchronous=EXTRA`` (FULL, and the directory too), writers one after another
+by ``BEGIN IMMEDIATE``. PostgreSQL: writers one after another by an advisory lock, readers on one snapshot.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoResultFound
+from sqlalchemy.pool import NullPool, StaticPool
+
+from piga.errors import StoreError
+from piga.ledger.store.documents import new_identity, sha256
+from piga.ledger.store.tables import HEAD, STORE
+from piga.output import remove_leftovers, write_whole
+from piga.records.limits import open_regular
+
+APPLICATION_ID = 0x70696761
+"""``piga``, in the header of the SQLite file."""
+SCHEMA = 1
+"""Schema version that this piga writes: the number of the last migration."""
+MIGRATIONS = Path(__file__).parent / "migrations" / "versions"
+BUSY = 60.0
+"""How long a writer waits for another [s]."""
+_ADVISORY_LOCK = 0x7069676172656300
+_MAGIC = b"SQLite format 3\x00"
+_DAMAGED = "run piga records verify, then restore a backup"
+_WORDS = (
+    ("disk is full", "no space is left", "free some space"),
+    ("no space left", "no space is left", "free some space"),
+    ("index row size", "a serial is too long for PostgreSQL", "restore into a SQLite file"),
+    ("readonly", "it cannot be written to", "check the rights of the file and its folder"),
+    ("locked", "another program holds it", "try again when that has ended"),
+    ("append-only", "records are append-only", "amend a record by a new one that supersedes it"),
+    ("disk i/o", "the disk reported an error", "check the disk; piga records verify shows what is stored"),
+    ("malformed", "the file is damaged", _DAMAGED),
+    ("not a database", "the file is damaged", _DAMAGED),
+    ("could not decode", "the file is damaged", _DAMAGED),
+)
+
+
+class Database:
+    """Connections to one store: :meth:`reading` and :meth:`writing` are its transactions."""
+
+    def __init__(self, name: str, engine: sa.Engine, path: Path | None) -> None:
+        self.name, self.engine, self.path = name, engine, path
+
+    @contextmanager
+    def reading(self) -> Iterator[sa.Connection]:
+        """One snapshot; nothing can be written."""
+        with explained(self.name), self.engine.connect() as connection:
+            if self.path is None:
+                connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+            with connection.begin():
+                if self.path is not None:
+                    connection.exec_driver_sql("PRAGMA query_only=ON")
+                yield connection
+
+    @contextmanager
+    def writing(self) -> Iterator[sa.Connection]:
+        """The only writer; committed and on disk when left, rolled back on any error."""
+        with explained(self.name), self.engine.connect() as connection:
+            connection.execution_options(piga_writing=True)
+            with connection.begin():
+                if self.path is None:
+                    connection.exec_driver_sql("SET LOCAL synchronous_commit = on")
+                    connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
+                yield connection
+
+
+@contextmanager
+def explained(name: str) -> Iterator[None]:
+    """Turn what a database reports into one clear message."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise StoreError(f"{name}: the file is damaged ({error})", remedy=_DAMAGED) from None
+    except (DBAPIError, ArgumentError, NoResultFound, MultipleResultsFound, sqlite3.Error) as error:
+        cause = getattr(error, "orig", None) or error
+        text = " ".join(str(cause).split())
+        for word, what, remedy in _WORDS:
+            if word in text.lower():
+                raise StoreError(f"{name}: {what} ({text})", remedy=remedy) from None
+        raise StoreError(
+            f"{name}: the database refused ({text})", remedy="check the name, the server and the rights"
+        ) from None
+
+
+def is_url(where: str | Path) -> bool:
+    """True for the URL of a PostgreSQL database."""
+    return str(where).startswith(("postgresql://", "postgres://", "postgresql+psycopg://"))
+
+
+def open_database(where: str | Path, *, create: bool = False, identity: bytes | None = None) -> Database:
+    """Open a store's database; an older schema is migrated, a hot journal rolled back.
+
+    Parameters
+    ----------
+    where:
+        SQLite file, or URL of a PostgreSQL database.
+    create:
+        Make the store where there is none.
+    identity:
+        Identity of a new store (restore); a new random one when left out.
+
+    Raises
+    ------
+    StoreError
+        If there is no store, a foreign or damaged one, or one made by a newer piga.
+    """
+    if is_url(where):
+        return _open_postgresql(str(where), create, identity)
+    return _open_sqlite(Path(where), create, identity)
+
+
+def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
+    writable = _writable(path)
+    if writable:
+        remove_leftovers(path)
+    if not _exists(path) and create:
+        try:
+            write_whole(
+                path, lambda part: part.write_bytes(new_sqlite(identity)), replace=False, kind=StoreError
+            )
+        except StoreError:
+            if not _exists(path):
+                raise
+        writable = True
+    _check_file(path)
+    mode = "rw" if writable else "ro"
+    uri = f"{path.resolve().as_uri()}?mode={mode}"
+    database = Database(
+        str(path), _sqlite_engine(lambda: _of_a_store(path, connect_sqlite(uri)), NullPool), path
+    )
+    if writable and path.with_name(f"{path.name}-journal").exists():
+        _roll_back(uri)
+    _check_version(database, writable)
+    return database
+
+
+def _writable(path: Path) -> bool:
+    return os.access(path if _exists(path) else path.parent, os.W_OK) and os.access(path.parent, os.W_OK)
+
+
+def _exists(path: Path) -> bool:
+    """False also for a name that no file can have."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def _check_file(path: Path) -> None:
+    """The file must be a SQLite database with our mark."""
+    try:
+        if not path.is_file():
+            raise StoreError(f"{path}: no such store", remedy="check --store; piga records add makes a new one")
+        with open_regular(path, error=StoreError) as stream:
+            header = stream.read(100)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
+    if header[:16] != _MAGIC or len(header) < 100:
+        raise StoreError(
+            f"{path}: no store of records (no SQLite database)", remedy="check --store, or restore a backup"
+        )
+    if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
+        raise _foreign(path)
+
+
+def connect_sqlite(uri: str) -> sqlite3.Connection:
+    """A connection with the settings that a store needs."""
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY, check_same_thread=False)
+    for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
+        connection.execute(f"PRAGMA {setting}")
+    return connection
+
+
+def _of_a_store(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
+    """The connection, once the file that it opened bears our mark: another one may lie there since the check."""
+    if connection.execute("PRAGMA application_id").fetchone() != (APPLICATION_ID,):
+        connection.close()
+        raise _foreign(path)
+    return connection
+
+
+def _foreign(path: Path) -> StoreError:
+    return StoreError(f"{path}: a SQLite database of another program", remedy="check --store")
+
+
+def _sqlite_engine(connect: Callable[[], sqlite3.Connection], pool: Any) -> sa.Engine:
+    engine = sa.create_engine("sqlite://", creator=connect, poolclass=pool)
+
+    @sa.event.listens_for(engine, "begin")
+    def _begin(connection: sa.Connection) -> None:
+        writing = connection.get_execution_options().get("piga_writing", False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
+
+    return engine
+
+
+def new_sqlite(identity: bytes | None) -> bytes:
+    """The bytes of an empty store, made in memory."""
+    with closing(sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)) as memory:
+        database = Database("new store", _sqlite_engine(lambda: memory, StaticPool), Path(":memory:"))
+        with database.writing() as connection:
+            connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
+            migrate(connection)
+            first_rows(connection, identity)
+        return memory.serialize()
+
+
+def first_rows(connection: sa.Connection, identity: bytes | None) -> None:
+    """Write identity and head of a new store."""
+    document = identity or new_identity()
+    connection.execute(STORE.insert().values(document=document))
+    connection.execute(HEAD.insert().values(one=1, number=0, head=sha256(document)))
+
+
+def _roll_back(uri: str) -> None:
+    """Let SQLite roll back what a killed writer left, and put away a journal that holds nothing.
+
+    A journal whose writer is alive is locked, and left alone.
+    """
+    with closing(connect_sqlite(uri)) as connection, suppress(sqlite3.Error):
+        connection.execute("PRAGMA busy_timeout=0")
+        connection.execute("BEGIN IMMEDIATE")
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        connection.execute(f"PRAGMA user_version={int(version)}")
+        connection.execute("COMMIT")
+
+
+def _check_version(database: Database, writable: bool) -> None:
+    with database.reading() as connection:
+        version = schema_version(connection)
+    if version == SCHEMA:
+        return
+    if version > SCHEMA:
+        raise StoreError(
+            f"{database.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
+            remedy="update piga; the store was not touched",
+        )
+    if not writable:
+        raise StoreError(
+            f"{database.name}: has the older schema {version} and cannot be written to",
+            remedy="copy it to a place where it can be migrated",
+        )
+    with database.writing() as connection:
+        if schema_version(connection) < SCHEMA:
+            migrate(connection)
+
+
+def schema_version(connection: sa.Connection) -> int:
+    """Schema version of the store; 0 where there is none yet."""
+    if connection.dialect.name == "sqlite":
+        return int(connection.exec_driver_sql("PRAGMA user_version").scalar_one())
+    if not sa.inspect(connection).has_table("piga_schema_version"):
+        return 0
+    found = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalar_one_or_none()
+    return 0 if found is None else int(found)
+
+
+def migrate(connection: sa.Connection) -> None:
+    """Bring the schema up to date inside the transaction of ``connection``."""
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations").replace("%", "%%"))
+    config.set_main_option("version_locations", str(MIGRATIONS).replace("%", "%%"))
+    config.set_main_option("path_separator", "newline")
+    command.upgrade(config, f"{SCHEMA:04d}")
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
+
+
+def postgresql_database(where: str) -> Database:
+    """Connections to a PostgreSQL database, whatever it holds.
+
+    Raises
+    ------
+    StoreError
+        If the URL is not valid or the extra is not installed.
+    """
+    try:
+        import psycopg  # noqa: F401 - only whether it is there
+    except ImportError:
+        raise StoreError(
+            "a PostgreSQL store needs the extra 'postgres', which is not installed",
+            remedy="install it with: pip install 'piga[postgres]'",
+        ) from None
+    try:
+        url = sa.make_url(where).set(drivername="postgresql+psycopg")
+    except (ArgumentError, ValueError):
+        raise StoreError(
+            "the URL of the store is not valid", remedy="e.g. postgresql://user@server/database"
+        ) from None
+    engine = sa.create_engine(url, poolclass=NullPool)
+    return Database(url.render_as_string(hide_password=True), engine, None)
+
+
+def _open_postgresql(where: str, create: bool, identity: bytes | None) -> Database:
+    database = postgresql_database(where)
+    with database.reading() as connection:
+        version = schema_version(connection)
+    if version == 0 and not create:
+        raise StoreError(
+            f"{database.name}: holds no store yet", remedy="piga records add makes one in an empty database"
+        )
+    if version == 0:
+        with database.writing() as connection:
+            if schema_version(connection) == 0:
+                migrate(connection)
+                first_rows(connection, identity)
+    _check_version(database, writable=True)
+    return database

@@ -1,0 +1,248 @@
+"""What is chained: identity of a store, records and links, as JSON documents whose bytes are hashed as they stand.
+
+``sha256(link)`` is the head after that link; a link names the head before it and the SHA-256 of its record; a
+record names the SHA-256 of every file it holds. The head before the first link is the SHA-256 of the identity.
+So one head vouches for everything before it, and ``sha256sum`` is all it takes to check by hand.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import secrets
+from datetime import UTC, datetime
+from typing import Any, TypeVar
+
+import msgspec
+
+from piga.errors import ArgumentError, StoreError
+from piga.ledger.store.file_names import safe_name
+from piga.records.json_file import JsonError, decode_json
+from piga.records.limits import check_label
+
+IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
+MAX_TEXT = 2000
+"""Letters that operator and reason may have."""
+MAX_FILES = 1000
+"""Files of a record."""
+_ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+_ID = re.compile(rf"[{_ALPHABET}]{{5}}-[{_ALPHABET}]{{5}}")
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """A store: random name and when it was made."""
+
+    schema: str
+    store: str
+    created: str
+
+
+class StoredFile(msgspec.Struct, frozen=True):
+    """A file of a record: what it is to it, its name relative to the others, digest and size [bytes]."""
+
+    role: str
+    name: str
+    sha256: str
+    size: int
+
+
+class RecordDocument(msgspec.Struct, frozen=True):
+    """A record as written once and for ever.
+
+    ``store``, ``number`` and ``after`` tell where it was first written: the ``number``-th record of that
+    store, after the head ``after``. ``measured`` is when the test was made, where that was said.
+    """
+
+    schema: str
+    id: str
+    store: str
+    number: int
+    after: str
+    created: str
+    operator: str
+    reason: str
+    serial: str
+    files: tuple[StoredFile, ...]
+    request: dict[str, Any]
+    software: dict[str, str]
+    measured: str | None = None
+    supersedes: str | None = None
+
+
+class TakenOver(msgspec.Struct, frozen=True):
+    """Where an imported record comes from: identity and link there as text, who imported it and why."""
+
+    identity: str
+    link: str
+    operator: str
+    reason: str
+
+
+class Link(msgspec.Struct, frozen=True):
+    """One link of the chain."""
+
+    schema: str
+    number: int
+    previous: str
+    record: str
+    added: str
+    taken_over: TakenOver | None = None
+
+
+def sha256(data: bytes) -> str:
+    """SHA-256 in hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def encode(document: msgspec.Struct) -> bytes:
+    """The document as JSON: keys sorted, no spaces, UTF-8."""
+    plain = msgspec.to_builtins(document)
+    return json.dumps(
+        plain, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    ).encode()
+
+
+def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = False) -> T:
+    """Read a document of a known schema; ``strict`` also refuses a key that is there twice, as for all JSON from outside.
+
+    Raises
+    ------
+    StoreError
+        If it is none, or one of a newer schema; ``what`` names it.
+    """
+    try:
+        found = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        if found != schema:
+            raise StoreError(
+                f"{what}: schema '{found}', '{schema}' is needed",
+                remedy="a newer schema needs a newer piga; anything else is damage: run piga records verify",
+            )
+        return decode_json(raw, kind) if strict else msgspec.json.decode(raw, type=kind)
+    except (msgspec.DecodeError, JsonError, UnicodeDecodeError, RecursionError) as error:
+        raise StoreError(
+            f"{what}: is damaged ({error})", remedy="run piga records verify; restore a backup"
+        ) from None
+
+
+def new_identity() -> bytes:
+    """Identity of a new store."""
+    return encode(Identity(IDENTITY, secrets.token_hex(16), now()))
+
+
+def new_id() -> str:
+    """Name of a new record: ten letters that are hard to mistake (50 random bits)."""
+    letters = "".join(secrets.choice(_ALPHABET) for _ in range(10))
+    return f"{letters[:5]}-{letters[5:]}"
+
+
+def is_id(text: str) -> bool:
+    """True for text of the form of a record's name."""
+    return _ID.fullmatch(text) is not None
+
+
+def is_digest(text: str) -> bool:
+    """True for 64 hexadecimal digits."""
+    return _DIGEST.fullmatch(text) is not None
+
+
+def now() -> str:
+    """UTC with microseconds, e.g. ``2026-11-21T09:30:00.000000Z``."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def moment(text: str) -> datetime:
+    """A time as written in a document; without a zone it is UTC."""
+    found = datetime.fromisoformat(text)
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def checked_text(name: str, text: str) -> str:
+    """A line about a record: not empty, not too long, no control characters.
+
+    Raises
+    ------
+    ArgumentError
+        Naming the argument.
+    """
+    text = text.strip()
+    if not text or len(text) > MAX_TEXT or _CONTROL.search(text):
+        raise ArgumentError(
+            f"{name}: must be one line of 1 to {MAX_TEXT} letters", remedy=f"say in words: {name} = '...'"
+        )
+    return text
+
+
+def checked_moment(name: str, text: str) -> str:
+    """A date or time in ISO form, as it is.
+
+    Raises
+    ------
+    ArgumentError
+        Naming the argument, for text that is not a date, or not one of the years 1900 to 2199.
+    """
+    try:
+        year = moment(text).year
+    except (ValueError, OverflowError):
+        raise ArgumentError(
+            f"{name}: '{text[:40]}' is not a date", remedy="write 2026-11-20 or 2026-11-20T09:30:00+01:00"
+        ) from None
+    if not 1900 <= year < 2200:
+        raise ArgumentError(
+            f"{name}: '{text[:40]}' is not of the years 1900 to 2199", remedy="correct the year"
+        )
+    return text
+
+
+def check_record(document: RecordDocument) -> None:
+    """Refuse a record that some command could not show: the one check for what is added and what is imported.
+
+    Raises
+    ------
+    ArgumentError, DataError, StoreError
+        Naming the part: name, serial, times, operator, reason, a text with a control character, a file's name, role
+        or digest, two files of one name, too many files.
+    """
+    if not is_id(document.id):
+        raise ArgumentError(f"id: '{document.id[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
+    if document.supersedes is not None and not is_id(document.supersedes):
+        raise ArgumentError(f"supersedes: '{document.supersedes[:40]}' is not the name of a record")
+    check_label(document.serial, "the serial")
+    checked_moment("created", document.created)
+    if document.measured is not None:
+        checked_moment("measured", document.measured)
+    for name in ("operator", "reason"):
+        if checked_text(name, getattr(document, name)) != getattr(document, name):
+            raise ArgumentError(f"{name}: begins or ends with a space", remedy="leave it out")
+    for name, value in (("request", document.request), ("software", document.software)):
+        _check_plain(name, value)
+    if len(document.files) > MAX_FILES:
+        raise ArgumentError(f"files: {len(document.files)}, more than {MAX_FILES}", remedy="pack them")
+    for file in document.files:
+        safe_name(file.name)
+        check_label(file.role, "the role of a file")
+        if not is_digest(file.sha256) or file.size < 0:
+            raise ArgumentError(f"file '{file.name}': its SHA-256 or size is not valid")
+    if len({file.name for file in document.files}) != len(document.files):
+        raise ArgumentError("files: two have the same name", remedy="give each its name")
+
+
+def _check_plain(name: str, value: Any, depth: int = 8) -> None:
+    """Texts of a nested value must fit into a line of a list."""
+    parts = (
+        (*value.keys(), *value.values())
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, list)
+        else ()
+    )
+    if isinstance(value, str) and (len(value) > MAX_TEXT or _CONTROL.search(value)):
+        raise ArgumentError(f"{name}: a text is longer than {MAX_TEXT} letters or holds a control character")
+    if parts and not depth:
+        raise ArgumentError(f"{name}: nested more than eight deep")
+    for part in parts:
+        _check_plain(name, part, depth - 1)

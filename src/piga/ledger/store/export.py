@@ -1,0 +1,299 @@
+"""Exports: records in one ZIP file that explains itself, sealed by its own SHA-256.
+
+Members: ``README.txt``, ``manifest.json``, ``SHA256SUMS``, ``store.json`` (identity), ``links/N.json`` (all of
+them), ``records/N.json`` and ``files/SHA256`` (of the chosen records). The ZIP comment holds the SHA-256 of every
+byte before it. Same store, same piga: same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from piga._version import __version__
+from piga.errors import StoreError
+from piga.ledger.store.blobs import PART, digest_of, read_blob
+from piga.ledger.store.chain import read_entries, read_identity, stored_sizes
+from piga.ledger.store.documents import RECORD, RecordDocument, decode, sha256
+from piga.ledger.store.record import Entry
+from piga.ledger.store.store import Store
+from piga.records.limits import open_regular
+
+SCHEMA = "piga.export/1"
+SEAL = b"piga.export sha256:"
+MAX_MEMBERS = 1_000_000
+MAX_DOCUMENT = 16 << 20
+"""Bytes of a link or record document."""
+MAX_FILE = 16 << 30
+"""Bytes of one file."""
+MAX_RATIO = 200
+"""Unpacked to packed size accepted for a file; the writer stores what would pack better as it is."""
+_MEMBER = re.compile(
+    r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
+)
+_README = """\
+This is an export of calibration records by piga. It can be checked with unzip and sha256sum alone.
+
+  sha256sum -c SHA256SUMS      every member is what it was
+
+store.json is the identity of the store. links/N.json is the N-th link of its chain, records/N.json the record
+it vouches for, files/X the file with the SHA-256 X. The chain holds when
+
+  "previous" of links/00000001.json is the SHA-256 of store.json,
+  "previous" of each later link is the SHA-256 of the link before it,
+  "record" of each link is the SHA-256 of its record,
+  each file that a record lists is there under its SHA-256.
+
+The SHA-256 of the last link is the head. A head noted earlier (every report of a record prints one) is the
+SHA-256 of one of the links: then nothing up to that link was altered since. The ZIP comment holds the SHA-256
+of all bytes of this file before the comment.
+"""
+
+
+def write_members(
+    store: Store, path: Path, numbers: set[int] | None, advance: Callable[[int, int], None]
+) -> None:
+    """Write an export: all links, and the records of the given numbers (None: all) with their files.
+
+    ``advance`` is told how many files were written since its last call, and how many there are.
+    """
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as target:
+        sums = _Members(target)
+        with store.database.reading() as connection:
+            identity = read_identity(connection)
+            sums.text("README.txt", _README.encode())
+            sums.text("store.json", identity)
+            head, number, wanted = sha256(identity), 0, set()
+            for entry in read_entries(connection):
+                head, number = sha256(entry.link), entry.number
+                sums.text(f"links/{number:08d}.json", entry.link)
+                if entry.document is not None and (numbers is None or number in numbers):
+                    sums.text(f"records/{number:08d}.json", entry.document)
+                    wanted |= set(_file_names(entry.document))
+            sizes = stored_sizes(connection)
+            for name in sorted(wanted):
+                size, packed = sizes.get(name, (0, 0))
+                sums.file(f"files/{name}", size, packed, read_blob(connection, name))
+                advance(1, len(wanted))
+        manifest = {
+            "schema": SCHEMA,
+            "software": f"piga {__version__}",
+            "records": number if numbers is None else len(numbers),
+            "links": number,
+            "head": head,
+        }
+        sums.text("manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
+        sums.text("SHA256SUMS", _listing(sums.digests))
+        target.comment = SEAL + b"0" * 64
+    _seal(path)
+
+
+def _file_names(document: bytes) -> list[str]:
+    return [file.sha256 for file in decode(document, RecordDocument, RECORD, "record").files]
+
+
+class _Members:
+    """Writes members with fixed dates and rights, and keeps their digests."""
+
+    def __init__(self, target: zipfile.ZipFile) -> None:
+        self.target = target
+        self.digests: dict[str, str] = {}
+
+    def text(self, name: str, data: bytes) -> None:
+        self.target.writestr(_member(name, zipfile.ZIP_DEFLATED), data)
+        self.digests[name] = sha256(data)
+
+    def file(self, name: str, size: int, packed: int, parts: Iterable[bytes]) -> None:
+        dense = size > MAX_RATIO // 2 * max(packed, 1)
+        member = _member(name, zipfile.ZIP_STORED if dense else zipfile.ZIP_DEFLATED)
+        member.file_size = size
+        with self.target.open(member, "w", force_zip64=size > 1 << 30) as stream:
+            for part in parts:
+                stream.write(part)
+        self.digests[name] = name.removeprefix("files/")
+
+
+def _listing(digests: dict[str, str]) -> bytes:
+    return "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
+
+
+def _member(name: str, kind: int) -> zipfile.ZipInfo:
+    member = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+    member.compress_type, member.create_system, member.external_attr = kind, 3, 0o644 << 16
+    return member
+
+
+def _seal(path: Path) -> None:
+    """Put the SHA-256 of everything before the comment into the comment."""
+    with path.open("r+b") as stream:
+        digest = _sealed_digest(stream)
+        stream.seek(len(SEAL), 1)
+        stream.write(digest.encode())
+
+
+def _sealed_digest(stream: BinaryIO) -> str:
+    """SHA-256 of everything before the comment; the stream stands behind it then."""
+    digest, length = hashlib.sha256(), os.fstat(stream.fileno()).st_size - len(SEAL) - 64
+    while length > 0:
+        part = stream.read(min(PART, length))
+        digest.update(part)
+        length -= len(part)
+    return digest.hexdigest()
+
+
+def is_export(path: Path) -> bool:
+    """True for a file that begins as ZIP files do."""
+    try:
+        with open_regular(path, error=StoreError) as stream:
+            return stream.read(4) == b"PK\x03\x04"
+    except OSError:
+        return False
+
+
+class Export:
+    """An export opened for reading; its seal, members and sizes are checked when it is opened.
+
+    Raises
+    ------
+    StoreError
+        If it is none, or is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        try:
+            self._stream = open_regular(path, error=StoreError)
+        except FileNotFoundError:
+            raise StoreError(f"{path}: no such file", remedy="check the name") from None
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
+        try:
+            if self._stream.read(4) != b"PK\x03\x04":
+                raise StoreError(f"{path}: no export of records (no ZIP file)", remedy="check the name")
+            self._check_seal()
+            try:
+                self.zip = zipfile.ZipFile(self._stream)  # what was opened: a file put in its place is not read
+            except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+                raise self._damaged(str(error)) from None
+            self.members = self._checked_members()
+            self._check_manifest()
+        except StoreError:
+            self._stream.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.zip.close()
+        self._stream.close()
+
+    def identity(self) -> bytes:
+        """The identity document of the store it comes from."""
+        return self._text("store.json")
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order; records that are not in the export have no document."""
+        numbers = sorted(int(name[6:14]) for name in self.members if name.startswith("links/"))
+        for number in numbers:
+            name = f"records/{number:08d}.json"
+            yield Entry(
+                number,
+                self._text(f"links/{number:08d}.json"),
+                self._text(name) if name in self.members else None,
+            )
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every file in the export."""
+        return {name.removeprefix("files/") for name in self.members if name.startswith("files/")}
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The parts of a file; never more than its size says."""
+        return self._parts(f"files/{name}")
+
+    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
+        """What is wrong with each file (name, size), None where it is what it was."""
+        for name, size in wanted:
+            try:
+                whole = digest_of(self.file(name)) == (name, size)
+            except StoreError as error:
+                yield name, error
+            else:
+                yield name, None if whole else self._damaged(f"file {name[:12]} was altered")
+
+    def _check_seal(self) -> None:
+        self._stream.seek(0)
+        digest = _sealed_digest(self._stream)
+        comment = self._stream.read()
+        if comment != SEAL + digest.encode():
+            raise self._damaged("its SHA-256 is not the one in its seal")
+
+    def _checked_members(self) -> dict[str, zipfile.ZipInfo]:
+        members: dict[str, zipfile.ZipInfo] = {}
+        for member in self.zip.infolist():
+            name = member.filename
+            if not _MEMBER.fullmatch(name) or name in members or len(members) >= MAX_MEMBERS:
+                raise self._damaged(f"member '{name[:80]}' does not belong into an export")
+            limit = MAX_FILE if name.startswith("files/") else MAX_DOCUMENT
+            dense = member.file_size > (1 << 20) + MAX_RATIO * member.compress_size
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise self._damaged(f"member '{name}' is packed in a way that exports do not use")
+            if member.file_size > limit or member.flag_bits & 1 or (name.startswith("files/") and dense):
+                raise self._damaged(f"member '{name}' is larger than an export may hold")
+            members[name] = member
+        return members
+
+    def _check_manifest(self) -> None:
+        """Sums and manifest must fit the members; the files themselves are checked where they are read."""
+        digests = {
+            name: name.removeprefix("files/") if name.startswith("files/") else sha256(self._text(name))
+            for name in self.members
+            if name != "SHA256SUMS"
+        }
+        if _listing(digests) != self._text("SHA256SUMS"):
+            raise self._damaged("SHA256SUMS does not fit its members")
+        try:
+            manifest: Any = json.loads(self._text("manifest.json"))
+        except (ValueError, RecursionError):
+            raise self._damaged("manifest.json is no JSON") from None
+        found = manifest.get("schema") if isinstance(manifest, dict) else None
+        if found != SCHEMA:
+            raise StoreError(
+                f"{self.name}: export of schema '{found}'", remedy="a newer one needs a newer piga"
+            )
+        links = [name for name in self.members if name.startswith("links/")]
+        last = f"links/{len(links):08d}.json" if links else "store.json"
+        if (manifest.get("links"), manifest.get("head")) != (len(links), digests.get(last)):
+            raise self._damaged("manifest.json does not fit its members")
+
+    def _member(self, name: str) -> zipfile.ZipInfo:
+        if name not in self.members:
+            raise self._damaged(f"member '{name}' is missing")
+        return self.members[name]
+
+    def _text(self, name: str) -> bytes:
+        return b"".join(self._parts(name))
+
+    def _parts(self, name: str) -> Iterator[bytes]:
+        member = self._member(name)
+        try:
+            with self.zip.open(member) as stream:  # gives no more than the size that was checked
+                while part := stream.read(PART):
+                    yield part
+        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
+            raise self._damaged(f"member '{name}': {error}") from None
+
+    def _damaged(self, reason: str) -> StoreError:
+        return StoreError(
+            f"{self.name}: the export is damaged ({reason})", remedy="export again, or use another copy"
+        )

@@ -1,0 +1,13 @@
+"""Alembic's way in: migrate on the connection, and in the transaction, that the store hands over."""
+
+from alembic import context
+
+from piga.ledger.store.tables import metadata
+
+context.configure(
+    connection=context.config.attributes["connection"],
+    target_metadata=metadata,
+    version_table="piga_schema_version",
+    transactional_ddl=True,
+)
+context.run_migrations()

@@ -1,0 +1,363 @@
+"""The store: records are appended, listed and read back; nothing is ever changed or deleted."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import sqlalchemy as sa
+
+from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError
+from piga.ledger.store import blobs
+from piga.ledger.store.chain import read_head, read_identity
+from piga.ledger.store.database import Database
+from piga.ledger.store.documents import (
+    IDENTITY,
+    LINK,
+    RECORD,
+    Identity,
+    Link,
+    RecordDocument,
+    StoredFile,
+    check_record,
+    decode,
+    encode,
+    is_id,
+    new_id,
+    now,
+    sha256,
+)
+from piga.ledger.store.file_names import safe_name, write_new
+from piga.ledger.store.record import Draft, Entry, Head, Position, Record
+from piga.ledger.store.tables import ENTRY, HEAD
+from piga.records.calibration import Calibration, CalibrationFigures
+
+ROWS = 500
+"""Records that are fetched at once."""
+T = TypeVar("T")
+
+INPUT_ROLES = ("run", "data", "sidecar", "stand")
+"""Roles of the files that a calibration is computed from."""
+
+
+class Store:
+    """A store of records, from :func:`piga.open_store`; use it in a ``with`` block or close it.
+
+    Parameters
+    ----------
+    database:
+        From :func:`piga.ledger.store.database.open_database`.
+    compress_above:
+        Files larger than this are stored compressed [bytes].
+    """
+
+    def __init__(self, database: Database, *, compress_above: int = blobs.COMPRESS_ABOVE) -> None:
+        self.database, self.compress_above = database, compress_above
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the database go."""
+        self.database.engine.dispose()
+
+    @property
+    def name(self) -> str:
+        """File or URL, without a password."""
+        return self.database.name
+
+    def identity(self) -> Identity:
+        """Who this store is."""
+        with self.database.reading() as connection:
+            return decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
+
+    def head(self) -> Head:
+        """Where the chain stands now."""
+        with self.database.reading() as connection:
+            return read_head(connection)
+
+    def records(self, serial: str | None = None) -> tuple[Record, ...]:
+        """All records in order, or those of one instrument."""
+        return tuple(self.each(serial))
+
+    def each(self, serial: str | None = None) -> Iterator[Record]:
+        """As :meth:`records`, one by one: for stores whose records do not fit into memory."""
+        with self.database.reading() as connection:
+            yield from self._each(connection, serial)
+
+    def superseded(self, serial: str | None = None) -> set[str]:
+        """Names of the records that a later one amends."""
+        return {r.document.supersedes for r in self.each(serial) if r.document.supersedes is not None}
+
+    def _each(self, connection: sa.Connection, serial: str | None) -> Iterator[Record]:
+        wanted = sa.select(ENTRY).order_by(ENTRY.c.number)
+        if serial is not None:
+            wanted = wanted.where(ENTRY.c.serial == serial)
+        for row in connection.execute(wanted, execution_options={"yield_per": ROWS}):
+            yield self._record(row)
+
+    def record(self, name: str | int) -> Record:
+        """One record by its name, or by its number in this store.
+
+        Raises
+        ------
+        StoreError
+            If there is none.
+        """
+        with self.database.reading() as connection:
+            return self._find(connection, str(name))
+
+    def read(self, name: str | int, role: str) -> bytes:
+        """The first file of a role (run, data, calibration, report, ...) of a record.
+
+        Raises
+        ------
+        StoreError
+            If there is no such record or file, or it is damaged.
+        """
+        with self.database.reading() as connection:
+            found = self._find(connection, str(name))
+            file = found.file(role)
+            if file is None:
+                roles = ", ".join(sorted({stored.role for stored in found.document.files}))
+                raise StoreError(f"record {found.id} has no file '{role}'", remedy=f"it has: {roles}")
+            return b"".join(blobs.read_blob(connection, file.sha256))
+
+    def calibration(self, name: str | int) -> Calibration:
+        """The calibration of a record (without residuals)."""
+        from piga.records.calibration_json import calibration_from_bytes
+
+        return calibration_from_bytes(self.read(name, "calibration"), Path(f"record {name}"))
+
+    def history(self, serial: str) -> list[tuple[str, datetime, Calibration]]:
+        """Calibrations of one instrument by the time of the test: record, time, calibration.
+
+        Records that were superseded are left out: their successors stand for them. :meth:`figures` gives what a
+        trend needs of thousands of records, in a small part of the time and memory.
+        """
+        from piga.records.calibration_json import calibration_from_bytes
+
+        return list(self._calibrations(serial, calibration_from_bytes))
+
+    def figures(self, serial: str) -> Iterator[tuple[str, datetime, CalibrationFigures]]:
+        """As :meth:`history`, one by one, and of each calibration what :func:`piga.trend.history.find_trend` needs.
+
+        A calibration that cannot be read is named in a :class:`piga.PigaWarning` and left out.
+        """
+        from piga.records.calibration_json import figures_from_bytes
+
+        return self._calibrations(serial, figures_from_bytes)
+
+    def _calibrations(self, serial: str, read: Callable[[bytes, Path], T]) -> Iterator[tuple[str, datetime, T]]:
+        with self.database.reading() as connection:
+            old: set[str | None] = set()
+            kept = []
+            for record in self._each(connection, serial):
+                old.add(record.document.supersedes)
+                if (file := record.file("calibration")) is not None:
+                    kept.append((record.measured, record.number, record.id, file.sha256, file.size))
+            kept = sorted(entry for entry in kept if entry[2] not in old)
+            files = blobs.read_blobs(connection, ((entry[3], entry[4]) for entry in kept))
+            for (measured, _, name, _, _), (_, raw) in zip(kept, files, strict=True):
+                try:
+                    calibration = read(raw, Path(f"record {name}"))
+                except CalibrationError as error:
+                    warnings.warn(f"{self.name}: left out: {error}", PigaWarning, stacklevel=3)
+                    continue
+                yield name, measured, calibration
+
+    def extract(self, name: str | int, folder: Path, *, inputs_only: bool = False) -> Path:
+        """Write the files of a record below ``folder`` under their own names; returns the run file's path.
+
+        Raises
+        ------
+        StoreError
+            If a name would lead out of the folder, or a file is there already.
+        """
+        record = self.record(name)
+        kept = [file for file in record.document.files if not inputs_only or file.role in INPUT_ROLES]
+        run = folder
+        with self.database.reading() as connection:
+            for file in kept:
+                path = folder / safe_name(file.name)
+                run = path if file.role == "run" else run
+                write_new(path, blobs.read_blob(connection, file.sha256))
+        return run
+
+    def append(self, make: Callable[[Position], Draft]) -> Record:
+        """Append one record; when this returns it is on disk.
+
+        Parameters
+        ----------
+        make:
+            Gives the record for the place it will have; called while no one else can write.
+
+        Raises
+        ------
+        StoreError, ArgumentError
+            With nothing changed.
+        """
+        with self.database.writing() as connection:
+            head = read_head(connection)
+            identity = decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
+            place = Position(new_id(), head.number + 1, identity.store, head.sha256)
+            draft = make(place)
+            document = self._document(connection, place, draft)
+            entry = self.insert(connection, encode(document), None)
+            return Record(entry.number, sha256(entry.link), decode(entry.link, Link, LINK, "link"), document)
+
+    def insert(
+        self, connection: sa.Connection, document: bytes, link: bytes | None, **taken_over: Any
+    ) -> Entry:
+        """Chain a record document whose files are stored: by a new link, or by the given one word for word."""
+        head = read_head(connection)
+        if link is None:
+            self._check_clock(connection, head)
+            made = Link(LINK, head.number + 1, head.sha256, sha256(document), now(), **taken_over)
+            link = encode(made)
+        found = decode(document, RecordDocument, RECORD, "record")
+        entry = Entry(head.number + 1, link, document)
+        connection.execute(
+            ENTRY.insert().values(
+                number=entry.number,
+                head=sha256(link),
+                id=found.id,
+                serial=found.serial,
+                link=link,
+                document=document,
+            )
+        )
+        connection.execute(HEAD.update().values(number=entry.number, head=sha256(link)))
+        return entry
+
+    def _document(self, connection: sa.Connection, place: Position, draft: Draft) -> RecordDocument:
+        files = []
+        for file in draft.files:
+            safe_name(file.name)
+            digest, size = blobs.digest_of(file.parts())
+            if file.sha256 not in (None, digest):
+                raise StoreError(
+                    f"{file.name}: changed after it was read (its SHA-256 differs)",
+                    remedy="calibrate again, with the files as they are now",
+                )
+            blobs.insert_blob(connection, digest, size, file.parts(), self.compress_above)
+            files.append(StoredFile(file.role, file.name, digest, size))
+        document = RecordDocument(
+            schema=RECORD,
+            id=place.id,
+            store=place.store,
+            number=place.number,
+            after=place.after,
+            created=now(),
+            operator=draft.operator.strip(),
+            reason=draft.reason.strip(),
+            serial=draft.serial,
+            files=tuple(files),
+            request=draft.request,
+            software=draft.software,
+            measured=draft.measured,
+            supersedes=None if draft.supersedes is None else self._find(connection, draft.supersedes).id,
+        )
+        self.check(connection, document)
+        return document
+
+    def check(self, connection: sa.Connection, document: RecordDocument) -> None:
+        """Refuse a record that must not enter, be it added or imported; its files are stored already.
+
+        Raises
+        ------
+        PigaError
+            If a command could not show the record, its calibration cannot be read or is of another instrument, or
+            it supersedes a record of another instrument, of another laboratory, or one that is superseded already.
+        """
+        check_record(document)
+        self._check_calibration(connection, document)
+        if document.supersedes is not None:
+            self._check_superseded(connection, document, document.supersedes)
+
+    def _check_calibration(self, connection: sa.Connection, document: RecordDocument) -> None:
+        from piga.records.calibration_json import MAX_BYTES, calibration_from_bytes
+
+        for file in document.files:
+            if file.role != "calibration":
+                continue
+            if file.size > MAX_BYTES:
+                raise StoreError(
+                    f"{file.name}: larger than {MAX_BYTES} bytes", remedy="it is not a calibration"
+                )
+            raw = b"".join(blobs.read_blob(connection, file.sha256))
+            serial = calibration_from_bytes(raw, Path(file.name)).serial
+            if serial != document.serial:
+                raise StoreError(
+                    f"{file.name}: is of instrument '{serial[:60]}', the record of '{document.serial}'",
+                    remedy="keep each calibration under its own instrument",
+                )
+
+    def _check_superseded(self, connection: sa.Connection, document: RecordDocument, name: str) -> None:
+        row = connection.execute(sa.select(ENTRY).where(ENTRY.c.id == name)).one_or_none()
+        if row is not None:  # an export may leave out the record that one of its records amends
+            self._check_amended(connection, document, self._record(row))
+        same = sa.select(ENTRY).where(ENTRY.c.serial == document.serial)
+        for other in map(self._record, connection.execute(same)):
+            if other.document.supersedes == name:
+                raise ArgumentError(
+                    f"supersedes: record {name} is superseded already, by {other.id}",
+                    remedy=f"supersede {other.id}",
+                )
+
+    def _check_amended(self, connection: sa.Connection, document: RecordDocument, old: Record) -> None:
+        if old.document.serial != document.serial:
+            raise ArgumentError(
+                f"supersedes: record {old.id} is of instrument '{old.document.serial}', not '{document.serial}'",
+                remedy="name a record of the same instrument",
+            )
+        if old.document.store != document.store and not self._is_own(connection, document):
+            raise ArgumentError(
+                f"supersedes: record {old.id} is not of the store that the record comes from",
+                remedy="a record is amended where it was written, or by this store",
+            )
+
+    def _is_own(self, connection: sa.Connection, document: RecordDocument) -> bool:
+        """True for a record that this store writes itself."""
+        identity = decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
+        return document.store == identity.store
+
+    def _check_clock(self, connection: sa.Connection, head: Head) -> None:
+        if head.number == 0:
+            return
+        last = connection.execute(sa.select(ENTRY.c.link).where(ENTRY.c.number == head.number)).scalar_one()
+        added = decode(blobs.as_bytes(last, "the last link"), Link, LINK, "link").added
+        if now() < added:
+            warnings.warn(
+                f"{self.name}: the clock is behind the last record ({added}); the order of the chain holds",
+                PigaWarning,
+                stacklevel=4,
+            )
+
+    def _find(self, connection: sa.Connection, name: str) -> Record:
+        text = name.strip().upper()
+        if is_id(text):
+            condition = ENTRY.c.id == text
+        elif text.isascii() and text.isdigit() and len(text) < 10:
+            condition = ENTRY.c.number == int(text)
+        else:
+            raise StoreError(f"'{name}' is no record", remedy="give a number, or a name like 7K3QP-9XW2M")
+        row = connection.execute(sa.select(ENTRY).where(condition)).one_or_none()
+        if row is None:
+            raise StoreError(f"{self.name}: no record {name}", remedy="piga records list shows them")
+        return self._record(row)
+
+    def _record(self, row: sa.Row) -> Record:
+        what = f"{self.name}: record {row.number}"
+        link = decode(blobs.as_bytes(row.link, what), Link, LINK, what)
+        document = decode(blobs.as_bytes(row.document, what), RecordDocument, RECORD, what)
+        return Record(row.number, row.head, link, document)

@@ -1,0 +1,356 @@
+"""Verification: every byte that a record is read from is checked, and everything that is wrong is named."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import sqlalchemy as sa
+
+from piga.errors import PigaError, StoreError
+from piga.ledger.store.blobs import check_blobs, read_blob
+from piga.ledger.store.chain import ROWS, read_entries, read_head, read_identity
+from piga.ledger.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA, is_url, new_sqlite, open_database
+from piga.ledger.store.documents import (
+    IDENTITY,
+    LINK,
+    RECORD,
+    Identity,
+    Link,
+    RecordDocument,
+    TakenOver,
+    decode,
+    is_digest,
+    sha256,
+)
+from piga.ledger.store.export import Export, is_export
+from piga.ledger.store.record import Entry, Head
+from piga.ledger.store.store import Store
+from piga.ledger.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
+
+MAX_PROBLEMS = 100
+Advance = Callable[[int, int], None]
+"""Is told how many files were checked since the last call, and how many there are."""
+
+
+def silent(_count: int, _total: int) -> None:
+    """Nobody watches."""
+
+
+class Source(Protocol):
+    """What a chain is read from: a store or an export."""
+
+    def identity(self) -> bytes:
+        """The identity document."""
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order."""
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every file there is."""
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The parts of a file."""
+
+    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
+        """What is wrong with each file (name, size), None where it is what it was."""
+
+
+@dataclass
+class Verification:
+    """What was found: records and files that were checked, the head, known heads, and problems in words."""
+
+    name: str
+    records: int = 0
+    files: int = 0
+    head: str = ""
+    known: dict[str, int | None] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def sound(self) -> bool:
+        """True when nothing is wrong."""
+        return not self.problems
+
+    def problem(self, text: str) -> None:
+        """Note a problem; the first hundred are kept."""
+        if len(self.problems) < MAX_PROBLEMS:
+            self.problems.append(text)
+
+
+class StoreSource:
+    """A store's rows on one snapshot."""
+
+    def __init__(self, connection: sa.Connection) -> None:
+        self.connection = connection
+
+    def identity(self) -> bytes:
+        """The identity document."""
+        return read_identity(self.connection)
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order."""
+        return read_entries(self.connection)
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every stored file."""
+        return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The parts of a stored file."""
+        return read_blob(self.connection, name)
+
+    def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
+        """What is wrong with each stored file."""
+        return check_blobs(self.connection, wanted)
+
+
+def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = silent) -> Verification:
+    """Check a store or an export from end to end.
+
+    Parameters
+    ----------
+    where:
+        Store (file or URL) or export.
+    heads:
+        Heads noted earlier, on reports or elsewhere: each must be one of the chain's.
+    advance:
+        Called with the number of files that were checked since the last call, and the number of all.
+    """
+    found = Verification(str(where))
+    try:
+        if not is_url(where) and is_export(Path(where)):
+            with Export(Path(where)) as export:
+                check_chain(found, export, heads, advance)
+        else:
+            _verify_store(found, where, heads, advance)
+    except PigaError as error:
+        found.problem(error.message)
+    except (TypeError, ValueError, OverflowError) as error:
+        found.problem(f"something in it cannot be read at all ({error})")
+    return found
+
+
+def _verify_store(found: Verification, where: str | Path, heads: Iterable[str], advance: Advance) -> None:
+    with Store(open_database(where)) as store:
+        found.name = store.name
+        with store.database.reading() as connection:
+            if connection.dialect.name == "sqlite":
+                _check_sqlite(found, connection)
+            else:
+                _check_postgresql(found, connection)
+            check_chain(found, StoreSource(connection), heads, advance)
+            _check_columns(found, connection)
+
+
+def check_chain(
+    found: Verification, source: Source, heads: Iterable[str] = (), advance: Advance = silent
+) -> None:
+    """Check links, records and files of a chain; problems are added to ``found``."""
+    identity = source.identity()
+    store = decode(identity, Identity, IDENTITY, "identity", strict=True).store
+    head, expected = sha256(identity), 1
+    seen: dict[str, int] = {head: 0}
+    names: set[str] = set()
+    wanted: dict[str, int] = {}
+    for entry in source.entries():
+        try:
+            link = decode(entry.link, Link, LINK, f"link {entry.number}", strict=True)
+            if entry.number != expected or link.number != expected:
+                found.problem(f"record {expected} is missing: {entry.number} follows")
+            if link.previous != head:
+                found.problem(f"record {entry.number}: its link does not follow the one before it")
+            if entry.document is not None:
+                _check_document(found, entry, link, store, names, wanted)
+        except StoreError as error:
+            found.problem(error.message)
+        head, expected = sha256(entry.link), entry.number + 1
+        seen[head] = entry.number
+        found.records += entry.document is not None
+    _check_files(found, source, wanted, advance)
+    found.head = head
+    for known in heads:
+        found.known[known] = seen.get(known.lower())
+        if found.known[known] is None:
+            found.problem(
+                f"head {known}: is not in this chain: it was altered, cut short, or is another store's"
+            )
+
+
+def _check_document(
+    found: Verification, entry: Entry, link: Link, store: str, names: set[str], wanted: dict[str, int]
+) -> None:
+    raw = entry.document or b""
+    if sha256(raw) != link.record:
+        found.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
+    document = decode(raw, RecordDocument, RECORD, f"record {entry.number}", strict=True)
+    place = (store, link.number, link.previous)
+    if link.taken_over is not None:
+        place = _place_of_origin(link.taken_over, link.record)
+    if (document.store, document.number, document.after) != place:
+        found.problem(f"record {entry.number}: was not written for this place")
+    if document.id in names:
+        found.problem(f"record {entry.number}: has the name of another ({document.id})")
+    names.add(document.id)
+    for file in document.files:
+        if not is_digest(file.sha256) or wanted.setdefault(file.sha256, file.size) != file.size:
+            found.problem(f"record {entry.number}: file '{file.name}' has no valid digest or size")
+
+
+def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
+    """Store, number and head before it, of an imported record where it comes from."""
+    identity = decode(taken_over.identity.encode(), Identity, IDENTITY, "identity of the origin", strict=True)
+    link = decode(taken_over.link.encode(), Link, LINK, "link of the origin", strict=True)
+    return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
+
+
+def _check_files(found: Verification, source: Source, wanted: dict[str, int], advance: Advance) -> None:
+    there = source.file_names()
+    for name in sorted(wanted.keys() - there):
+        found.problem(f"file {name[:12]}: is missing")
+    for name in sorted(there - wanted.keys()):
+        found.problem(f"file {str(name)[:12]}: belongs to no record")
+    both = sorted(wanted.keys() & there)
+    for _, error in source.check_files((name, wanted[name]) for name in both):
+        if error is not None:
+            found.problem(error.message)
+        found.files += 1
+        advance(1, len(both))
+
+
+def _check_columns(found: Verification, connection: sa.Connection) -> None:
+    """What is kept beside the documents for look-ups must say the same, and no part may be left over."""
+    last = Head(0, sha256(read_identity(connection)))
+    entries = connection.execute(
+        sa.select(ENTRY).order_by(ENTRY.c.number), execution_options={"yield_per": ROWS}
+    )
+    for row in entries:
+        document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
+        if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
+            found.problem(f"record {row.number}: the table's columns do not fit the record")
+        last = Head(row.number, sha256(row.link))
+    if read_head(connection) != last:
+        found.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
+    for table, rows in ((STORE, 1), (HEAD, 1)):
+        if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != rows:
+            found.problem(f"table {table.name}: one row is needed")
+    _check_parts(found, connection)
+
+
+def _check_parts(found: Verification, connection: sa.Connection) -> None:
+    """Parts are numbered from 0 without gaps, and each belongs to a file."""
+    grouped = sa.select(
+        CHUNK.c.sha256, sa.func.count().label("rows"), sa.func.min(CHUNK.c.part), sa.func.max(CHUNK.c.part)
+    ).group_by(CHUNK.c.sha256)
+    names = set(connection.execute(sa.select(BLOB.c.sha256)).scalars())
+    for name, rows, first, last in connection.execute(grouped):
+        if name not in names or first != 0 or last != rows - 1:
+            found.problem(f"file {str(name)[:12]}: its parts are not complete, or too many")
+
+
+def _check_sqlite(found: Verification, connection: sa.Connection) -> None:
+    for pragma, sound in (
+        ("integrity_check", "ok"),
+        ("application_id", APPLICATION_ID),
+        ("user_version", SCHEMA),
+        ("journal_mode", "delete"),
+        ("encoding", "UTF-8"),
+    ):
+        rows = connection.exec_driver_sql(f"PRAGMA {pragma}").scalars().all()
+        if rows != [sound]:
+            found.problem(f"SQLite {pragma}: {'; '.join(str(row) for row in rows[:3])}")
+    if connection.exec_driver_sql("PRAGMA foreign_key_check").first() is not None:
+        found.problem("a part of a file belongs to no file")
+    if _schema(connection.exec_driver_sql(_SCHEMA_QUERY).all()) != _sqlite_schema():
+        found.problem("tables or the triggers that refuse changes were altered")
+    _check_revision(found, connection)
+
+
+_SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master"
+
+
+def _schema(rows: Iterable[Any]) -> frozenset[tuple[Any, ...]]:
+    return frozenset(tuple(row) for row in rows)
+
+
+@lru_cache(maxsize=1)
+def _sqlite_schema() -> frozenset[tuple[Any, ...]]:
+    """Tables and triggers as this piga makes them."""
+    with closing(sqlite3.connect(":memory:")) as memory:
+        memory.deserialize(new_sqlite(None))
+        return _schema(memory.execute(_SCHEMA_QUERY).fetchall())
+
+
+_WORDS = "piga: records are append-only"
+_GUARDED = ("piga_store", "piga_entry", "piga_blob", "piga_chunk")
+_GUARDS = {("no_delete", 11), ("no_truncate", 34), ("no_update", 19)}
+"""Triggers of a table that is only appended to, with what they act on (``pg_trigger.tgtype``)."""
+_TRIGGERS = frozenset(
+    {(f"{table}_{what}", table, kind, None) for table in _GUARDED for what, kind in _GUARDS}
+    | {(f"piga_head_{what}", "piga_head", kind, None) for what, kind in _GUARDS if what != "no_update"}
+    | {("piga_head_forward", "piga_head", 19, "(new.number <> (old.number + 1))")}
+)
+"""Name, table, kind and condition of every trigger."""
+_KEYS = frozenset(
+    {
+        ("piga_blob", "CHECK ((size >= 0))"),
+        ("piga_blob", "PRIMARY KEY (sha256)"),
+        ("piga_chunk", "FOREIGN KEY (sha256) REFERENCES piga_blob(sha256)"),
+        ("piga_chunk", "PRIMARY KEY (sha256, part)"),
+        ("piga_entry", "CHECK ((number > 0))"),
+        ("piga_entry", "PRIMARY KEY (number)"),
+        ("piga_entry", "UNIQUE (head)"),
+        ("piga_entry", "UNIQUE (id)"),
+        ("piga_head", "CHECK ((one = 1))"),
+        ("piga_head", "PRIMARY KEY (one)"),
+        ("piga_schema_version", "PRIMARY KEY (version_num)"),
+        ("piga_store", "PRIMARY KEY (document)"),
+    }
+)
+"""Table and definition of every key and check."""
+
+
+def _check_postgresql(found: Verification, connection: sa.Connection) -> None:
+    """Triggers, the function behind them, keys and checks must be those that piga makes."""
+    ours = "(SELECT oid FROM pg_class WHERE relkind = 'r' AND relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
+    triggers = connection.exec_driver_sql(
+        "SELECT t.tgname, c.relname, t.tgtype, t.tgenabled, t.tgisinternal, "  # noqa: S608
+        "btrim(p.prosrc), l.lanname, pg_get_triggerdef(t.oid) FROM pg_trigger t "
+        "JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_proc p ON p.oid = t.tgfoid "
+        f"JOIN pg_language l ON l.oid = p.prolang WHERE t.tgrelid IN {ours}"
+    ).all()
+    own = [row for row in triggers if not row.tgisinternal]
+    there = {(r.tgname, r.relname, r.tgtype, _condition(r.pg_get_triggerdef)) for r in own}
+    refuse = f"BEGIN RAISE EXCEPTION '{_WORDS}'; END"
+    if there != _TRIGGERS or any(_text(row.tgenabled) != "O" for row in triggers):
+        found.problem("the triggers that refuse changes were altered or disabled")
+    if any((row.btrim, row.lanname) != (refuse, "plpgsql") for row in own):
+        found.problem("the function that refuses changes was replaced")
+    keys = connection.exec_driver_sql(
+        "SELECT c.relname, pg_get_constraintdef(k.oid) FROM pg_constraint k "  # noqa: S608
+        f"JOIN pg_class c ON c.oid = k.conrelid WHERE k.contype <> 'n' AND k.conrelid IN {ours}"
+    ).all()
+    if {tuple(row) for row in keys} != _KEYS:
+        found.problem("keys or checks of the tables were altered")
+    _check_revision(found, connection)
+
+
+def _condition(definition: str) -> str | None:
+    """The condition in the definition of a trigger."""
+    _, when, rest = definition.partition(" WHEN (")
+    return rest.partition(") EXECUTE ")[0] if when else None
+
+
+def _text(value: str | bytes) -> str:
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def _check_revision(found: Verification, connection: sa.Connection) -> None:
+    rows = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalars().all()
+    if rows != [f"{SCHEMA:04d}"] or not list(MIGRATIONS.glob(f"v{SCHEMA:04d}_*.py")):
+        found.problem("the schema version was altered")

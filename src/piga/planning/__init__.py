@@ -1,0 +1,1 @@
+"""Tests to come: positions, length and what they will tell."""

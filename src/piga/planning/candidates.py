@@ -1,0 +1,271 @@
+"""Candidates of a plan: positions and levels, and the information that a visit of some length gives.
+
+The information is that of the estimator: a noiseless segment of the candidate is made with its stand and
+the exact motion, turned into the regressors of the calibration, whitened with its noise model. It is
+averaged over four starting angles of the gimbal, a quarter turn apart, since a test meets any.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit.servo import with_mean_servo
+from piga.calibration.model.design import Design
+from piga.calibration.model.request import Request
+from piga.calibration.model.servo_columns import ServoState
+from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.weighting import weighted_blocks, weighting_mode
+from piga.errors import CalibrationError
+from piga.instrument import Instrument, propagate
+from piga.planning.plan_file import PlanRequest
+from piga.records.run import Run
+from piga.records.terms import SERVO_TERMS, harmonic, si_factor
+from piga.stand.imperfections import NONE
+from piga.stand.profile import Stand
+from piga.stand.scenario_tables import (
+    CentrifugeTable,
+    DividingHeadTable,
+    RateTableTable,
+    SimpleStand,
+)
+
+Array = NDArray[np.float64]
+
+STARTS = 4
+"""Starting angles of the gimbal, evenly spaced, that the information is averaged over."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One position or level: ``table`` is its stand with this one alone; ``force`` [m/s^2] (3,) in base axes.
+
+    ``margin`` is ``|u_x|/(u_t tan_beta)``: below 1 the instrument is locked. ``revolution`` [s] is the time
+    of one revolution of the gimbal.
+    """
+
+    label: str
+    table: SimpleStand
+    force: tuple[float, float, float]
+    margin: float
+    revolution: float
+
+    def stand(self, dwell: float, request: PlanRequest) -> Stand:
+        """The stand held here for ``dwell`` [s]."""
+        table = msgspec.structs.replace(self.table, dwell=f"{dwell!r} s")
+        return table.build(request.path.parent)
+
+
+def find_candidates(request: PlanRequest) -> tuple[Candidate, ...]:
+    """All positions and levels of the stand, in its order."""
+    return tuple(
+        candidate_of(request, label, table)
+        for stand in request.stands
+        for label, table in _single(request, stand)
+    )
+
+
+def _single(request: PlanRequest, stand: SimpleStand) -> list[tuple[str, SimpleStand]]:
+    """Tables with one position or level each."""
+    built = stand.build(request.path.parent)
+    replace = msgspec.structs.replace
+    if isinstance(stand, DividingHeadTable):
+        degrees = [round(math.degrees(x), 9) for x in built.positions]  # type: ignore[attr-defined]
+        roll = f" roll {stand.roll}" if stand.roll else ""
+        return [(f"{x:.6g} deg{roll}", replace(stand, positions=(f"{x!r} deg",))) for x in degrees]
+    if isinstance(stand, CentrifugeTable) and stand.levels is not None:
+        sign = "-" if stand.outward else ""
+        return [(f"{sign}{level}", replace(stand, levels=(level,), down=False)) for level in stand.levels]
+    rates = stand.rates if isinstance(stand, CentrifugeTable | RateTableTable) else ()
+    down = {"down": False} if isinstance(stand, CentrifugeTable) else {}
+    return [(f"{rate}", replace(stand, rates=(rate,), **down)) for rate in rates or ()]
+
+
+def candidate_of(request: PlanRequest, label: str, table: SimpleStand) -> Candidate:
+    """A candidate with its force, its distance from the lock zone and its time of revolution."""
+    specimen = request.scenario.specimen
+    K, tangent = specimen.instrument.scale_factor, abs(specimen.instrument.tan_beta)
+    stand = msgspec.structs.replace(table, dwell="60 s").build(request.path.parent)
+    force, rate = stand.motion(np.arange(61.0), NONE)
+    u = K * force - rate
+    along, across = np.abs(u[:, 0]), tangent * np.hypot(u[:, 1], u[:, 2])
+    margin = float(np.min(along / np.maximum(across, 1e-300))) if across.any() else math.inf
+    mean = float(np.mean(np.sqrt(np.maximum(along**2 - across**2, 0.0))))
+    revolution = 2.0 * math.pi / mean if mean > 0.0 else math.inf
+    x, y, z = (float(value) for value in force.mean(axis=0))
+    return Candidate(label, table, (x, y, z), margin, revolution)
+
+
+def noise_of(request: PlanRequest) -> Noise:
+    """Noise of the output as the estimator models it: quantisation and angle noise, random walk.
+
+    Raises
+    ------
+    CalibrationError
+        If the electronics have no noise at all: any plan would be perfect.
+    """
+    e = request.scenario.electronics
+    count = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 0.0
+    white = 0.0 if e.kind == "rate" else e.angle_noise**2 + count**2 / 12.0
+    noise = Noise(white, e.angle_random_walk**2)
+    if noise.white + noise.walk == 0.0 or (e.kind == "rate" and noise.walk == 0.0):
+        raise CalibrationError(
+            "[electronics] has no noise: every plan is perfect",
+            remedy="give angle_random_walk or angle_noise, e.g. from [noise] of a calibration",
+        )
+    return noise
+
+
+def model_request(request: PlanRequest) -> Request:
+    """The request that the calibration of the test will make."""
+    model = request.model
+    return Request(tuple(model.terms), model.phase, model.phase_source, "information", None, None, 293.15)
+
+
+def run_of(
+    request: PlanRequest, t: Array, output: Array, f: Array, rate: Array, segment: NDArray[np.int32]
+) -> Run:
+    """A record of the planned instrument."""
+    e, servo = request.scenario.electronics, request.table.instrument.servo
+    run = Run.from_arrays(
+        t,
+        output,
+        f,
+        scale_factor=request.scenario.specimen.instrument.scale_factor,
+        kind="rate" if e.kind == "rate" else "angle",
+        base_rate=rate,
+        segment=segment,
+        serial=request.table.instrument.serial,
+    )
+    return run if servo is None else replace(run, servo=servo.parameters())
+
+
+def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...]) -> Array:
+    """Information on the coefficients from ``1, 2, ...`` dwell steps at each candidate, (n, steps, m, m).
+
+    Coefficients in the order of :func:`coefficient_names`, file units.
+    """
+    return np.array([_table(request, candidate) for candidate in candidates])
+
+
+def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
+    """Coefficients that all positions share, in the order of the request; ``phi`` behind tan_beta if shared."""
+    names: list[str] = []
+    for name in request.model.terms:
+        names += [name, "phi"] if name == "tan_beta" and request.model.phase == "shared" else [name]
+    return tuple(names)
+
+
+def _table(request: PlanRequest, candidate: Candidate) -> Array:
+    design = _segments(request, candidate)
+    noise, mode = noise_of(request), weighting_mode(design, "information")
+    per_step = round(request.dwell_step / request.scenario.electronics.interval)
+    steps = round(request.longest_dwell / request.dwell_step)
+    m = len(design.names)
+    parts: list[list[Array]] = [[] for _ in range(STARTS)]
+    for block, columns in weighted_blocks(design, mode, noise):
+        parts[block.segment].append(columns[:m, -_rows(block.start, block.stop, design) :])
+    jacobian = _jacobian(request, design)
+    information = np.zeros((steps, *(2 * (jacobian.shape[1],))))
+    for part in parts:
+        rows = np.hstack(part)[:, -steps * per_step :].reshape(m, steps, per_step).swapaxes(0, 1)
+        linear = np.cumsum(rows @ rows.swapaxes(1, 2), axis=0)
+        information += jacobian.T @ linear @ jacobian / STARTS
+    if design.point:
+        information *= request.scenario.electronics.interval / noise.walk
+    return _without_phase(information, request, design)
+
+
+def _rows(start: int, stop: int, design: Design) -> int:
+    return stop - start if start or design.point else stop - start - 1
+
+
+def _segments(request: PlanRequest, candidate: Candidate) -> Design:
+    """The candidate held for the longest dwell, from each starting angle."""
+    specimen, interval = request.scenario.specimen, request.scenario.electronics.interval
+    own = specimen.instrument
+    count = round(request.longest_dwell / interval)
+    t = np.arange(count + 1, dtype=np.float64) * interval
+    force, rate = candidate.stand(request.longest_dwell, request).motion(t, NONE)
+    outputs = []
+    for start in range(STARTS):
+        turned = Instrument(own.scale_factor, own.beta, own.alpha0 + 2.0 * math.pi * start / STARTS)
+        alpha, speed = propagate(turned, t, force, rate, with_rate=True, error_model=specimen.error_model)
+        outputs.append(speed if request.scenario.electronics.kind == "rate" else alpha)
+    times = np.concatenate([t + k * (t[-1] + 2.0 * interval) for k in range(STARTS)])
+    segment = np.repeat(np.arange(STARTS, dtype=np.int32), t.size)
+    many = (STARTS, 1)
+    run = run_of(request, times, np.concatenate(outputs), np.tile(force, many), np.tile(rate, many), segment)
+    design = Design(run, model_request(request), run.scale_factor)
+    if "tan_beta" not in design.request.terms:
+        return with_mean_servo(design)
+    return design.with_servo(_servo_state(request, design)) if design.turning_servo else design
+
+
+def _servo_state(request: PlanRequest, design: Design) -> ServoState:
+    """Where the columns of the servo are combined: phase zero, the expected coefficients."""
+    truth, K = _truth(request), design.run.scale_factor
+    return ServoState(
+        (0.0,) * STARTS,
+        K * truth.get("servo", 0.0),
+        K * truth.get("servo_damping", 0.0),
+        1.0 / (K * truth["tan_beta"]),
+    )
+
+
+def _jacobian(request: PlanRequest, design: Design) -> Array:
+    """Derivative of the column coefficients by the named ones (file units), phi among them and last.
+
+    The output zero is taken at alpha = 0, so phi = 0; ``K theta`` is linear in each named coefficient.
+    """
+    names = [name for name in coefficient_names(request) if name != "phi"]
+    truth = _truth(request)
+    K = design.run.scale_factor
+    result = np.zeros((len(design.names), len(names) + 1))
+    known_scale = "scale_factor" not in names
+    for row, column in enumerate(design.names):
+        if column in ("p", "scale_factor"):
+            name = "tan_beta" if column == "p" else column
+            result[row, names.index(name)] = K if column == "p" else 1.0
+            if column == "p" and not known_scale:
+                result[row, names.index("scale_factor")] = truth["tan_beta"]
+        elif column == "q":
+            result[row, -1] = K * truth["tan_beta"]
+        else:
+            result[row, names.index(column)] = K
+            if not known_scale:
+                result[row, names.index("scale_factor")] = truth.get(column, 0.0)
+            turned = harmonic(column)
+            if turned:
+                partner = truth.get(("c" if turned[0] == "s" else "s") + str(turned[1]), 0.0)
+                result[row, -1] = (-1.0 if turned[0] == "s" else 1.0) * turned[1] * K * partner
+    return result * np.array([si_factor(name) for name in [*names, "phi"]])
+
+
+def _truth(request: PlanRequest) -> dict[str, float]:
+    """Expected values in SI."""
+    specimen = request.scenario.specimen
+    values = {"tan_beta": abs(specimen.instrument.tan_beta)}
+    values |= {
+        name: getattr(specimen.error_model, name, 0.0) for name in request.model.terms if name not in values
+    }
+    values |= {name: getattr(specimen, name) for name in SERVO_TERMS if name in request.model.terms}
+    for order, (sine, cosine) in specimen.harmonics.items():
+        values |= {f"s{order}": sine, f"c{order}": cosine}
+    return values
+
+
+def _without_phase(information: Array, request: PlanRequest, design: Design) -> Array:
+    """Information in the order of the names; a phase of the segment's own is eliminated (Schur complement)."""
+    names = coefficient_names(request)
+    if "p" not in design.names and not design.request.harmonics:
+        return information[:, :-1, :-1]
+    if "phi" in names:
+        order = [len(names) - 1 if n == "phi" else i - (i > names.index("phi")) for i, n in enumerate(names)]
+        return information[:, order][:, :, order]
+    cross, phase = information[:, :-1, -1], np.maximum(information[:, -1, -1], 1e-300)
+    return information[:, :-1, :-1] - cross[:, :, None] * cross[:, None, :] / phase[:, None, None]

@@ -1,0 +1,155 @@
+"""The mounting question: which skew of the instrument keeps it out of the lock zone over a profile.
+
+With ``u = K f - Omega`` the instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. Turning the
+instrument by a skew ``sigma`` towards the direction at ``clock`` about the platform's X axis makes
+``u_x = u . (cos sigma, sin sigma cos clock, sin sigma sin clock)``; the margin of a mounting is the
+least ``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1 (own formulation).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError, CalibrationError
+from piga.planning.plan_file import PlanRequest
+from piga.stand.imperfections import NONE
+from piga.stand.machines.dividing_head import position_range
+from piga.units import to_si
+
+Array = NDArray[np.float64]
+
+CHUNK = 20000
+"""Profile rows compared at a time."""
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Margins of all mountings: ``margins`` (skews, clocks), ``inside`` the share of time below ``limit``.
+
+    ``best`` indexes both; ``margin_history`` (n,) is ``|u_x|/(u_t tan(beta))`` of the best at times ``t`` [s],
+    ``unskewed_history`` that of the instrument not skewed.
+    """
+
+    skews: Array
+    clocks: Array
+    margins: Array
+    inside: Array
+    limit: float
+    t: Array
+    margin_history: Array
+    unskewed_history: Array
+    best: tuple[int, int]
+
+    @property
+    def skew(self) -> float:
+        """Best skew [rad]."""
+        return float(self.skews[self.best[0]])
+
+    @property
+    def clock(self) -> float:
+        """Direction of the best skew about X, from Y towards Z [rad]."""
+        return float(self.clocks[self.best[1]])
+
+    @property
+    def margin(self) -> float:
+        """Least ``|u_x|/(u_t tan(beta))`` of the best mounting."""
+        return float(self.margins[self.best])
+
+    @property
+    def acceptable(self) -> Array:
+        """Skews [rad] that keep the wanted margin at their best direction."""
+        return self.skews[self.margins.max(axis=1) >= self.limit]
+
+
+def plan_mounting(request: PlanRequest) -> Mounting | None:
+    """Best skew for the profile of ``[mounting]``; None when the plan has none.
+
+    Raises
+    ------
+    CalibrationError
+        If tan_beta is zero: there is no lock zone.
+    ArgumentError
+        If a range of angles is empty.
+    """
+    table = request.table.mounting
+    if table is None:
+        return None
+    instrument = request.scenario.specimen.instrument
+    tangent = abs(instrument.tan_beta)
+    if tangent == 0.0:
+        raise CalibrationError(
+            "[mounting] needs [truth] beta: without it there is no lock zone", remedy="add it"
+        )
+    stand = table.profile.build(request.path.parent)
+    segments = stand.segments()
+    step = to_si(table.step, "s", what="[mounting] step")
+    if not step > 0.0:
+        raise ArgumentError("[mounting] step: must be positive", remedy="e.g. '0.1 s'")
+    t = np.arange(segments[0].start, segments[-1].stop + 0.5 * step, step)
+    force, rate = stand.motion(np.minimum(t, segments[-1].stop), NONE)
+    u = instrument.scale_factor * force - rate
+    skews, clocks = _angles(table.skew, "skew"), _angles(table.clock, "clock")
+    margins, inside = _margins(u, skews, clocks, tangent, table.margin)
+    best = _largest(margins)
+    axes = _axes(skews[best[0]], clocks[[best[1]]])
+    return Mounting(
+        skews,
+        clocks,
+        margins,
+        inside,
+        table.margin,
+        t,
+        _ratios(u, axes, tangent)[:, 0],
+        _ratios(u, np.array([[1.0], [0.0], [0.0]]), tangent)[:, 0],
+        best,
+    )
+
+
+def _angles(text: str, what: str) -> Array:
+    numbers, _, unit = text.strip().partition(" ")
+    parts = numbers.split(":")
+    if len(parts) != 3:
+        raise ArgumentError(f"[mounting] {what}: '{text}' is no range", remedy="write e.g. '0:91:1 deg'")
+    first, last, step = (to_si(f"{part} {unit}", "rad", what=f"[mounting] {what}") for part in parts)
+    return np.array(position_range(first, last, step))
+
+
+def _axes(skew: float, clocks: Array) -> Array:
+    """Input axes in platform axes for one skew, (3, clocks)."""
+    s = math.sin(skew)
+    return np.array([np.full(clocks.size, math.cos(skew)), s * np.cos(clocks), s * np.sin(clocks)])
+
+
+def _ratios(u: Array, axes: Array, tangent: float) -> Array:
+    """``|u_x|/(u_t tan(beta))`` per row and axis; infinite where nothing acts across.
+
+    Where ``u_x`` has changed its sign since the row before, the profile went through the lock zone: 0.
+    """
+    signed = u @ axes
+    along = np.abs(signed)
+    across = np.sqrt(np.maximum(np.sum(u * u, axis=1)[:, None] - along**2, 0.0)) * tangent
+    ratios = np.divide(along, across, out=np.full(along.shape, np.inf), where=across > 0.0)
+    ratios[1:][signed[1:] * signed[:-1] < 0.0] = 0.0
+    return ratios
+
+
+def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float) -> tuple[Array, Array]:
+    margins = np.full((skews.size, clocks.size), np.inf)
+    inside = np.zeros((skews.size, clocks.size))
+    for k, skew in enumerate(skews):
+        axes = _axes(float(skew), clocks)
+        for start in range(0, u.shape[0], CHUNK):
+            ratios = _ratios(u[max(start - 1, 0) : start + CHUNK], axes, tangent)
+            margins[k] = np.minimum(margins[k], ratios.min(axis=0))
+            inside[k] += np.count_nonzero(ratios[-min(CHUNK, u.shape[0] - start) :] < limit, axis=0)
+    return margins, inside / u.shape[0]
+
+
+def _largest(margins: Array) -> tuple[int, int]:
+    """Largest margin; of several alike the first."""
+    at = int(np.argmax(margins))
+    return at // margins.shape[1], at % margins.shape[1]

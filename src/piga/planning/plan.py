@@ -1,0 +1,369 @@
+"""Planning a test: which positions or levels, and how long in each, make the coefficients most certain.
+
+A visit of length tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The best
+mixture of visits per second of test is a convex problem; its value bounds every test from below. An
+exchange search makes whole visits of it, and what is reported is predicted by the estimator itself on
+the noiseless record of the very test that is exported.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import CalibrationError, IdentifiabilityError
+from piga.planning.candidates import (
+    Candidate,
+    candidate_of,
+    coefficient_names,
+    find_candidates,
+    information_tables,
+)
+from piga.planning.criterion import LARGEST_POWER, Criterion, Mixture, best_mixture
+from piga.planning.plan_file import PlanRequest
+from piga.planning.prediction import Prediction, Visit, predict
+from piga.planning.visits import Limits, Schedule, improve, start_of
+from piga.records.terms import unit_of
+from piga.stand.scenario_tables import DividingHeadTable
+
+Array = NDArray[np.float64]
+
+STANDARD = (4, 6, 12, 24)
+"""Numbers of evenly spaced positions of the standard plans."""
+STRETCHES = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Durations of the figure, relative to the wanted one."""
+ATTEMPTS = 12
+"""Durations tried for a wanted uncertainty."""
+
+
+@dataclass(frozen=True)
+class Excluded:
+    """A candidate that is left out, and why."""
+
+    candidate: Candidate
+    reason: str
+
+
+@dataclass(frozen=True)
+class Cheapest:
+    """The shortest test found that reaches the wanted uncertainties.
+
+    ``bound`` [s]: no test of these candidates and dwells is shorter. ``plan`` is None when the stand's own
+    uncertainty forbids it; then ``refusal`` says which.
+    """
+
+    bound: float
+    plan: Prediction | None
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planned test, and what it is compared with.
+
+    ``shares`` are the shares of the test time of the usable candidates in the best mixture,
+    ``largest_derivative`` its certificate (the number of coefficients for D, else 1). ``efficiency`` is that of
+    the criterion relative to the bound of the convex problem, as a ratio of variances, 1 at best;
+    ``stretched`` the planned and the last standard test for other durations.
+    """
+
+    request: PlanRequest
+    candidates: tuple[Candidate, ...]
+    usable: tuple[Candidate, ...]
+    excluded: tuple[Excluded, ...]
+    names: tuple[str, ...]
+    shares: Array
+    largest_derivative: float
+    efficiency: float
+    best: Prediction
+    standard: tuple[Prediction, ...]
+    stretched: tuple[tuple[float, Prediction, Prediction], ...]
+    cheapest: Cheapest | None
+
+    @property
+    def reference(self) -> Prediction:
+        """The standard plan with the most positions."""
+        return self.standard[-1]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Everything that the search for one request needs: scaled tables per usable candidate."""
+
+    request: PlanRequest
+    usable: tuple[Candidate, ...]
+    tables: Array
+    scale: Array
+
+    def per_second(self) -> Array:
+        """Information per second of test of every (place, dwell), (n, m, m)."""
+        steps = self.tables.shape[1]
+        cost = np.arange(1, steps + 1) * self.request.dwell_step + self.request.move
+        shortest = self.limits(self.request.duration).shortest
+        rates = self.tables / cost[:, None, None]
+        rates[:, : shortest - 1] = 0.0
+        return rates.reshape(-1, *self.tables.shape[2:])
+
+    def limits(self, duration: float) -> Limits:
+        step = self.request.dwell_step
+        shortest = max(1, math.ceil(self.request.minimum_dwell / step - 1e-9))
+        return Limits(duration / step, self.request.move / step, shortest, self.tables.shape[1])
+
+    def criterion(self, kind: str) -> Criterion:
+        """The criterion in scaled parameters (``scaled = file / scale``)."""
+        plan, names = self.request.settings, coefficient_names(self.request)
+        rows = np.diag(self.scale)
+        if kind == "c":
+            return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * self.scale, 1.0)
+        if kind == "wanted":
+            wanted = self.request.wanted
+            chosen = [names.index(n) for n in wanted]
+            return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], LARGEST_POWER)
+        chosen = [names.index(n) for n in plan.coefficients or names]
+        sizes = np.array([self.request.wanted.get(n, self.scale[names.index(n)]) for n in names])
+        return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
+
+
+def plan_test(request: PlanRequest) -> Plan:
+    """Plan a test.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If no plan of these candidates can separate the terms.
+    CalibrationError
+        If the time is too short, or every candidate is in the lock zone.
+    """
+    candidates = find_candidates(request)
+    excluded = tuple(_excluded(request, candidates))
+    left_out = {id(item.candidate) for item in excluded}
+    usable = tuple(c for c in candidates if id(c) not in left_out)
+    request = _checked(request, usable)
+    search = _prepare(request, usable)
+    criterion = search.criterion(request.settings.criterion)
+    mixture = best_mixture(search.per_second(), criterion)
+    begin = best_mixture(search.per_second(), criterion.guarded())
+    standard = tuple(
+        predict(request, name, visits) for name, visits in _standard(request, usable, request.duration)
+    )
+    if not standard:
+        raise CalibrationError(
+            "[plan] duration is too short for every standard plan", remedy="give it more time"
+        )
+    best, value = _best(search, criterion, begin, standard)
+    shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
+    bound = float(criterion.values(mixture.information * (request.duration + request.move)))
+    count = criterion.rows.shape[0] if criterion.power == 0.0 else 1
+    return Plan(
+        request,
+        candidates,
+        usable,
+        excluded,
+        coefficient_names(request),
+        shares,
+        count * float(mixture.derivatives.max()),
+        math.exp(min(0.0, bound - value)),
+        best,
+        standard,
+        _stretched(search, criterion, begin, (request.duration, best, standard[-1])),
+        _cheapest(search, best) if request.wanted else None,
+    )
+
+
+def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[Excluded]:
+    """Candidates in the lock zone or near it."""
+    limit = request.settings.margin
+    found = []
+    for candidate in candidates:
+        if candidate.margin < limit:
+            word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
+            reason = f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)"
+            found.append(Excluded(candidate, reason))
+    return found
+
+
+def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest:
+    """Refuse what cannot be planned; the longest dwell is cut to the duration."""
+    if not usable:
+        raise CalibrationError(
+            f"every position is within {request.settings.margin:g} times the lock zone",
+            remedy="add positions with a larger a_x, or lower [plan] margin",
+        )
+    if request.duration < request.minimum_dwell:
+        raise CalibrationError("[plan] duration is below minimum_dwell", remedy="give it more time")
+    interval, step = request.scenario.electronics.interval, request.dwell_step
+    if abs(step / interval - round(step / interval)) > 1e-6:
+        raise CalibrationError(
+            f"[plan] dwell_step {step:g} s is no multiple of the sample interval {interval:g} s",
+            remedy="change dwell_step or sample_rate",
+        )
+    if abs(request.move / interval - round(request.move / interval)) > 1e-6:
+        raise CalibrationError(
+            f"the move time {request.move:g} s is no multiple of the sample interval {interval:g} s",
+            remedy="change move or sample_rate",
+        )
+    longest = math.floor(min(request.longest_dwell, request.duration) / step + 1e-9) * step
+    return replace(request, longest_dwell=max(longest, step * math.ceil(request.minimum_dwell / step - 1e-9)))
+
+
+def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
+    """Tables scaled by the uncertainty that equal time on all candidates gives; refuses what is confounded."""
+    dwell = max(request.dwell_step, min(request.longest_dwell, 3.0 * request.dwell_step))
+    predict(request, "all", tuple(Visit(c, dwell) for c in usable), type_b=False, refuse=True)
+    tables = information_tables(request, usable)
+    equal = tables[:, -1].mean(axis=0)
+    plain = 1.0 / np.sqrt(np.diag(equal))
+    covariance = np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)
+    scale = np.sqrt(np.diag(covariance))
+    return _Search(request, usable, tables * np.outer(scale, scale), scale)
+
+
+def _standard(
+    request: PlanRequest, usable: tuple[Candidate, ...], duration: float
+) -> list[tuple[str, tuple[Visit, ...]]]:
+    """Standard plans that fit a duration: evenly spaced positions; without a dividing head equal time on all."""
+    head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
+    if head is None:
+        places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
+    else:
+        places = [(f"{n} positions", _evenly(request, head, n)) for n in STANDARD]
+    found = []
+    for name, chosen in places:
+        dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
+        if dwell > 0.0:
+            found.append((name, tuple(Visit(c, dwell) for c in chosen)))
+    return found
+
+
+def _evenly(request: PlanRequest, head: DividingHeadTable, count: int) -> tuple[Candidate, ...]:
+    angles = [360.0 * k / count for k in range(count)]
+    return tuple(
+        candidate_of(request, f"{x:g} deg", msgspec.structs.replace(head, positions=(f"{x!r} deg",)))
+        for x in angles
+    )
+
+
+def _whole_samples(request: PlanRequest, dwell: float) -> float:
+    interval = request.scenario.electronics.interval
+    return round(math.floor(dwell / interval + 1e-6) * interval, 9)
+
+
+def _best(
+    search: _Search, criterion: Criterion, mixture: Mixture, standard: tuple[Prediction, ...]
+) -> tuple[Prediction, float]:
+    """The best test for the wanted duration; a standard plan that keeps the margin where none is better."""
+    request = search.request
+    visits = _search_visits(search, criterion, mixture, request.duration, standard)
+    found = predict(request, "planned", visits)
+    value = _value(search, criterion, found)
+    for prediction in standard:
+        other = _value(search, criterion, prediction)
+        safe = all(visit.candidate.margin >= request.settings.margin for visit in prediction.visits)
+        if safe and other < value:
+            found, value = replace(prediction, name="planned"), other
+    if not math.isfinite(value):
+        raise IdentifiabilityError(found.refusal, remedy="give the test more time, or leave a term out")
+    return found, value
+
+
+def _value(search: _Search, criterion: Criterion, prediction: Prediction) -> float:
+    """The criterion of a predicted covariance."""
+    if prediction.covariance is None:
+        return math.inf
+    keep = [k for k, c in enumerate(prediction.coefficients) if c.segment is None]
+    covariance = prediction.covariance[np.ix_(keep, keep)] / np.outer(search.scale, search.scale)
+    return float(criterion.values(np.linalg.inv(covariance).astype(np.float64)))
+
+
+def _search_visits(
+    search: _Search,
+    criterion: Criterion,
+    mixture: Mixture,
+    duration: float,
+    starts: tuple[Prediction, ...] = (),
+) -> tuple[Visit, ...]:
+    """Exchange search from the mixture and from those standard plans that lie on the candidates."""
+    limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
+    begun = [start_of(mixture, steps, limits)]
+    angles = {c.label: k for k, c in enumerate(search.usable)}
+    for prediction in starts:
+        places = [angles[v.candidate.label] for v in prediction.visits if v.candidate.label in angles]
+        if places:
+            dwell = max(limits.shortest, int(prediction.visits[0].dwell / search.request.dwell_step))
+            begun.append((np.array(places), np.full(len(places), dwell)))
+    found = min((improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value)
+    return _finished(search, found, duration)
+
+
+def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Visit, ...]:
+    """Visits in the order of the stand, dwells in whole revolutions of the gimbal, spare time given away."""
+    request, step = search.request, search.request.dwell_step
+    order = np.argsort(schedule.places, kind="stable")
+    chosen = [search.usable[int(k)] for k in schedule.places[order]]
+    dwells = schedule.dwells[order] * step
+    turns = np.array([c.revolution for c in chosen])
+    whole = request.settings.whole_revolutions & (turns < dwells)
+    unit = np.where(whole, turns, dwells)
+    rounded = np.floor(dwells / unit + 1e-9) * unit
+    rounded = np.where(rounded < request.minimum_dwell, dwells, rounded)
+    while True:
+        spare = duration - rounded.sum() - request.move * (rounded.size - 1)
+        fits = np.flatnonzero(whole & (turns <= spare) & (rounded + turns <= request.longest_dwell))
+        if fits.size == 0:
+            break
+        most = fits[np.argmin(rounded[fits] / dwells[fits])]
+        rounded[most] += turns[most]
+    return tuple(Visit(c, _whole_samples(request, float(d))) for c, d in zip(chosen, rounded, strict=True))
+
+
+def _stretched(
+    search: _Search, criterion: Criterion, mixture: Mixture, here: tuple[float, Prediction, Prediction]
+) -> tuple[tuple[float, Prediction, Prediction], ...]:
+    """The planned and the last standard plan for other durations; ``here`` is the row of the wanted one."""
+    rows = []
+    for factor in STRETCHES:
+        if factor == 1.0:
+            rows.append(here)
+            continue
+        duration = factor * search.request.duration
+        standard = _standard(search.request, search.usable, duration)
+        if duration < search.request.minimum_dwell or not standard:
+            continue
+        visits = _search_visits(search, criterion, mixture, duration)
+        name, usual = standard[-1]
+        pair = (predict(search.request, "planned", visits), predict(search.request, name, usual))
+        rows.append((duration, *pair))
+    return tuple(rows)
+
+
+def _cheapest(search: _Search, best: Prediction) -> Cheapest:
+    """The shortest test for the wanted standard uncertainties, Type B of the stand included."""
+    request = search.request
+    targets = {}
+    for name, wanted in request.wanted.items():
+        fixed = best.type_b[[c.name for c in best.coefficients].index(name)] if best.type_b is not None else 0.0
+        if fixed >= wanted:
+            return Cheapest(
+                math.inf,
+                None,
+                f"the stand alone adds {fixed:.2g} {unit_of(name)} to {name}: {wanted:.2g} cannot be reached in any time",
+            )
+        targets[name] = math.sqrt(wanted**2 - fixed**2)
+    search = replace(search, request=replace(request, wanted=targets))
+    criterion = search.criterion("wanted")
+    mixture = best_mixture(search.per_second(), criterion)
+    bound = math.exp(mixture.value) - request.move
+    begin = best_mixture(search.per_second(), criterion.guarded())
+    duration = max(bound, request.minimum_dwell)
+    for _ in range(ATTEMPTS):
+        visits = _search_visits(search, criterion, begin, duration)
+        plan = predict(request, "cheapest", visits)
+        ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
+        if ratio <= 1.0:
+            return Cheapest(max(bound, 0.0), plan)
+        duration *= min(max(ratio**2, 1.005), 2.0)
+    return Cheapest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")

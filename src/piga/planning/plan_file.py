@@ -1,0 +1,217 @@
+"""The plan file (TOML): a scenario whose stand lists the candidates, and what is wanted of the test.
+
+Every table of a scenario may stand in it with its meaning there: ``[truth]`` is what the instrument is
+expected to be, ``[stand]`` holds the positions or levels to choose from, ``[electronics]`` the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from piga.calibration.model.request import Request, check_servo
+from piga.errors import PigaError, RunFileError, UnitError
+from piga.records.run_file import ModelTable, Quantity, Table, UncertaintyTable
+from piga.records.terms import check_terms, si_factor, unit_of
+from piga.records.toml_file import read_toml
+from piga.stand.scenario import Scenario, scenario_of
+from piga.stand.scenario_tables import (
+    CentrifugeTable,
+    CompositeTable,
+    DividingHeadTable,
+    ProfileTable,
+    RateTableTable,
+    ScenarioTable,
+    SimpleStand,
+)
+from piga.units import to_si
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+STANDS = (DividingHeadTable, CentrifugeTable, RateTableTable)
+"""Stands whose positions or levels can be chosen one by one."""
+TIMELY = ("k0_t", "k0_T", "k1_T")
+"""Terms whose information depends on when a position is taken, not only on how long."""
+
+
+class PlanSettings(Table, frozen=True):
+    """``[plan]``: time, limits and criterion.
+
+    ``criterion`` D: least volume of the uncertainty ellipsoid of ``coefficients``; A: least mean variance,
+    each over its ``wanted`` (or equal-time) variance; c: least variance of ``combination``; wanted: least
+    largest ratio to ``wanted``.
+    """
+
+    duration: Quantity
+    criterion: Literal["D", "A", "c", "wanted"] = "D"
+    coefficients: tuple[str, ...] | None = None
+    combination: dict[str, float] = msgspec.field(default_factory=dict)
+    wanted: dict[str, Quantity] = msgspec.field(default_factory=dict)
+    move: Quantity | None = None
+    minimum_dwell: Quantity = "30 s"
+    longest_dwell: Quantity = "600 s"
+    dwell_step: Quantity = "10 s"
+    margin: float = 2.0
+    whole_revolutions: bool = True
+
+
+class MountingTable(Table, frozen=True):
+    """``[mounting]``: a profile of the platform, and the skew angles to try."""
+
+    profile: ProfileTable | DividingHeadTable | CentrifugeTable | RateTableTable
+    skew: str = "0:91:1 deg"
+    clock: str = "0:360:15 deg"
+    step: Quantity = "0.1 s"
+    margin: float = 2.0
+
+
+class PlanTable(ScenarioTable, frozen=True, kw_only=True):
+    """A whole plan file."""
+
+    plan: PlanSettings
+    mounting: MountingTable | None = None
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """A plan file in SI; times in s, ``wanted`` by coefficient key in file units."""
+
+    path: Path
+    table: PlanTable
+    scenario: Scenario
+    model: ModelTable
+    uncertainty: UncertaintyTable
+    duration: float
+    move: float
+    minimum_dwell: float
+    longest_dwell: float
+    dwell_step: float
+    wanted: dict[str, float]
+
+    @property
+    def settings(self) -> PlanSettings:
+        """``[plan]`` as written."""
+        return self.table.plan
+
+    @property
+    def stands(self) -> tuple[SimpleStand, ...]:
+        """The parts of the stand, one unless it is a composite."""
+        stand = self.table.stand
+        return stand.parts if isinstance(stand, CompositeTable) else (stand,)
+
+
+def read_plan(path: str | Path) -> PlanRequest:
+    """Read a plan file.
+
+    Raises
+    ------
+    RunFileError
+        For an unknown key, a wrong unit or a wish that cannot be planned; names file and key.
+    """
+    path = Path(path)
+    table = read_toml(path, PlanTable)
+    try:
+        model = _converted(table.model, ModelTable, "model")
+        uncertainty = _converted(table.uncertainty, UncertaintyTable, "uncertainty")
+        check_terms(model.terms, where="[model] terms")
+        _check(table, model)
+        return _request(path, table, model, uncertainty)
+    except (PigaError, UnitError) as error:
+        if error.message.startswith(f"{path}:"):
+            raise
+        raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+
+
+def _converted(table: dict[str, Any], kind: type[T], name: str) -> T:
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        raise RunFileError(f"[{name}]: {str(error).lower()}", remedy="as in a run file") from None
+
+
+def _check(table: PlanTable, model: ModelTable) -> None:
+    """Refuse what the information of a single position cannot tell."""
+    for name in model.terms:
+        if name in TIMELY:
+            raise RunFileError(
+                f"[model] terms: '{name}' depends on when a position is taken and cannot be planned",
+                remedy="leave it out of the plan; it can still be estimated from the test",
+            )
+    if "tan_beta" in model.terms and not any(name in table.truth for name in ("beta", "tan_beta")):
+        raise RunFileError(
+            "[truth] lacks beta: the uncertainty of its phase depends on the size of tan_beta",
+            remedy='add the expected size, e.g. beta = "20 arcsec"',
+        )
+    check_servo(Request(tuple(model.terms), model.phase, model.phase_source, "information", None, None, 293.15))
+    if table.electronics.bias_random_walk != 0.0:
+        raise RunFileError(
+            "[electronics] bias_random_walk is not part of the noise model of the estimator",
+            remedy="leave it out of the plan",
+        )
+    stands = table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
+    for stand in stands:
+        if not isinstance(stand, STANDS):
+            raise RunFileError(
+                f"[stand] kind '{stand.__struct_config__.tag}' has no positions or levels to choose from",
+                remedy="plan with a dividing head, centrifuge, rate table, or a composite of these",
+            )
+    _check_names(table.plan, model)
+
+
+def _check_names(plan: PlanSettings, model: ModelTable) -> None:
+    known = list(model.terms) + (["phi"] if "tan_beta" in model.terms and model.phase == "shared" else [])
+    for key, names in (
+        ("coefficients", plan.coefficients or ()),
+        ("combination", tuple(plan.combination)),
+        ("wanted", tuple(plan.wanted)),
+    ):
+        for name in names:
+            if name not in known:
+                raise RunFileError(
+                    f"[plan] {key}: '{name}' is not estimated", remedy=f"estimated are: {', '.join(known)}"
+                )
+    needed = {"c": ("combination", plan.combination), "wanted": ("wanted", plan.wanted)}
+    if plan.criterion in needed and not needed[plan.criterion][1]:
+        name = needed[plan.criterion][0]
+        raise RunFileError(
+            f"[plan] criterion '{plan.criterion}' needs {name}",
+            remedy=f"add {name} = {{ k0 = ... }}",
+        )
+
+
+def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: UncertaintyTable) -> PlanRequest:
+    plan = table.plan
+    times = {
+        key: to_si(getattr(plan, key), "s", what=f"[plan] {key}")
+        for key in ("duration", "minimum_dwell", "longest_dwell", "dwell_step")
+    }
+    times["move"] = _move(table)
+    for key, seconds in times.items():
+        if not seconds > 0.0:
+            raise RunFileError(f"[plan] {key}: {seconds:g} s is not positive", remedy="correct it")
+    if times["longest_dwell"] < times["minimum_dwell"]:
+        raise RunFileError("[plan] longest_dwell is below minimum_dwell", remedy="correct one of them")
+    wanted = {}
+    for name, value in plan.wanted.items():
+        unit = unit_of(name)
+        wanted[name] = to_si(value, unit, what=f"[plan] wanted.{name}") / si_factor(name)
+        if not wanted[name] > 0.0:
+            raise RunFileError(f"[plan] wanted.{name}: must be positive", remedy="give a standard uncertainty")
+    return PlanRequest(path, table, scenario_of(path, table), model, uncertainty, wanted=wanted, **times)
+
+
+def _move(table: PlanTable) -> float:
+    """Time between two visits: as given, else the longest that the stands name."""
+    if table.plan.move is not None:
+        return to_si(table.plan.move, "s", what="[plan] move")
+    stand = table.stand
+    times = [to_si(stand.pause, "s", what="[stand] pause")] if isinstance(stand, CompositeTable) else []
+    for part in stand.parts if isinstance(stand, CompositeTable) else (stand,):
+        if isinstance(part, DividingHeadTable):
+            times.append(to_si(part.move, "s", what="[stand] move"))
+        elif isinstance(part, CentrifugeTable | RateTableTable):
+            times.append(to_si(part.ramp, "s", what="[stand] ramp"))
+    return max(times)

@@ -1,0 +1,151 @@
+"""Alignment on a static base: attitude and drift of the triad against inertial axes, with covariance.
+
+Two things are seen: gravity, which describes a cone about the Earth's axis as the platform stands still,
+and the gimbal angles, which follow the base as the Earth turns it. Together they give all of the triad's
+attitude and drift and the base's attitude; each alone lacks one angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
+from piga.platform.identification.estimate import Group, solve_with_noise
+from piga.platform.identification.observation import (
+    Tip,
+    Unknowns,
+    coarse_unknowns,
+    force_rows,
+    gimbal_rows,
+    names,
+)
+from piga.platform.model.geodesy import geodetic_to_earth, local_axes, specific_force_at_rest
+from piga.platform.model.models import Knowledge
+from piga.platform.model.scenario import Place
+from piga.platform.model.simulate import Readouts
+from piga.platform.navigation.navigator import Start, site_start
+
+Array = NDArray[np.float64]
+
+UNKNOWNS = (
+    "triad.x", "triad.y", "triad.z", "drift.x", "drift.y", "drift.z", "base.1", "base.2", "base.3",
+)  # fmt: skip
+"""Order of the covariance: triad attitude [rad], triad drift [rad/s], base attitude about Earth axes [rad]."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
+
+    ``covariance`` (9, 9) in the order of :data:`UNKNOWNS`; ``noise`` per source; ``rms`` after the fit.
+    ``accelerometer_tilt`` [rad]: what an accelerometer bias of one micro-g would add, for judgement: the
+    alignment cannot see biases.
+    """
+
+    place: Place
+    triad: Array
+    drift: Array
+    base: Array
+    covariance: Array
+    noise: dict[str, float]
+    rms: dict[str, float]
+    condition: float
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties (9,) in the order of :data:`UNKNOWNS`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def triad_vector(self) -> Array:
+        """Rotation vector (3,) [rad] from inertial axes to the triad."""
+        return matrix_to_rotation_vector(self.triad)
+
+    @property
+    def base_angles(self) -> Array:
+        """Roll, pitch, heading (3,) [rad] of the base."""
+        return _angles(self.base)
+
+    @property
+    def base_stds(self) -> Array:
+        """Standard uncertainties of roll, pitch, heading (3,) [rad]."""
+        to_level = local_axes(self.place.latitude, self.place.longitude).T
+        jacobian = np.empty((3, 3))
+        for k, turn in enumerate(1e-6 * to_level.T):
+            ahead, behind = (rotation_vector_to_matrix(sign * turn) @ self.base for sign in (1.0, -1.0))
+            difference = _angles(ahead) - _angles(behind)
+            jacobian[:, k] = (np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) / 2e-6
+        return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
+
+    def start(self, *, with_drift: bool) -> Start:
+        """Start of the navigation at the known place, with the drift found taken out or not."""
+        drift = self.drift if with_drift else np.zeros(3)
+        return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
+
+
+def _angles(base: Array) -> Array:
+    """Roll, pitch, heading (3,) [rad] of ``C_b^n``."""
+    pitch = np.arcsin(np.clip(-base[2, 0], -1.0, 1.0))
+    return np.array([np.arctan2(base[2, 1], base[2, 2]), pitch, np.arctan2(base[1, 0], base[0, 0])])
+
+
+def align(
+    readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5
+) -> Alignment:
+    """Align on a record of a base at rest at a known place, misalignments being known.
+
+    Gauss-Newton on the exact geometry; the noise levels come from the residuals.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the record is too short for the attitude to show.
+    """
+    force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
+    x = replace(
+        coarse_unknowns(readouts, force, orders),
+        polar=Tip.of(known.polar, orders),
+        equatorial=Tip.of(known.equatorial, orders),
+        eta0=known.eta0,
+        eta_rate=known.eta_rate,
+    )
+    for _ in range(iterations):
+        parts = [group.reduced() for group in _groups(x, readouts, force)]
+        solution = solve_with_noise(parts, UNKNOWNS)
+        x = _moved(x, solution.step)
+    to_level = local_axes(place.latitude, place.longitude).T
+    return Alignment(
+        place=place,
+        triad=x.triad.T.copy(),
+        drift=x.drift,
+        base=to_level @ x.base,
+        covariance=solution.covariance,
+        noise={part.name: level for part, level in zip(parts, solution.levels, strict=True)},
+        rms={part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts},
+        condition=solution.condition,
+    )
+
+
+def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[Group]:
+    slow = len(names(len(x.polar.cosines))) - 8
+    angle, by_angle = gimbal_rows(x, readouts)
+    felt, by_force = force_rows(x, readouts, force)
+    return [
+        Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
+        Group("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
+    ]
+
+
+def _with_third(columns: Array, x: Unknowns) -> Array:
+    """Add the third base angle, about the Earth's axis: the gimbals see it like a turn of the triad."""
+    pole = x.triad[:, 2]
+    third = -columns[:, :, :3] @ pole
+    return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)
+
+
+def _moved(x: Unknowns, step: Array) -> Unknowns:
+    moved = x.moved(np.concatenate([np.zeros(len(names(len(x.polar.cosines))) - 8), step[:8]]))
+    return replace(moved, base=rotation_vector_to_matrix(np.array([0.0, 0.0, step[8]])) @ moved.base)

@@ -1,0 +1,1 @@
+"""The platform and its motion: geometry, drift of the gyros, case rotation."""

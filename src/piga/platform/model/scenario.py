@@ -1,0 +1,347 @@
+"""The platform scenario: a TOML file with units becomes one tree of frozen SI values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from piga.errors import RunFileError
+from piga.platform.model.scenario_file import GyroFile, Quantity, ScenarioFile
+from piga.records.toml_file import read_toml
+from piga.units import to_si
+
+Model = Literal["none", "A", "B", "C"]
+MODELS: tuple[Model, ...] = ("none", "A", "B", "C")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Start of the run: geodetic latitude and longitude [rad], height [m]."""
+
+    latitude: float
+    longitude: float = 0.0
+    height: float = 0.0
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """``amplitude sin(2 pi t / period)``: amplitude [rad] or [m], period [s]."""
+
+    amplitude: float
+    period: float
+
+
+@dataclass(frozen=True)
+class MotionPlan:
+    """Motion of the base: ``kind`` static | turn | sway | track; start attitude [rad]; turn rate [rad/s]."""
+
+    kind: str = "static"
+    roll: float = 0.0
+    pitch: float = 0.0
+    heading: float = 0.0
+    turn_rate: float = 0.0
+    sway: tuple[Oscillation, ...] = ()
+    file: Path | None = None
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Case rotation: ``rate`` [rad/s] (0: cases at rest) and ``turns`` between reversals (0: none)."""
+
+    rate: float
+    turns: int = 0
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """One harmonic of the misalignment over a case turn: ``amplitude cos(order c + phase)`` [rad]."""
+
+    order: int
+    amplitude: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class Gyro:
+    """One gyro: misalignment m(c) [rad], phase [rad], and drift [rad/s] that stays or turns with the case."""
+
+    misalignment: float = 0.0
+    phase: float = 0.0
+    harmonics: tuple[Harmonic, ...] = ()
+    drift: tuple[float, float] = (0.0, 0.0)
+    case_drift: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PigaSensors:
+    """Three gyro accelerometers: K [(rad/s)/(m/s^2)], tan(beta), start angles [rad], mounting.
+
+    ``mounting`` orthogonal | skewed; ``cone`` [rad] is the angle of skewed input axes to the platform's
+    polar axis. ``output`` raw (``alpha'/K``) | triad (effective axes solved per sample).
+    ``tan_beta_error`` and ``phase_error`` are the errors of the calibration that the triad solution uses.
+    """
+
+    scale_factor: float
+    tan_beta: float
+    alpha0: tuple[float, float, float] = (0.3, 1.7, 4.1)
+    mounting: str = "orthogonal"
+    cone: float = 0.6
+    output: str = "triad"
+    counts_per_revolution: float = 0.0
+    tan_beta_error: float = 0.0
+    phase_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Readout errors: white noise (1 sigma) and quantisation steps in SI; zero means ideal."""
+
+    gimbal_noise: float = 0.0
+    gimbal_quantisation: float = 0.0
+    pickoff_noise: float = 0.0
+    pickoff_quantisation: float = 0.0
+    velocity_random_walk: float = 0.0
+    accelerometer_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    increment_quantisation: float = 0.0
+    altitude_noise: float = 0.0
+    piga: PigaSensors | None = None
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What the navigator removes, and with which numbers.
+
+    ``misalignment`` identified | true; ``redundancy`` pick-off | drift-model; ``orders`` harmonics of
+    model C; ``drift`` none | aligned | true: the gyro drift taken out; ``attitude`` aligned | true.
+    """
+
+    models: tuple[Model, ...] = MODELS
+    misalignment: str = "identified"
+    redundancy: str = "pick-off"
+    orders: int = 3
+    drift: str = "none"
+    attitude: str = "aligned"
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A whole platform run in SI units; ``duration`` and ``step`` [s], ``redundancy`` eta at the start [rad].
+
+    ``triad``: rotation vector [rad] that carries inertial axes into the triad G at the start (what
+    alignment has to find).
+    """
+
+    place: Place
+    duration: float
+    step: float = 1.0
+    seed: int = 1
+    motion: MotionPlan = field(default_factory=MotionPlan)
+    polar_rotation: Rotation = Rotation(0.0)
+    equatorial_rotation: Rotation = Rotation(0.0)
+    polar: Gyro = field(default_factory=Gyro)
+    equatorial: Gyro = field(default_factory=Gyro)
+    redundancy: float = 0.0
+    triad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sensors: Sensors = field(default_factory=Sensors)
+    compensation: Compensation = field(default_factory=Compensation)
+    calibration_time: float = 7200.0
+    damping_time: float = 100.0
+    source: str = ""
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the run."""
+        return round(self.duration / self.step)
+
+    def without_errors(self) -> Scenario:
+        """The same run with perfect gyros and sensors: what the navigator alone does."""
+        return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read a scenario file (TOML).
+
+    Raises
+    ------
+    RunFileError
+        If the file cannot be read, is not TOML, or a key is unknown, missing or out of range.
+    UnitError
+        If a quantity lacks its unit or has one of another kind.
+    """
+    return _Reader(path).scenario(read_toml(path, ScenarioFile))
+
+
+class _Reader:
+    """Turns the parsed file into SI values, naming file and key in every message."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def si(self, value: Quantity, unit: str, key: str) -> float:
+        return to_si(value, unit, what=f"{self.path}: {key}")
+
+    def positive(self, value: Quantity, unit: str, key: str) -> float:
+        number = self.si(value, unit, key)
+        if number <= 0.0:
+            raise RunFileError(f"{self.path}: {key} = {value!r} must be positive")
+        return number
+
+    def scenario(self, f: ScenarioFile) -> Scenario:
+        polar, equatorial = self.rotations(f)
+        scenario = Scenario(
+            place=self.place(f),
+            duration=self.positive(f.run.duration, "s", "[run] duration"),
+            step=self.positive(f.run.step, "s", "[run] step"),
+            seed=f.run.seed,
+            motion=self.motion(f),
+            polar_rotation=polar,
+            equatorial_rotation=equatorial,
+            polar=self.gyro(f.polar, "polar"),
+            equatorial=self.gyro(f.equatorial, "equatorial"),
+            redundancy=self.si(f.redundancy.initial, "rad", "[redundancy] initial"),
+            triad=self.triad(f),
+            sensors=self.sensors(f),
+            compensation=self.compensation(f),
+            calibration_time=self.positive(f.identification.duration, "s", "[identification] duration"),
+            damping_time=self.positive(f.navigation.damping_time, "s", "[navigation] damping_time"),
+            source=str(self.path),
+        )
+        self.check(scenario)
+        return scenario
+
+    def check(self, s: Scenario) -> None:
+        if s.steps < 8:
+            raise RunFileError(f"{self.path}: [run] duration holds {s.steps} steps; at least 8 are needed")
+        if abs(s.steps * s.step - s.duration) > 1e-6 * s.step * s.steps:
+            raise RunFileError(f"{self.path}: [run] duration is not a whole number of steps of {s.step:g} s")
+        if abs(s.place.latitude) > 1.5:
+            raise RunFileError(
+                f"{self.path}: [site] latitude is within 4 deg of a pole, where the gimbals lock",
+                remedy="the azimuth and polar gimbal axes become parallel there; choose a lower latitude",
+            )
+        fastest = max(s.polar_rotation.rate, s.equatorial_rotation.rate)
+        if fastest * s.step > 0.8:
+            raise RunFileError(
+                f"{self.path}: [run] step {s.step:g} s gives fewer than 8 samples per case turn",
+                remedy="shorten the step or lengthen [case_rotation] period",
+            )
+
+    def place(self, f: ScenarioFile) -> Place:
+        latitude = self.si(f.site.latitude, "rad", "[site] latitude")
+        longitude = self.si(f.site.longitude, "rad", "[site] longitude")
+        return Place(latitude, longitude, self.si(f.site.height, "m", "[site] height"))
+
+    def triad(self, f: ScenarioFile) -> tuple[float, float, float]:
+        x, y, z = (self.si(angle, "rad", "[triad] attitude") for angle in f.triad.attitude)
+        return x, y, z
+
+    def rotations(self, f: ScenarioFile) -> tuple[Rotation, Rotation]:
+        c, turns = f.case_rotation, 0
+        words = c.reversal.split()
+        if c.reversal == "each-turn":
+            turns = 1
+        elif len(words) == 2 and words[1] in {"turn", "turns"} and words[0].isdigit() and int(words[0]) > 0:
+            turns = int(words[0])
+        elif c.reversal != "none":
+            raise RunFileError(
+                f"{self.path}: [case_rotation] reversal = '{c.reversal}' is not known",
+                remedy="write 'none', 'each-turn' or e.g. '3 turns'",
+            )
+        rates = []
+        for period, key in ((c.period, "period"), (c.equatorial_period or c.period, "equatorial_period")):
+            at_rest = period == "none"
+            rates.append(
+                0.0 if at_rest else 2.0 * math.pi / self.positive(period, "s", f"[case_rotation] {key}")
+            )
+        return Rotation(rates[0], turns), Rotation(rates[1], turns)
+
+    def gyro(self, g: GyroFile, name: str) -> Gyro:
+        harmonics = []
+        for index, entry in enumerate(g.harmonics):
+            key = f"[{name}] harmonics[{index}]"
+            if entry[0] < 1:
+                raise RunFileError(f"{self.path}: {key}: the order must be 1 or more, got {entry[0]}")
+            harmonics.append(Harmonic(entry[0], self.si(entry[1], "rad", key), self.si(entry[2], "rad", key)))
+        key = f"[{name}]"
+        return Gyro(
+            misalignment=self.si(g.misalignment, "rad", f"{key} misalignment"),
+            phase=self.si(g.phase, "rad", f"{key} phase"),
+            harmonics=tuple(harmonics),
+            drift=(self.si(g.drift[0], "rad/s", f"{key} drift"), self.si(g.drift[1], "rad/s", f"{key} drift")),
+            case_drift=(
+                self.si(g.case_drift[0], "rad/s", f"{key} case_drift"),
+                self.si(g.case_drift[1], "rad/s", f"{key} case_drift"),
+            ),
+        )
+
+    def motion(self, f: ScenarioFile) -> MotionPlan:
+        m = f.motion
+        sway = []
+        for name, unit in (("roll_sway", "rad"), ("pitch_sway", "rad"), ("heading_sway", "rad"),
+                           ("north_sway", "m"), ("east_sway", "m"), ("down_sway", "m")):  # fmt: skip
+            amplitude, period = getattr(m, name)
+            key = f"[motion] {name}"
+            sway.append(Oscillation(self.si(amplitude, unit, key), self.positive(period, "s", key)))
+        if m.kind == "track" and not m.file:
+            raise RunFileError(f"{self.path}: [motion] kind = 'track' needs file = '...csv'")
+        return MotionPlan(
+            kind=m.kind,
+            roll=self.si(m.roll, "rad", "[motion] roll"),
+            pitch=self.si(m.pitch, "rad", "[motion] pitch"),
+            heading=self.si(m.heading, "rad", "[motion] heading"),
+            turn_rate=self.si(m.turn_rate, "rad/s", "[motion] turn_rate"),
+            sway=tuple(sway),
+            file=self.path.parent / m.file if m.file else None,
+        )
+
+    def sensors(self, f: ScenarioFile) -> Sensors:
+        s, key = f.sensors, "[sensors]"
+        bias = [self.si(b, "m/s^2", f"{key} accelerometer_bias") for b in s.accelerometer_bias]
+        return Sensors(
+            gimbal_noise=self.si(s.gimbal_noise, "rad", f"{key} gimbal_noise"),
+            gimbal_quantisation=self.si(s.gimbal_quantisation, "rad", f"{key} gimbal_quantisation"),
+            pickoff_noise=self.si(s.pickoff_noise, "rad", f"{key} pickoff_noise"),
+            pickoff_quantisation=self.si(s.pickoff_quantisation, "rad", f"{key} pickoff_quantisation"),
+            velocity_random_walk=self.si(s.velocity_random_walk, "m/s/sqrt(s)", f"{key} velocity_random_walk"),
+            accelerometer_bias=(bias[0], bias[1], bias[2]),
+            increment_quantisation=self.si(s.increment_quantisation, "m/s", f"{key} increment_quantisation"),
+            altitude_noise=self.si(s.altitude_noise, "m", f"{key} altitude_noise"),
+            piga=self.piga(f) if s.accelerometers == "piga" else None,
+        )
+
+    def piga(self, f: ScenarioFile) -> PigaSensors:
+        p, key = f.sensors.piga, "[sensors.piga]"
+        return PigaSensors(
+            scale_factor=self.positive(p.scale_factor, "rad/s/g", f"{key} scale_factor"),
+            tan_beta=math.tan(self.si(p.beta, "rad", f"{key} beta")),
+            mounting=p.mounting,
+            cone=self.positive(p.cone, "rad", f"{key} cone"),
+            output=p.output,
+            counts_per_revolution=p.counts_per_revolution,
+            tan_beta_error=self.si(p.tan_beta_error, "1", f"{key} tan_beta_error"),
+            phase_error=self.si(p.phase_error, "rad", f"{key} phase_error"),
+        )
+
+    def compensation(self, f: ScenarioFile) -> Compensation:
+        c = f.compensation
+        if not c.models:
+            raise RunFileError(
+                f"{self.path}: [compensation] models is empty", remedy="name one of none, A, B, C"
+            )
+        static = f.motion.kind == "static"
+        attitude = c.attitude or ("aligned" if static else "true")
+        if not static and (attitude == "aligned" or c.drift == "aligned"):
+            raise RunFileError(
+                f"{self.path}: [compensation] attitude or drift = 'aligned' needs a static base",
+                remedy="write 'true', or [motion] kind = 'static'",
+            )
+        return Compensation(
+            models=tuple(dict.fromkeys(c.models)),
+            misalignment=c.misalignment,
+            redundancy=c.redundancy,
+            orders=c.harmonics,
+            drift=c.drift,
+            attitude=attitude,
+        )

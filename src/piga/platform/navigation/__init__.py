@@ -1,0 +1,1 @@
+"""The navigator on the platform and how errors grow in it."""

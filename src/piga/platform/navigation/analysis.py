@@ -1,0 +1,262 @@
+"""What the comparison of models looks at: lines per day, spectra, and the closed-form theory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga import earth
+from piga.platform.model.geodesy import gravity
+from piga.platform.model.geometry import misalignment
+from piga.platform.model.models import Compensator, Knowledge
+from piga.platform.model.scenario import Gyro, Scenario
+from piga.platform.navigation.navigator import Errors
+
+Array = NDArray[np.float64]
+
+DAY = 86400.0
+CHANNELS = ("east_velocity", "north_velocity", "heading", "roll", "pitch")
+_SCHULER = float(np.sqrt(earth.GM / earth.SEMI_MAJOR_AXIS**3))
+_ALIKE = 1e-9
+"""Relative difference up to which two rates are one."""
+
+
+def channels(errors: Errors) -> dict[str, Array]:
+    """The error channels whose lines are followed: velocities [m/s], attitude [rad]."""
+    return {
+        "east_velocity": errors.velocity[:, 1],
+        "north_velocity": errors.velocity[:, 0],
+        "heading": errors.attitude[:, 2],
+        "roll": errors.attitude[:, 0],
+        "pitch": errors.attitude[:, 1],
+    }
+
+
+def line_amplitudes(times: Array, values: Array, rate: float, latitude: float) -> Array:
+    """Amplitude at angular rate ``rate`` [rad/s] in each column of ``values`` (n, k) over ``times`` (n,) [s].
+
+    As :func:`fitted_lines` of one rate.
+    """
+    return fitted_lines(times, values, (rate,), latitude)[0]
+
+
+def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude: float) -> Array:
+    """Amplitudes (r, k) at the angular ``rates`` (r,) [rad/s] in the columns of ``values`` (n, k), at mid-stretch.
+
+    All are fitted together with what else is known to be there: the growth of each line over the stretch, the
+    neighbours of the first (the polar gyro's) at ``rate +- Earth rate`` (on stretches of half a day and more), twice
+    each rate, sum and difference of two, the Schuler oscillation with its Foucault split, and a cubic. A rate of zero
+    has no line: NaN. So have two rates that the stretch cannot tell apart (:func:`separable`).
+    """
+    n = len(times)
+    step = float(times[-1] - times[0]) / (n - 1)
+    amplitude = np.full((len(rates), values.shape[1]), np.nan)
+    turning = [k for k, rate in enumerate(rates) if rate > 0.0]
+    if not turning or not separable(rates, n * step):
+        return amplitude
+    scaled, gram, norms = _line_design(n, step, tuple(rates[k] for k in turning), rates[0], latitude)
+    solution = np.linalg.lstsq(gram, scaled.T @ (values - values.mean(axis=0)), rcond=1e-12)[0]
+    solution = solution[: 2 * len(turning)] / norms[: 2 * len(turning), None]
+    amplitude[turning] = np.hypot(solution[::2], solution[1::2])
+    return amplitude
+
+
+def separable(rates: tuple[float, ...], stretch: float) -> bool:
+    """Whether a stretch [s] tells the lines at the case ``rates`` [rad/s] apart.
+
+    They must beat at least once against each other over it, and half a time against the neighbours that the first has at
+    ``+- Earth rate`` on stretches of half a day and more.
+    """
+    if len(rates) < 2 or min(rates) <= 0.0:
+        return True
+    apart = abs(rates[1] - rates[0])
+    beats = [apart * stretch] + ([2.0 * abs(apart - earth.EARTH_RATE) * stretch] if _is_long(stretch) else [])
+    return min(beats) >= 2.0 * np.pi
+
+
+def _is_long(stretch: float) -> bool:
+    """Whether a stretch [s] shows the neighbours at ``+- Earth rate``."""
+    return stretch > 0.5 * DAY
+
+
+@lru_cache(maxsize=4)
+def _line_design(
+    n: int, step: float, rates: tuple[float, ...], polar: float, latitude: float
+) -> tuple[Array, Array, Array]:
+    """Scaled regressors, their Gram matrix and their norms for ``n`` samples about mid-stretch.
+
+    Beside two rates, a wave within half a beat of one of them (twice one rate may be the other) is not taken again.
+    """
+    t = (np.arange(n) - 0.5 * (n - 1)) * step
+    x = t / max(t[-1], 1.0)
+    foucault = earth.EARTH_RATE * np.sin(latitude)
+    others = [2.0 * rate for rate in rates] + [_SCHULER]
+    if len(rates) == 2:
+        others += [rates[0] + rates[1], abs(rates[0] - rates[1])]
+    if _is_long(n * step):
+        others += [polar - earth.EARTH_RATE, polar + earth.EARTH_RATE] if polar > 0.0 else []
+        others += [_SCHULER - foucault, _SCHULER + foucault]
+    beat = 2.0 * np.pi / (n * step)
+    if len(rates) == 2:
+        others = [w for w in others if min(abs(w - rate) for rate in rates) > 0.49 * beat]
+    waves = [f(w * t) for w in (*rates, *others) for f in (np.cos, np.sin)]
+    growth = [x * wave for wave in waves[: 2 * len(rates)]]
+    design = np.stack([*waves, *growth, np.ones_like(x), x, x * x, x**3], axis=1)
+    norms = np.linalg.norm(design, axis=0)
+    design /= norms
+    return design, design.T @ design, norms
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Amplitudes at the case-rotation periods per day: ``amplitude[channel]`` (days,), SI; position error [m].
+
+    ``amplitude`` is that at the polar case's rate; ``equatorial`` that at the equatorial case's where it turns at another
+    speed, else empty. NaN: no such line, or not told apart from the other. ``position`` is the largest horizontal
+    position error of each day.
+    """
+
+    day: NDArray[np.int64]
+    amplitude: Mapping[str, Array]
+    position: Array
+    equatorial: Mapping[str, Array] = field(default_factory=dict)
+
+
+def day_slices(times: Array) -> list[slice]:
+    """Rows of each day of the run (1-based days; the last may be shorter)."""
+    days = int(np.ceil((times[-1] - 1e-6) / DAY))
+    edges = np.searchsorted(times, np.arange(days + 1) * DAY + 1e-6)
+    edges[0] = 0
+    return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 24]
+
+
+def case_rates(scenario: Scenario) -> tuple[float, ...]:
+    """Angular rates [rad/s] at which lines are followed: one where both cases turn alike, else polar and equatorial.
+
+    Cases that both rest are looked at as if they turned in eight minutes, for comparison with cases that turn.
+    """
+    polar, equatorial = scenario.polar_rotation.rate, scenario.equatorial_rotation.rate
+    if abs(polar - equatorial) <= _ALIKE * polar:
+        return (polar or 2.0 * np.pi / 480.0,)
+    return polar, equatorial
+
+
+def lines_note(scenario: Scenario) -> str:
+    """Why a day gives no amplitudes although both cases turn, in words; empty where it gives them."""
+    rates, stretch = case_rates(scenario), min(scenario.duration, DAY)
+    if separable(rates, stretch):
+        return ""
+    periods = " and ".join(f"{2.0 * np.pi / rate:.6g} s" for rate in rates)
+    apart = 2.0 * np.pi / stretch + (2.0 * earth.EARTH_RATE if _is_long(stretch) else 0.0)
+    wanted = 2.0 * np.pi / max(rates[0] - apart, 0.5 * rates[0])
+    return (
+        f"the lines of the two cases ({periods}) cannot be told apart within {stretch / 3600.0:g} h: no amplitudes; "
+        f"give both cases one period, or the equatorial one {wanted:.4g} s or more"
+    )
+
+
+def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: float) -> Lines:
+    """Line amplitudes of every channel, day by day, at the case ``rates`` [rad/s] (one, or polar and equatorial)."""
+    rates = rates if isinstance(rates, tuple) else (rates,)
+    named = channels(errors)
+    table = np.stack([named[name] for name in CHANNELS], axis=1)
+    parts = day_slices(errors.times)
+    amplitude = np.empty((len(parts), len(rates), len(CHANNELS)))
+    for length in {part.stop - part.start for part in parts}:
+        days = [k for k, part in enumerate(parts) if part.stop - part.start == length]
+        values = np.concatenate([table[parts[k]] for k in days], axis=1)
+        fitted = fitted_lines(errors.times[parts[days[0]]], values, rates, latitude)
+        amplitude[days] = fitted.reshape(len(rates), len(days), len(CHANNELS)).swapaxes(0, 1)
+    horizontal = errors.horizontal
+    position = np.array([horizontal[part].max() for part in parts])
+    each = [{name: amplitude[:, r, k] for k, name in enumerate(CHANNELS)} for r in range(len(rates))]
+    return Lines(np.arange(1, len(parts) + 1), each[0], position, each[1] if len(each) > 1 else {})
+
+
+def theory_lines(
+    scenario: Scenario, compensator: Compensator, known: Knowledge, days: list[slice], times: Array
+) -> Lines:
+    """Closed-form line amplitudes of a static base, day by day (redundancy angle at mid-day) [He2014].
+
+    The turn about the polar axis that the model leaves, ``d_r(c)``, has amplitude D at one cycle per
+    case turn, and ``S = w_c^2 / (w_c^2 - w_s^2)`` with the Schuler rate w_s. Then east velocity
+    ``g D S cos(L) / w_c``, north velocity by the Coriolis coupling ``2 Omega sin(L) S / w_c`` of it, heading
+    ``D S sin(L)``, roll ``D S cos(L) cos(heading)``, pitch ``D S cos(L) sin(heading)``. The literature
+    gives heading and roll without S; the longitude error, which turns the local axes about the same
+    pole, adds it (docs/platform.md section 8). Cases at unequal speeds: ``m1`` stands at the polar case's
+    rate, ``m2`` at the equatorial one's. Position is not predicted (NaN).
+    """
+    rates = case_rates(scenario)
+    middles = [0.5 * float(times[d.start] + times[d.stop - 1]) for d in days]
+    left = np.array([_left_about_pole(scenario, compensator, known, middle, rates) for middle in middles])
+    lines = [_channels_of_turn(scenario, left[:, k], rate) for k, rate in enumerate(rates)]
+    nothing = np.full(len(days), np.nan)
+    return Lines(np.arange(1, len(days) + 1), lines[0], nothing, lines[1] if len(lines) > 1 else {})
+
+
+def _channels_of_turn(scenario: Scenario, turn: Array, rate: float) -> dict[str, Array]:
+    """Amplitudes of every channel from that of the turn about the polar axis [rad] at ``rate`` [rad/s]; NaN at rest."""
+    if rate == 0.0:
+        return {name: np.full(len(turn), np.nan) for name in CHANNELS}
+    latitude, heading = scenario.place.latitude, scenario.motion.heading
+    turn = turn * rate**2 / (rate**2 - _SCHULER**2)
+    east = gravity(latitude, scenario.place.height) * turn * np.cos(latitude) / rate
+    level = turn * np.cos(latitude)
+    return {
+        "east_velocity": east,
+        "north_velocity": east * 2.0 * earth.EARTH_RATE * np.sin(latitude) * rate / (rate**2 - _SCHULER**2),
+        "heading": turn * np.sin(latitude),
+        "roll": level * abs(np.cos(heading)),
+        "pitch": level * abs(np.sin(heading)),
+    }
+
+
+def _left_about_pole(
+    scenario: Scenario, compensator: Compensator, known: Knowledge, time: float, rates: tuple[float, ...]
+) -> list[float]:
+    """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``."""
+    drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
+    eta = scenario.redundancy + drift * time
+    angle = (2.0 * np.pi / 256) * np.arange(256, dtype=np.float64)
+    left = [
+        _about_pole(scenario.polar, Gyro(), angle, eta),
+        _about_pole(Gyro(), scenario.equatorial, angle, eta),
+    ]
+    if compensator.model != "none":
+        polar, equatorial = known.polar, known.equatorial
+        if compensator.model != "C":
+            polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
+        held = known.eta0 if compensator.model == "A" else eta
+        left[0] = left[0] - _about_pole(polar, Gyro(), angle, held)
+        left[1] = left[1] - _about_pole(Gyro(), equatorial, angle, held)
+    orders = [np.fft.fft(part) / 128.0 for part in left]
+    turning = rates if len(rates) == 2 else rates * 2
+    return [
+        float(np.abs(sum(_at_rate(o, w, rate) for o, w in zip(orders, turning, strict=True)))) for rate in rates
+    ]
+
+
+def _at_rate(orders: NDArray[np.complex128], case: float, rate: float) -> complex:
+    """What a gyro's line orders (256,) over its case turn put at ``rate``: order ``rate / case``, if that is whole."""
+    order = round(rate / case) if case > 0.0 else 0
+    return complex(orders[order]) if 0 < order < 128 and abs(order * case - rate) <= _ALIKE * rate else 0.0j
+
+
+def _about_pole(polar: Gyro, equatorial: Gyro, encoder: Array, eta: float) -> Array:
+    c1, c2 = encoder + polar.phase, encoder + equatorial.phase
+    return misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta) - misalignment(polar, c1) * np.cos(
+        c1
+    ) * np.tan(eta)
+
+
+def spectrum(times: Array, values: Array) -> tuple[Array, Array]:
+    """Amplitude spectrum (Hann window, mean removed): frequency [Hz], amplitude of a sine there."""
+    n = len(times)
+    window = np.hanning(n)
+    amplitude = 2.0 * np.abs(np.fft.rfft((values - values.mean()) * window)) / window.sum()
+    return np.fft.rfftfreq(n, times[1] - times[0]), amplitude

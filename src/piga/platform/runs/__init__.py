@@ -1,0 +1,1 @@
+"""Whole runs: chain of models, budget, ten-day results and their files."""

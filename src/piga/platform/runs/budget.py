@@ -1,0 +1,224 @@
+"""Error budget by source, and Monte Carlo over seeds: linear model against full perturbed runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga import earth
+from piga.platform.identification.alignment import Alignment
+from piga.platform.identification.identified import Identification
+from piga.platform.model.geodesy import local_axes
+from piga.platform.model.models import compensator, true_knowledge
+from piga.platform.model.scenario import Gyro, Model, MotionPlan, Scenario
+from piga.platform.model.simulate import Run, simulate
+from piga.platform.navigation.analysis import Lines, case_rates, daily_lines, day_slices, theory_lines
+from piga.platform.navigation.error_model import Perturbation, linear_errors
+from piga.platform.navigation.navigator import Errors, Start, errors, navigate, true_start
+from piga.platform.runs.chain import compare
+from piga.units import ARCSEC
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """One source: largest errors over the run from the linear model and from a full perturbed run.
+
+    ``position`` horizontal [m], ``velocity`` horizontal [m/s]; ``difference`` [m]: largest distance between
+    the two position histories.
+    """
+
+    source: str
+    position_linear: float
+    position_full: float
+    velocity_linear: float
+    velocity_full: float
+    difference: float
+
+
+def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbation]:
+    """The usual sources, each at a size that a good platform reaches (or at what the alignment found)."""
+    tilt = (ARCSEC, ARCSEC, ARCSEC)
+    if alignment is not None:
+        found = alignment.std
+        tilt = (float(found[0]), float(found[1]), float(found[2]))
+    drift = np.radians(1e-5) / 3600.0
+    micro_g = 9.80665e-6
+    return {
+        "triad attitude x": Perturbation(attitude=(tilt[0], 0.0, 0.0)),
+        "triad attitude y": Perturbation(attitude=(0.0, tilt[1], 0.0)),
+        "triad attitude z": Perturbation(attitude=(0.0, 0.0, tilt[2])),
+        "drift x, 1e-5 deg/h": Perturbation(drift=(drift, 0.0, 0.0)),
+        "drift y, 1e-5 deg/h": Perturbation(drift=(0.0, drift, 0.0)),
+        "drift z, 1e-5 deg/h": Perturbation(drift=(0.0, 0.0, drift)),
+        "accelerometer bias x, 1 ug": Perturbation(bias=(micro_g, 0.0, 0.0)),
+        "accelerometer bias y, 1 ug": Perturbation(bias=(0.0, micro_g, 0.0)),
+        "accelerometer bias z, 1 ug": Perturbation(bias=(0.0, 0.0, micro_g)),
+        "reference height, 10 m": Perturbation(height=10.0),
+        "start position north, 10 m": Perturbation(position=(10.0, 0.0, 0.0)),
+        "start velocity east, 1 mm/s": Perturbation(velocity=(0.0, 1e-3, 0.0)),
+    }
+
+
+def error_budget(scenario: Scenario, sources: Mapping[str, Perturbation]) -> tuple[BudgetRow, ...]:
+    """Each source alone, then all together, over the scenario's run at rest with perfect gyros and sensors."""
+    run = simulate(scenario.without_errors())
+    quiet = perturbed_errors(run, Perturbation())
+    total = Perturbation()
+    for perturbation in sources.values():
+        total = total.plus(perturbation)
+    with ThreadPoolExecutor(_cores()) as pool:
+        named = {**sources, "all together": total}
+        return tuple(pool.map(lambda item: _row(run, quiet, *item), named.items()))
+
+
+def perturbed_errors(run: Run, perturbation: Perturbation) -> Errors:
+    """Errors of a full navigation run whose navigator or sensors are off by ``perturbation``."""
+    from piga.frames import rotation_vector_to_matrix
+
+    readouts, place = run.readouts, run.scenario.place
+    start = true_start(run.truth)
+    axes = local_axes(place.latitude, place.longitude)
+    position = start.position + axes @ np.array(perturbation.position)
+    velocity = start.velocity + axes @ np.array(perturbation.velocity)
+    velocity = velocity + np.cross([0.0, 0.0, earth.EARTH_RATE], axes @ np.array(perturbation.position))
+    triad = rotation_vector_to_matrix(np.array(perturbation.attitude)) @ start.triad
+    biased = replace(
+        readouts,
+        increments=readouts.increments + readouts.step * np.array(perturbation.bias),
+        altitude=readouts.altitude + perturbation.height,
+    )
+    made = compensator("none", true_knowledge(run.scenario), biased)
+    moved = Start(position, velocity, triad, np.array(perturbation.drift))
+    every = max(1, round(10.0 / readouts.step))
+    navigation = navigate(biased, made, moved, damping_time=run.scenario.damping_time, every=every)
+    return errors(navigation, run.truth, readouts)
+
+
+def _row(run: Run, quiet: Errors, source: str, perturbation: Perturbation) -> BudgetRow:
+    full = perturbed_errors(run, perturbation)
+    step = float(full.times[1] - full.times[0])
+    linear = linear_errors(
+        run.scenario.place,
+        perturbation,
+        float(full.times[-1]),
+        step=step,
+        damping_time=run.scenario.damping_time,
+    )[1:]
+    north, east = full.north - quiet.north, full.east - quiet.east
+    velocity = full.velocity - quiet.velocity
+    return BudgetRow(
+        source,
+        float(np.hypot(linear[:, 1], linear[:, 2]).max()),
+        float(np.hypot(north, east).max()),
+        float(np.hypot(linear[:, 4], linear[:, 5]).max()),
+        float(np.hypot(velocity[:, 0], velocity[:, 1]).max()),
+        float(np.hypot(north - linear[:, 1], east - linear[:, 2]).max()),
+    )
+
+
+@dataclass(frozen=True)
+class LineRow:
+    """Lines of the last day that misalignments of known size leave, by channel in SI: closed form and full run.
+
+    ``period`` [s] of the case at whose rate the lines stand.
+    """
+
+    source: str
+    period: float
+    theory: Mapping[str, float]
+    full: Mapping[str, float]
+
+
+def line_budget(scenario: Scenario, identification: Identification | None = None) -> tuple[LineRow, ...]:
+    """Lines that an error of each misalignment alone, then of both, leaves on a base at rest; perfect sensors.
+
+    The errors are the standard uncertainties of the identification, or one arc-second. The redundancy angle grows as
+    the scenario says. None where a case rests or turns back and forth.
+    """
+    rotations = (scenario.polar_rotation, scenario.equatorial_rotation)
+    if any(r.rate == 0.0 or r.turns > 0 for r in rotations):
+        return ()
+    sizes = [
+        ARCSEC if identification is None else identification[f"{gyro}.misalignment"].std
+        for gyro in ("polar", "equatorial")
+    ]
+    growth = scenario.equatorial.drift[0] - scenario.polar.drift[1]
+    still = replace(scenario.without_errors(), motion=MotionPlan(heading=scenario.motion.heading))
+    rows: list[LineRow] = []
+    labels = ("polar misalignment", "equatorial misalignment", "both misalignments")
+    for label, used in zip(labels, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), strict=True):
+        polar, equatorial = used[0] * sizes[0], used[1] * sizes[1]
+        alone = replace(
+            still,
+            polar=Gyro(polar, scenario.polar.phase),
+            equatorial=Gyro(equatorial, scenario.equatorial.phase, drift=(growth, 0.0)),
+        )
+        size = " and ".join(f"{value / ARCSEC:.2g}" for value in (polar, equatorial) if value > 0.0)
+        rows += _line_rows(alone, f"{label}, {size} arcsec")
+    return tuple(rows)
+
+
+def _line_rows(scenario: Scenario, source: str) -> Iterator[LineRow]:
+    run, known = simulate(scenario), true_knowledge(scenario)
+    made = compensator("none", known, run.readouts)
+    every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(case_rates(scenario))) / scenario.step))
+    shown = navigate(run.readouts, made, true_start(run.truth), damping_time=scenario.damping_time, every=every)
+    error, rates = errors(shown, run.truth, run.readouts), case_rates(scenario)
+    full = daily_lines(error, rates, scenario.place.latitude)
+    theory = theory_lines(scenario, made, known, day_slices(error.times), error.times)
+    pairs = ((theory.amplitude, full.amplitude), (theory.equatorial, full.equatorial))
+    for rate, (expected, seen) in zip(rates, pairs, strict=False):
+        if max(expected["heading"]) > 0.0:
+            yield LineRow(
+                source, 2.0 * np.pi / rate, {name: float(v[-1]) for name, v in expected.items()},
+                {name: float(v[-1]) for name, v in seen.items()},
+            )  # fmt: skip
+
+
+def _cores() -> int:
+    return os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Monte Carlo over seeds: largest horizontal error [m] and last day's lines [m/s] per model, (seeds,).
+
+    ``equatorial_line`` is empty where both cases turn at one speed.
+    """
+
+    seeds: tuple[int, ...]
+    position: Mapping[Model, Array]
+    east_line: Mapping[Model, Array]
+    equatorial_line: Mapping[Model, Array]
+
+
+def monte_carlo(scenario: Scenario, seeds: int, *, workers: int | None = None) -> Scatter:
+    """Repeat the whole chain with ``seeds`` seeds on all cores (threads over kernels that free the lock)."""
+    numbers = tuple(scenario.seed + k for k in range(seeds))
+
+    def once(seed: int) -> dict[Model, list[float]]:
+        found = compare(replace(scenario, seed=seed)).models
+        return {m: [float(r.lines.position.max()), *last_east_lines(r.lines)] for m, r in found.items()}
+
+    with ThreadPoolExecutor(workers or _cores()) as pool:
+        results = list(pool.map(once, numbers))
+    drawn = {m: np.array([r[m] for r in results]).T for m in scenario.compensation.models}
+    return Scatter(
+        numbers,
+        {m: rows[0] for m, rows in drawn.items()},
+        {m: rows[1] for m, rows in drawn.items()},
+        {m: rows[2] for m, rows in drawn.items() if len(rows) > 2},
+    )
+
+
+def last_east_lines(lines: Lines) -> list[float]:
+    """East velocity lines [m/s] of the last day: at the polar case's rate and, at another speed, the equatorial one's."""
+    each = (lines.amplitude, lines.equatorial)
+    return [float(amplitude["east_velocity"][-1]) for amplitude in each if amplitude]

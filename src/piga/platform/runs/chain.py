@@ -1,0 +1,158 @@
+"""The whole chain: simulate, identify, align, navigate with every model, compare with the theory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.platform.identification.alignment import Alignment, align
+from piga.platform.identification.identified import Identification
+from piga.platform.identification.identify import identify
+from piga.platform.identification.sources import MOVING_SOURCES, STATIC_SOURCES
+from piga.platform.model.models import Compensator, Knowledge, compensator, true_knowledge
+from piga.platform.model.scenario import Model, Scenario
+from piga.platform.model.simulate import Run, simulate
+from piga.platform.navigation.analysis import (
+    Lines,
+    case_rates,
+    daily_lines,
+    day_slices,
+    lines_note,
+    theory_lines,
+)
+from piga.platform.navigation.navigator import Errors, Navigation, Start, errors, navigate, true_start
+
+Array = NDArray[np.float64]
+
+ARCMIN = np.pi / 10800.0
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What is known before navigating: misalignments, start, and how they were found (None: from truth)."""
+
+    knowledge: Knowledge
+    start: Start
+    identification: Identification | None
+    alignment: Alignment | None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ModelRun:
+    """One compensation model over the run: navigation, errors, lines per day and what the theory gives."""
+
+    compensator: Compensator
+    navigation: Navigation
+    errors: Errors
+    lines: Lines
+    theory: Lines | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All models over one run."""
+
+    run: Run
+    preparation: Preparation
+    models: Mapping[Model, ModelRun]
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of ``piga platform compare``."""
+        theory = {m: _lines_document(r.theory) for m, r in self.models.items() if r.theory is not None}
+        return {
+            "models": {m: _lines_document(r.lines) for m, r in self.models.items()},
+            "theory": theory,
+            "notes": list(self.preparation.notes),
+        }
+
+
+def identified(run: Run) -> Identification:
+    """Identification from the calibration stretch of a run, from the sources that its base allows."""
+    s = run.scenario
+    sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
+    stretch = run.readouts.first(s.calibration_time)
+    return identify(stretch, s.place, sources=sources, orders=s.compensation.orders)
+
+
+def prepare(run: Run) -> Preparation:
+    """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
+    s, c = run.scenario, run.scenario.compensation
+    found = None
+    notes: list[str] = []
+    if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
+        found = identified(run)
+        notes += found.notes
+    elif c.misalignment == "identified":
+        notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
+    if indistinct := lines_note(s):
+        notes.append(indistinct)
+    known = true_knowledge(s) if found is None else found.knowledge
+    aligned = None
+    start = true_start(run.truth)
+    if "aligned" in (c.attitude, c.drift):
+        aligned = align(run.readouts.first(s.calibration_time), s.place, known, orders=c.orders)
+        if c.attitude == "aligned":
+            start = aligned.start(with_drift=False)
+    drift = _drift(s, aligned)
+    return Preparation(
+        known, Start(start.position, start.velocity, start.triad, drift), found, aligned, tuple(notes)
+    )
+
+
+def _drift(s: Scenario, aligned: Alignment | None) -> Array:
+    if s.compensation.drift == "aligned" and aligned is not None:
+        return aligned.drift
+    if s.compensation.drift == "true":
+        w1x, w1y = s.polar.drift
+        w2z = s.equatorial.drift[1]
+        return np.array([w1x, w1y, w2z / np.cos(s.redundancy) - w1x * np.tan(s.redundancy)])
+    return np.zeros(3)
+
+
+def run_model(run: Run, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
+    """Navigate the run with one model; lines per day, and theory where the base is at rest."""
+    s = run.scenario
+    made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
+    navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
+    error = errors(navigation, run.truth, run.readouts)
+    lines = daily_lines(error, case_rates(s), s.place.latitude)
+    theory = None
+    turning = max(s.polar_rotation.rate, s.equatorial_rotation.rate) > 0.0
+    if run.truth.motion.at_rest and turning and s.polar_rotation.turns == 0:
+        theory = theory_lines(s, made, preparation.knowledge, day_slices(error.times), error.times)
+    return ModelRun(made, navigation, error, lines, theory)
+
+
+def compare(scenario: Scenario) -> Comparison:
+    """Simulate the scenario and navigate it with every model it names.
+
+    Raises
+    ------
+    PigaError
+        If the scenario cannot be simulated, or its misalignments cannot be identified.
+    """
+    run = simulate(scenario)
+    preparation = prepare(run)
+    every = max(1, round(1.0 / scenario.step))
+    models = {m: run_model(run, preparation, m, every=every) for m in scenario.compensation.models}
+    return Comparison(run, preparation, models)
+
+
+def _lines_document(lines: Lines) -> dict[str, Any]:
+    document: dict[str, Any] = {"day": [int(day) for day in lines.day]}
+    for amplitude, label in ((lines.amplitude, "line"), (lines.equatorial, "equatorial_line")):
+        for name, values in amplitude.items():
+            scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            document[f"{name}_{label}_{unit}"] = finite(values / scale)
+    document["position_error_m"] = finite(lines.position)
+    return document
+
+
+def finite(values: Array) -> list[float | None]:
+    """Numbers for JSON: None where there is none (NaN)."""
+    return [None if np.isnan(v) else float(v) for v in values]

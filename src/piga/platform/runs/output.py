@@ -1,0 +1,172 @@
+"""Results as tables with units in their metadata, and as JSON documents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.formats.arrow_columns import number_column
+from piga.platform.identification.alignment import UNKNOWNS, Alignment
+from piga.platform.identification.identified import Identification
+from piga.platform.identification.observability import UNKNOWNS as MISALIGNMENTS
+from piga.platform.identification.observability import Observability
+from piga.platform.model.simulate import Readouts, Run
+from piga.platform.runs.budget import BudgetRow, LineRow, Scatter
+from piga.platform.runs.chain import ARCMIN, ModelRun, finite
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+
+def _table(columns: dict[str, tuple[Array, str]]) -> pa.Table:
+    import pyarrow as pa
+
+    fields = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, (_, unit) in columns.items()]
+    return pa.Table.from_arrays(
+        [number_column(values) for values, _ in columns.values()], schema=pa.schema(fields)
+    )
+
+
+def readouts_table(r: Readouts) -> pa.Table:
+    """Readouts as a table; the increment of a row is that since the previous row (none at the first)."""
+    since = np.concatenate([np.full((1, 3), np.nan), r.increments])
+    height = r.altitude if len(r.altitude) > 1 else np.full(len(r.times), r.altitude[0])
+    columns = {"t": (r.times, "s")}
+    columns |= {f"dv{axis}": (since[:, k], "m/s") for k, axis in enumerate("xyz")}
+    columns |= {
+        f"gimbal_{name}": (r.gimbals[:, k], "rad") for k, name in enumerate(("outer", "middle", "inner"))
+    }
+    columns |= {
+        "pickoff": (r.pickoff, "rad"),
+        "case_polar": (r.encoder1, "rad"),
+        "case_equatorial": (r.encoder2, "rad"),
+        "height": (height, "m"),
+    }
+    return _table(columns)
+
+
+def truth_table(run: Run) -> pa.Table:
+    """True specific force in platform axes, redundancy angle, place, velocity and attitude."""
+    n, motion = len(run.readouts.times), run.truth.motion
+
+    def full(values: Array) -> Array:
+        return values if len(values) == n else np.repeat(values, n, axis=0)
+
+    place, velocity, attitude = full(motion.place), full(motion.velocity), full(motion.attitude)
+    columns = {"t": (run.readouts.times, "s"), "eta": (run.truth.eta, "rad")}
+    columns |= {f"f{axis}": (run.truth.force[:, k], "m/s^2") for k, axis in enumerate("xyz")}
+    columns |= {
+        "latitude": (place[:, 0], "rad"),
+        "longitude": (place[:, 1], "rad"),
+        "height": (place[:, 2], "m"),
+    }
+    columns |= {f"v_{name}": (velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))}
+    columns |= {name: (attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))}
+    return _table(columns)
+
+
+def navigation_table(run: ModelRun) -> pa.Table:
+    """What the navigator shows, and its errors."""
+    t, e = run.navigation.table, run.errors
+    names = ("latitude", "longitude", "height", "v_north", "v_east", "v_down", "roll", "pitch", "heading")
+    units = ("rad", "rad", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
+    columns = {"t": (run.navigation.times, "s")}
+    columns |= {name: (t[:, k], unit) for k, (name, unit) in enumerate(zip(names, units, strict=True))}
+    columns |= {"error_north": (e.north, "m"), "error_east": (e.east, "m"), "error_up": (e.up, "m")}
+    columns |= {
+        f"error_v_{name}": (e.velocity[:, k], "m/s") for k, name in enumerate(("north", "east", "down"))
+    }
+    columns |= {
+        f"error_{name}": (e.attitude[:, k], "rad") for k, name in enumerate(("roll", "pitch", "heading"))
+    }
+    return _table(columns)
+
+
+def identification_document(found: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
+    """JSON document of ``piga platform identify``."""
+    return {
+        "sources": list(found.sources),
+        "parameters": [
+            {"name": p.name, "value": p.value, "std": p.std, "unit": p.unit} for p in found.parameters
+        ],
+        "covariance": {
+            "names": list(found.names),
+            "values": found.values.tolist(),
+            "matrix": found.covariance.tolist(),
+        },
+        "noise": found.noise,
+        "degrees_of_freedom": found.degrees_of_freedom,
+        "condition": found.condition,
+        "notes": list(found.notes),
+        "observability": [
+            {
+                "source": o.source,
+                "condition": o.condition if np.isfinite(o.condition) else None,
+                "std_rad": {
+                    n: (float(v) if v < 1.0 else None) for n, v in zip(MISALIGNMENTS, o.std, strict=True)
+                },
+                "separable": o.separable,
+                "verdict": o.sentence,
+            }
+            for o in sources
+        ],
+    }
+
+
+def alignment_document(found: Alignment) -> dict[str, Any]:
+    """JSON document of ``piga platform align``."""
+    return {
+        "triad_to_inertial": found.triad.tolist(),
+        "triad_rotation_vector_rad": found.triad_vector.tolist(),
+        "drift_rad_s": found.drift.tolist(),
+        "base_roll_pitch_heading_rad": found.base_angles.tolist(),
+        "covariance": {"names": list(UNKNOWNS), "matrix": found.covariance.tolist()},
+        "noise": found.noise,
+        "condition": found.condition,
+    }
+
+
+def budget_document(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:
+    """Error budget as JSON rows."""
+    return [
+        {
+            "source": b.source,
+            "position_linear_m": b.position_linear,
+            "position_full_m": b.position_full,
+            "velocity_linear_m_s": b.velocity_linear,
+            "velocity_full_m_s": b.velocity_full,
+            "largest_difference_m": b.difference,
+        }
+        for b in rows
+    ]
+
+
+def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
+    """Lines of each misalignment alone and of both as JSON rows; a line that no day gave is null."""
+    document = []
+    for row in rows:
+        entry: dict[str, Any] = {"source": row.source, "period_s": row.period}
+        for name, theory in row.theory.items():
+            scale, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            linear, full = finite(np.array([theory, row.full[name]]) / scale)
+            entry |= {f"{name}_line_linear_{unit}": linear, f"{name}_line_full_{unit}": full}
+        document.append(entry)
+    return document
+
+
+def scatter_document(scatter: Scatter) -> dict[str, Any]:
+    """Monte Carlo as JSON; a line that no day gave is null."""
+    models: dict[str, dict[str, Any]] = {}
+    for m, position in scatter.position.items():
+        models[m] = {
+            "position_error_m": position.tolist(),
+            "east_velocity_line_m_s": finite(scatter.east_line[m]),
+        }
+        if m in scatter.equatorial_line:
+            models[m]["east_velocity_equatorial_line_m_s"] = finite(scatter.equatorial_line[m])
+    return {"seeds": list(scatter.seeds), "models": models}

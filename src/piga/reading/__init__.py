@@ -1,0 +1,1 @@
+"""How raw columns of a file become a checked run."""

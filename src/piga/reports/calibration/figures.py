@@ -1,0 +1,309 @@
+"""Figures of a calibration: residuals against time, revolution order and output angle; whiteness; segments."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.records.calibration import Calibration, Residuals
+from piga.records.terms import shown_unit
+from piga.reports.calibration.allan import allan_figure
+from piga.reports.calibration.rotation_figures import ripple_figure, spectrum_figure
+from piga.reports.calibration.tables import residual_quantity
+from piga.reports.render.decimate import POINTS, envelope_rows
+from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.reports.render.long_record import leading_part, outline
+from piga.reports.render.numbers import pretty_unit
+from piga.reports.render.orders import order_spectrum, ripple, segment_slices
+from piga.units import ARCSEC, G0, conversion_factor
+
+Array = NDArray[np.float64]
+
+MICRO_G = G0 * 1e-6
+_LAGS = 40
+
+
+def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
+    """All figures that this calibration has the data for, in reading order.
+
+    Without ``cal.residuals`` (a calibration read back from JSON) only the segment figure is left.
+    """
+    figures: list[Figure] = []
+    if cal.residuals is not None and cal.residuals.t.size:
+        whole = outline(cal.residuals)
+        figures += run_figures(cal) if cal.runs else [residual_figure(whole, residual_quantity(cal))]
+        part = replace(cal, residuals=leading_part(cal.residuals))
+        assert part.residuals is not None  # noqa: S101 - made from residuals
+        figures += [whiteness_figure(part.residuals)] if np.isfinite(part.residuals.innovation).any() else []
+        angles = residual_angles(part)
+        allan = (
+            None if cal.runs else allan_figure(angles, (cal.angle_rms, cal.angle_random_walk), cal.bias_drift)
+        )
+        figures += [allan] if allan else []
+        spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
+        turned = ripple(angles, scale_factor(cal))
+        figures += [spectrum_figure(spectrum)] if spectrum.segments else []
+        figures += [ripple_figure(turned)] if turned.segments else []
+    if len(cal.segments) > 1:
+        figures.append(segment_figure(cal))
+    outliers = outlier_figure(cal)
+    figures += [outliers] if outliers else []
+    if cal.history is not None and cal.history["sample"].size > 1:
+        figures.append(convergence_figure(cal))
+    return tuple(figures)
+
+
+def residual_angles(cal: Calibration) -> Residuals:
+    """The residuals as angles: those of a rate log integrated over each segment."""
+    found = cal.residuals
+    if found is None or residual_quantity(cal)[1] == "arcsec":
+        return cast("Residuals", found)
+    step = np.diff(found.t, prepend=found.t[:1])
+    step[np.diff(found.segment, prepend=found.segment[:1]) != 0] = 0.0
+    return replace(found, before=_integral(found.before, step), after=_integral(found.after, step))
+
+
+def _integral(rate: Array, step: Array) -> Array:
+    return np.cumsum(step * 0.5 * (rate + np.concatenate((rate[:1], rate[:-1]))))
+
+
+def convergence_figure(cal: Calibration) -> Figure:
+    """Estimate of every coefficient against the samples seen, with its standard uncertainty where it has one."""
+    history = cast("dict[str, Array]", cal.history)
+    samples = history["sample"]
+    panels = []
+    for coefficient in cal.coefficients:
+        values = history.get(coefficient.key)
+        if values is None:
+            continue
+        scale, unit = shown_unit(coefficient.name, coefficient.unit)
+        quantity = coefficient.name
+        if coefficient.name == "scale_factor":
+            quantity, unit, scale = "scale_factor, from the result", "ppm", 1e6 / coefficient.value
+            values = values - coefficient.value
+        curve = Series(samples, values * scale, name="estimate", role="model")
+        band: tuple[Series, ...] = ()
+        if f"u({coefficient.key})" in history:
+            half = history[f"u({coefficient.key})"]
+            low, high = (values - half) * scale, (values + half) * scale
+            band = (Series(samples, low, upper=high, name="standard uncertainty", mark="band", role="muted"),)
+        limits = _settled(values * scale)
+        axis = Axis(quantity, pretty_unit(unit) or "1", limits=limits)
+        panels.append(Panel(Axis("samples seen", "1", log=True), axis, (*band, curve), title=coefficient.key))
+    return Figure(
+        key="convergence",
+        title="Estimates while the record comes in.",
+        panels=tuple(panels),
+        caption="The last point is the result. The scale is that of the second half of the curve: what happens "
+        "before may lie outside. Good: curves that settle inside their shrinking band.",
+        columns=2,
+        height=2.0,
+    )
+
+
+def _settled(values: Array) -> tuple[float, float]:
+    """Limits that show the second half of a history, with some room."""
+    late = values[values.size // 4 :]
+    low, high = float(late.min()), float(late.max())
+    room = 0.5 * (high - low) or abs(high) * 1e-6 or 1e-12
+    return low - room, high + room
+
+
+def scale_factor(cal: Calibration) -> float:
+    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value where it was not estimated."""
+    for coefficient in cal.coefficients:
+        if coefficient.name == "scale_factor":
+            return coefficient.value * conversion_factor(coefficient.unit, "rad/s/(m/s^2)")
+    return cal.scale_factor_nominal
+
+
+def elapsed_time(residuals: Residuals) -> Array:
+    """Time since the first sample [s]; segments whose clock starts again follow each other."""
+    t = np.array(residuals.t, dtype=float)
+    end = None
+    for part in segment_slices(residuals.segment):
+        if end is not None and t[part.start] < end:
+            t[part] += end - t[part.start]
+        end = t[part.stop - 1]
+    return t - t[0]
+
+
+def _starts(x: Array, residuals: Residuals) -> NDArray[np.bool_]:
+    """Rows where a curve starts anew: the next segment, or after a hole of more than ten usual steps."""
+    starts = np.zeros(x.size, dtype=bool)
+    steps = np.diff(x)
+    if steps.size:
+        starts[1:] = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps))
+    return starts
+
+
+def _with_gaps(x: Array, y: Array, residuals: Residuals) -> tuple[Array, Array]:
+    """Reduced curve with gaps between the segments and at holes."""
+    parts = segment_slices(np.cumsum(_starts(x, residuals)))
+    limit = max(12, POINTS // len(parts) - 1)
+    pieces_x, pieces_y = [], []
+    for part in parts:
+        rows = part.start + envelope_rows(y[part], limit)
+        pieces_x += [x[rows], x[rows[-1:]]]
+        pieces_y += [y[rows], np.array([np.nan])]
+    return np.concatenate(pieces_x), np.concatenate(pieces_y)
+
+
+def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec")) -> Figure:
+    """Residual (``quantity``: what and in which unit) against time, before and after."""
+    t = elapsed_time(residuals)
+    unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
+    panels = []
+    for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
+        single = np.unique(residuals.segment).size == t.size
+        y = np.asarray(values) / ARCSEC
+        x, y = (t / scale, y) if single else _with_gaps(t / scale, y, residuals)
+        series = Series(
+            x,
+            y,
+            name=title.lower(),
+            mark="points" if single else "line",
+            role="before" if role == "before" else "after",
+        )
+        panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
+    return Figure(
+        key="residual-time",
+        title=f"{quantity[0].capitalize()} against time.",
+        panels=tuple(panels),
+        caption="Before: measured angle less the nominal model without cross-coupling. After: less the fitted "
+        "model. The scales differ. Good: a band of noise around zero, without waves, steps or trends.",
+        height=2.1,
+    )
+
+
+def run_figures(cal: Calibration) -> tuple[Figure, ...]:
+    """Residuals against time of every run at hand, each with its own clock and scales."""
+    found = cal.residuals
+    if found is None or found.run is None:
+        return ()
+    figures = []
+    for index, run in enumerate(cal.runs):
+        rows = found.run == index
+        if rows.any():
+            own = Residuals(
+                found.row[rows], found.t[rows], found.psi[rows], found.a_x[rows], found.before[rows],
+                found.after[rows], found.innovation[rows], found.segment[rows],
+            )  # fmt: skip
+            figure = residual_figure(outline(own), residual_quantity(cal))
+            figures.append(
+                replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")
+            )
+    return tuple(figures)
+
+
+def outlier_figure(cal: Calibration) -> Figure | None:
+    """Size of every miss that was left out, against time."""
+    runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
+    if not runs:
+        return None
+    panels = []
+    quantity, unit = residual_quantity(cal)
+    kinds: tuple[tuple[str, Role], ...] = (("spike", "after"), ("stuck", "model"), ("jump", "before"))
+    for run in runs:
+        series = []
+        for kind, role in kinds:
+            those = [o for o in cal.outliers if o.run == run and o.kind == kind and o.size > 0.0]
+            if those:
+                t, size = np.array([o.time for o in those]), np.array([o.size for o in those]) / ARCSEC
+                series.append(Series(t, size, name=kind, mark="points", role=role))
+        axis = Axis(f"miss of the {quantity.removeprefix('residual ')}", unit, log=True)
+        panels.append(Panel(Axis("time", "s"), axis, tuple(series), title=f"Run {run}" if run else ""))
+    return Figure(
+        key="outliers",
+        title="Samples left out.",
+        panels=tuple(panels),
+        caption="How far each finding lies off the path of the output. Good: few, and without a pattern; a pattern "
+        "points to the counter, the cable or another machine.",
+        height=2.3,
+    )
+
+
+def whiteness_figure(residuals: Residuals) -> Figure:
+    """Distribution and autocorrelation of the whitened residuals."""
+    innovation = np.asarray(residuals.innovation, dtype=float)
+    innovation = innovation[np.isfinite(innovation)]
+    density, edges = np.histogram(innovation, bins=np.linspace(-5.0, 5.0, 51), density=True)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
+    lags, correlation = autocorrelation(innovation, _LAGS)
+    bound = 1.96 / math.sqrt(max(innovation.size, 1))
+    return Figure(
+        key="whiteness",
+        title="Whitened residuals.",
+        panels=(
+            Panel(
+                Axis("whitened residual", "1"),
+                Axis("density", "1"),
+                (
+                    Series(centre, density, name="found", mark="steps", role="after"),
+                    Series(centre, normal, name="expected of pure noise", role="reference", dashed=True),
+                ),
+                title="Distribution",
+            ),
+            Panel(
+                Axis("lag", "samples"),
+                Axis("autocorrelation", "1"),
+                (
+                    Series(
+                        lags,
+                        lags * 0 - bound,
+                        mark="band",
+                        upper=lags * 0 + bound,
+                        name="95 % of white noise",
+                        role="reference",
+                    ),
+                    Series(lags, correlation, name="found", mark="line+points", role="after"),
+                ),
+                title="Autocorrelation",
+            ),
+        ),
+        caption="Each residual divided by what the noise model expects of it. Good: the found distribution "
+        "lies on the expected one, and the autocorrelation stays inside its band.",
+        columns=2,
+        height=2.6,
+    )
+
+
+def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
+    """Autocorrelation of ``values`` at lags 1 to ``lags``."""
+    lags = min(lags, max(values.size - 2, 0))
+    centred = values - values.mean() if values.size else values
+    total = float(centred @ centred) or 1.0
+    found = [float(centred[lag:] @ centred[:-lag]) / total for lag in range(1, lags + 1)]
+    return np.arange(1.0, lags + 1.0), np.array(found)
+
+
+def segment_figure(cal: Calibration) -> Figure:
+    """Residual rms of each segment against its mean specific force."""
+    a_x = np.array([segment.mean_a_x for segment in cal.segments]) / G0
+    rows = np.argsort(a_x, kind="stable")
+    labels = tuple(f"segment {cal.segments[row].label}" for row in rows)
+    before = np.array([segment.rms_before for segment in cal.segments])[rows] / ARCSEC
+    after = np.array([segment.rms for segment in cal.segments])[rows] / ARCSEC
+    quantity, unit = residual_quantity(cal)
+    return Figure(
+        key="segment-rms",
+        title="Residual of each segment.",
+        panels=(
+            Panel(
+                Axis("mean specific force along the input axis", "g"),
+                Axis(f"{quantity}, rms", unit, log=True),
+                (
+                    Series(a_x[rows], before, name="before", mark="points", role="before", text=labels),
+                    Series(a_x[rows], after, name="after", mark="points", role="after", text=labels),
+                ),
+            ),
+        ),
+        caption="Each point is one segment. Good: all points after calibration lie at one level, whatever the "
+        "input; a level that rises with the input asks for another model term.",
+        height=2.7,
+    )

@@ -1,0 +1,221 @@
+"""The comparison of term sets: table and figure of the report, rows for the terminal."""
+
+from __future__ import annotations
+
+import re
+from textwrap import wrap
+from typing import Any
+
+from piga.records.calibration import Calibration
+from piga.records.terms import shown_unit
+from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.numbers import count, printed, rounded, short, signed
+from piga.reports.render.page import Cell, Column, FigureBlock, Section, Table, Text
+from piga.units import G0
+
+MICRO_G = G0 * 1e-6
+_PLAIN = str.maketrans("−–⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "---0123456789")
+HEADS = (
+    "",
+    "terms",
+    "coefficients",
+    "chi²/dof",
+    "BIC above best",
+    "weight",
+    "prediction above best",
+    "missed [µg]",
+    "remark",
+)
+
+
+def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
+    """The section of the report, when term sets were compared."""
+    document = cal.diagnostics.get("model_comparison")
+    if not document:
+        return ()
+    lead = (
+        "Which terms the record asks for. Sets are compared with the same noise weights; every part of the record is "
+        "also predicted from the others. A term that the record needs lowers BIC and prediction error by much; one "
+        "that it does not need raises both a little. " + comparison_words(document)
+    )
+    blocks = (
+        Text(lead, lead=True),
+        comparison_table(document),
+        comparison_figure(document),
+        shift_table(document),
+    )
+    shown = tuple(
+        FigureBlock(block) if isinstance(block, Figure) else block for block in blocks if block is not None
+    )
+    return (Section("Model choice", "model-choice", shown),)
+
+
+def comparison_words(document: dict[str, Any]) -> str:
+    """What came out, in words."""
+    if document["best"] is None:
+        return "The record determines none of the sets."
+    words = f"Least BIC: {_terms(document['best'])}."
+    if document["best_prediction"] is None:
+        return words + " Parts of the record cannot be predicted from the others."
+    parts = {"segment": "segments", "block": "blocks"}[document["parted_by"]]
+    return (
+        f"{words} Fewest coefficients within one standard error of the best prediction "
+        f"({count(document['folds'])} folds over {count(document['parts'])} {parts}): "
+        f"{_terms(document['best_prediction'])}."
+    ) + "".join(f" {note[0].upper()}{note[1:]}." for note in document.get("notes", ()))
+
+
+def _terms(names: list[str]) -> str:
+    return ", ".join(names)
+
+
+def comparison_rows(document: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and rows, the least BIC first."""
+    order = sorted(
+        enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", float("inf")), item[0])
+    )
+    return HEADS, [_row(number, found, document) for number, found in order]
+
+
+def _row(number: int, found: dict[str, Any], document: dict[str, Any]) -> tuple[str, ...]:
+    head = (str(number), _terms(found["terms"]))
+    if "bic" not in found:
+        return (*head, *("–",) * (len(HEADS) - 3), found["reason"])
+    figures: tuple[str, ...] = (str(found["parameters"]), _plain(found["chi_square_per_degree"], 4))
+    figures += (_plain(found["bic_above_best"]), _plain(found["weight"]) if found["weight"] > 1e-6 else "0")
+    if "prediction_chi_square" not in found:
+        return (*head, *figures, "–", "–", _remark(found, document))
+    above, error = found["prediction_above_best"], found["prediction_standard_error"]
+    spread = f" ± {_plain(error, 2)}" if error > 1e-6 * found["prediction_chi_square"] else ""
+    excess = f"{_plain(above)}{spread}" if spread else "0"
+    return (
+        *head,
+        *figures,
+        excess,
+        _plain(found["prediction_force_error"] / MICRO_G),
+        _remark(found, document),
+    )
+
+
+def _remark(found: dict[str, Any], document: dict[str, Any]) -> str:
+    remarks = ["least BIC"] if found["terms"] == document["best"] else []
+    remarks += ["predicts as well as any"] if found["terms"] == document["best_prediction"] else []
+    return ", ".join(remarks)
+
+
+def _plain(value: float, digits: int = 3) -> str:
+    return printed(short(value, digits))
+
+
+def comparison_text(document: dict[str, Any]) -> list[str]:
+    """The comparison for a terminal of 80 columns: figures by number of the set, then what the sets hold."""
+    heads = ("set", "coeffs", "chi2/dof", "BIC above", "weight", "prediction above", "missed [ug]")
+    order = comparison_rows(document)[1]
+    rows = [tuple(_ascii(text) for text in (row[0], *row[2:-1])) for row in order if row[2] != "–"]
+    width = [max(len(row[i]) for row in (heads, *rows)) for i in range(len(heads))]
+    lines = ["Term sets compared, the best first"]
+    if rows:
+        lines += [
+            "  " + "  ".join(f"{text:>{w}}" for text, w in zip(row, width, strict=True))
+            for row in (heads, *rows)
+        ]
+    for number, terms, *_, remark in order:
+        text = f"{number}: {terms}" + (f" ({remark})" if remark else "")
+        lines += wrap(text, 78, initial_indent="  ", subsequent_indent="     ")
+    return [*lines, *wrap(comparison_words(document), 78, initial_indent="  ", subsequent_indent="  ")]
+
+
+def _ascii(text: str) -> str:
+    """A printed number in plain text."""
+    text = re.sub(r"\s*×\s*10", "e", text).replace("±", "+/-")
+    return re.sub(r"[\u202f\u00a0]", "", text).translate(_PLAIN)
+
+
+def comparison_table(document: dict[str, Any]) -> Table:
+    """One row per set, the least BIC first."""
+    heads, rows = comparison_rows(document)
+    textual = {"terms", "remark"}
+    columns = tuple(
+        Column(
+            head.removesuffix(" [µg]"),
+            "µg" if head.endswith("[µg]") else "",
+            "text" if head in textual else "number",
+        )
+        for head in heads
+    )
+    noise = _terms(document["noise_terms"])
+    cells = tuple(
+        tuple(
+            Cell(text, "good") if text and i == len(row) - 1 and row[2] != "–" else text
+            for i, text in enumerate(row)
+        )
+        for row in rows
+    )
+    return Table(
+        columns,
+        cells,
+        caption="Term sets compared",
+        notes=(
+            f"Noise weights of all sets: those found with {noise}. {count(document['observations'])} observations.",
+            "Prediction: chi-square of the parts left out, with the standard error of the difference.",
+            "Missed: rms over the parts of the mean error of prediction, as specific force.",
+        ),
+    )
+
+
+def comparison_figure(document: dict[str, Any]) -> Figure | None:
+    """BIC and error of prediction of every set."""
+    sets = [(number, found) for number, found in enumerate(document["sets"], start=1) if "bic" in found]
+    if not sets:
+        return None
+    axis = Axis("set (number of the table)", "1", limits=(0.5, len(document["sets"]) + 0.5))
+    names = tuple(_terms(found["terms"]) for _, found in sets)
+    numbers = [float(number) for number, _ in sets]
+    above = Series(
+        numbers, [found["bic_above_best"] + 1.0 for _, found in sets], "BIC", "points", "model", text=names
+    )
+    panels = [Panel(axis, Axis("BIC above the best + 1", "1", log=True), (above,), title="Likelihood")]
+    predicted = [(n, f) for n, f in sets if "prediction_force_error" in f]
+    if predicted:
+        missed = [found["prediction_force_error"] / MICRO_G for _, found in predicted]
+        series = Series([float(n) for n, _ in predicted], missed, "missed", "points", "after", text=names)
+        panels.append(Panel(axis, Axis("error of prediction", "µg", log=True), (series,), title="Prediction"))
+    return Figure(
+        key="term-sets",
+        title="Term sets: likelihood and prediction.",
+        panels=tuple(panels),
+        caption="Left: how far BIC lies above that of the best set (at 1). Right: rms error of the mean specific force "
+        "in parts of the record predicted from the others. Good: the set in use is among the lowest of both.",
+        columns=2,
+        height=2.4,
+    )
+
+
+def shift_table(document: dict[str, Any]) -> Table | None:
+    """Every coefficient in every set that is determined."""
+    sets = [(number, found) for number, found in enumerate(document["sets"], start=1) if "bic" in found]
+    keys = list(
+        dict.fromkeys(c["key"] for _, found in sets for c in found["coefficients"] if "[" not in c["key"])
+    )
+    if len(sets) < 2:
+        return None
+    rows = []
+    for key in keys:
+        cells: list[str | Cell] = [key, ""]
+        for _, found in sets:
+            c = next((c for c in found["coefficients"] if c["key"] == key), None)
+            if c is None:
+                cells.append("–")
+                continue
+            scale, unit = shown_unit(key, c["unit"])
+            value, std, cells[1] = c["value"] * scale, c["std"] * scale, unit
+            change = "" if c["change"] in (None, 0.0) else f" ({signed(c['change'], 1)})"
+            cells.append(printed(rounded(value, std).concise) + change)
+        rows.append(tuple(cells))
+    columns = (
+        Column("coefficient", "", "text"),
+        Column("unit", "", "text"),
+        *(Column(f"set {n}") for n, _ in sets),
+    )
+    note = "Type A. In brackets behind: distance from the set of least BIC, in standard uncertainties of that."
+    return Table(columns, tuple(rows), caption="Coefficients in every set", notes=(note,))

@@ -1,0 +1,355 @@
+"""The calibration report: a page for the screen and for print."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from piga.records.calibration import Calibration
+from piga.records.coverage import TYPE_A_ONLY
+from piga.records.terms import meaning_of, shown_unit
+from piga.records.verdict import THRESHOLDS, whitened_rms
+from piga.reports.calibration.budget import budget_tables, sensitivity_tables
+from piga.reports.calibration.diagnostics import (
+    COMPARISON_LEAD,
+    LEVERAGE_LEAD,
+    OWN_TABLES,
+    comparison_table,
+    leverage_table,
+)
+from piga.reports.calibration.extent import files_in_words, period_in_words, segments_in_words, total_duration
+from piga.reports.calibration.figures import calibration_figures
+from piga.reports.calibration.model_choice import comparison_sections
+from piga.reports.calibration.tables import (
+    coefficient_table,
+    common_coefficients,
+    correlation_table,
+    facts_table,
+    freedom,
+    judgement,
+    outlier_table,
+    quality_table,
+    residual_quantity,
+    runs_table,
+    scalars,
+    segment_table,
+    sentence,
+)
+from piga.reports.calibration.text import calibration_text, drift_found, scatter_found
+from piga.reports.render.figure import Figure
+from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short
+from piga.reports.render.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
+from piga.units import ARCSEC
+
+__all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
+
+_METHODS = {
+    "information": "whitened linear least squares in the angle domain",
+    "rate": "linear least squares on the rate",
+    "recursive": "whitened least squares in the angle domain, sample by sample",
+    "published": "the published nonlinear recursion",
+    "revolutions": "mean rate over whole revolutions",
+}
+
+
+def write_calibration_report(cal: Calibration, path: Path) -> Path:
+    """Write the calibration report as one HTML file that opens offline."""
+    return write_page(calibration_page(cal), path)
+
+
+def calibration_page(cal: Calibration) -> Page:
+    """The calibration report as a page."""
+    figures = {figure.key: figure for figure in calibration_figures(cal)}
+    sections = (
+        _tested(cal),
+        *_runs(cal),
+        _coefficients(cal),
+        _residuals(figures),
+        *_convergence(figures),
+        _orders(figures),
+        _segments(cal, figures),
+        _budget(cal),
+        _identifiability(cal, figures),
+        *comparison_sections(cal),
+        _quality(cal, figures),
+        _provenance(cal),
+    )
+    return Page(
+        title=f"Calibration of {cal.serial}",
+        subtitle=_subtitle(cal),
+        tiles=_tiles(cal),
+        sections=sections,
+        judgement=judgement(cal),
+        kicker="piga · gyro accelerometer calibration",
+        footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. This file holds all it shows: "
+        "it opens without a network, and prints on A4.",
+    )
+
+
+def _subtitle(cal: Calibration) -> str:
+    extent = f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}"
+    return f"{files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used."
+
+
+def _improvement(before: float, after: float) -> str:
+    return f"{short(before / after)} times less" if after > 0.0 and before > after else "no improvement"
+
+
+def _tiles(cal: Calibration) -> tuple[Tile, ...]:
+    level = cal.verdict.level
+    better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if level == "good" else ""
+    quantity, unit = residual_quantity(cal)
+    tiles = [
+        Tile(
+            f"{quantity.capitalize()}, rms",
+            f"{short(cal.residual_rms_before / ARCSEC)} → {short(cal.residual_rms / ARCSEC)}",
+            unit,
+            f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
+            better,
+        ),
+        Tile(
+            f"{quantity.capitalize()}, largest",
+            f"{short(cal.residual_max_before / ARCSEC)} → {short(cal.residual_max_after / ARCSEC)}",
+            unit,
+            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
+            if cal.residual_rms
+            else "",
+        ),
+        *_coefficient_tiles(cal),
+        _freedom_tile(cal),
+        _condition_tile(cal),
+        _whiteness_tile(cal),
+        _data_tile(cal),
+    ]
+    return tuple(tile for tile in tiles if tile is not None)
+
+
+def _coefficient_tiles(cal: Calibration) -> list[Tile]:
+    tiles = []
+    for coefficient in common_coefficients(cal):
+        if coefficient.name in {"scale_factor", "tan_beta"}:
+            scale, unit = shown_unit(coefficient.name, coefficient.unit)
+            value, std = coefficient.value * scale, coefficient.std * scale
+            label = "Scale factor" if coefficient.name == "scale_factor" else "Cross-coupling tan β"
+            detail = f"standard uncertainty {relative(value, std)}"
+            tone: Tone = "doubtful" if std > 0.3 * abs(value) else ""
+            tiles.append(Tile(label, printed(rounded(value, std).concise), pretty_unit(unit), detail, tone))
+    return tiles
+
+
+def _freedom_tile(cal: Calibration) -> Tile:
+    fewest = min(cal.coefficients, key=lambda coefficient: coefficient.degrees_of_freedom)
+    detail = f"effective, fewest of all coefficients ({fewest.key}): k = {fewest.coverage_factor:.3f} for 95 %"
+    return Tile(
+        "Degrees of freedom",
+        freedom(fewest),
+        "",
+        detail,
+    )
+
+
+def _condition_tile(cal: Calibration) -> Tile:
+    verdicts: tuple[tuple[float, str, Tone], ...] = (
+        (THRESHOLDS.well_separated, "the coefficients are well separated", "good"),
+        (THRESHOLDS.separated, "some coefficients are hard to separate", "doubtful"),
+        (math.inf, "the record hardly separates the coefficients", "bad"),
+    )
+    words, tone = next((words, tone) for limit, words, tone in verdicts if not cal.condition > limit)
+    return Tile("Condition number", printed(short(cal.condition, 2)), "", words, tone)
+
+
+def _whiteness_tile(cal: Calibration) -> Tile | None:
+    rms = whitened_rms(cal)
+    if math.isnan(rms):
+        return None
+    white, fits = cal.diagnostics.get("verdict") == "white", abs(rms - 1.0) <= THRESHOLDS.residual_rms
+    words = (
+        "1 expected: the noise levels do not fit"
+        if not fits
+        else "of size one"
+        if white
+        else "of size one, but not white"
+    )
+    return Tile("Whitened residual, rms", f"{rms:.3f}", "", words, "good" if fits and white else "doubtful")
+
+
+def _data_tile(cal: Calibration) -> Tile:
+    share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
+    found = sum(event.count for event in cal.quality.events)
+    detail = (
+        f"of {count(cal.quality.rows)} rows; {count(found)} findings"
+        if found
+        else f"of {count(cal.quality.rows)} rows"
+    )
+    return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
+
+
+def _tested(cal: Calibration) -> Section:
+    terms = ", ".join(f"{term} ({meaning_of(term)})" for term in cal.terms)
+    shared, seen = cal.phase == "shared", cal.quality
+    phase = "one for the whole record (shared)" if shared else "one for each segment (per-segment)"
+    if cal.runs:
+        phase = "; ".join(f"run {run.name}: {run.phase}" for run in cal.runs)
+    rows = [
+        ("Instrument", cal.serial),
+        ("Data", files_in_words(cal)),
+        ("Duration", f"{period_in_words(total_duration(cal))} in {segments_in_words(cal)}"),
+        ("Rows", f"{count(seen.rows)} read, {count(seen.used)} used, {count(seen.masked)} masked"),
+        ("Model terms", terms),
+        ("Phase of the output", f"{phase}; source: {cal.phase_source}"),
+        ("Method", f"{cal.method}: {_METHODS[cal.method]}" if cal.method in _METHODS else cal.method),
+    ]
+    lead = "Which instrument, which record and which model this report is about."
+    return Section("What was tested", "tested", (Text(lead, lead=True), facts_table(rows)))
+
+
+def _runs(cal: Calibration) -> tuple[Section, ...]:
+    """The runs of a joint calibration, when there are several."""
+    if not cal.runs:
+        return ()
+    lead = (
+        "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
+        "the others must."
+    )
+    return (Section("Runs", "runs", (Text(lead, lead=True), runs_table(cal))),)
+
+
+def _coefficients(cal: Calibration) -> Section:
+    lead = (
+        "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: "
+        "uncertainties "
+        "far below the values, and below what the use of the instrument asks for."
+    )
+    blocks: list[Block] = [Text(lead, lead=True), coefficient_table(cal)]
+    correlation = correlation_table(cal)
+    if correlation is not None:
+        text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
+        blocks += [Text(text, lead=True), correlation]
+    return Section("Coefficients", "coefficients", tuple(blocks))
+
+
+def _residuals(figures: dict[str, Figure]) -> Section:
+    lead = (
+        "What is left of the measured angle when the model is taken away: what the calibration explains is "
+        "gone after "
+        "it, and what it leaves should be noise."
+    )
+    missing = "The residuals are not part of this record: run the calibration again to see them."
+    found: list[Block] = [FigureBlock(f) for key, f in figures.items() if key.startswith("residual-time")]
+    blocks = found or [Notice("info", missing)]
+    return Section("Residuals against time", "residuals", (Text(lead, lead=True), *blocks))
+
+
+def _convergence(figures: dict[str, Figure]) -> tuple[Section, ...]:
+    """The history of a recursive estimate, when there is one."""
+    if "convergence" not in figures:
+        return ()
+    lead = "How the estimates settled while the record came in, sample by sample."
+    return (Section("Convergence", "history", (Text(lead, lead=True), FigureBlock(figures["convergence"]))),)
+
+
+def _orders(figures: dict[str, Figure]) -> Section:
+    lead = (
+        "The same residuals against the rotation of the output: errors of the instrument repeat with the "
+        "turn, noise "
+        "does not. Good: lines and lobes before calibration, none after."
+    )
+    missing = (
+        "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
+    )
+    if not {"residual-order", "ripple-polar"} & figures.keys():
+        return Section(
+            "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))
+        )
+    shown = [FigureBlock(figures[key]) for key in ("residual-order", "ripple-polar") if key in figures]
+    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *shown))
+
+
+def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
+    lead = (
+        "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
+    )
+    blocks: list[Block] = [Text(lead, lead=True)]
+    blocks += [FigureBlock(figures["segment-rms"])] if "segment-rms" in figures else []
+    return Section("Segments", "segments", (*blocks, segment_table(cal)))
+
+
+def _budget(cal: Calibration) -> Section:
+    lead = (
+        "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit "
+        "(type A) and "
+        "the largest source of type B are of the same size; otherwise the larger one is what to improve."
+    )
+    blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
+    sensitivities = sensitivity_tables(cal)
+    if sensitivities:
+        text = (
+            "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
+            "Times the standard uncertainty of the source they are the contributions above."
+        )
+        blocks += [Text(text, lead=True), *sensitivities]
+    if not any(row.get("type") == "B" for row in cal.budget):
+        text = (
+            f"{TYPE_A_ONLY}: reference scale, alignment and local gravity are taken as exact. "
+            "Add an [uncertainty] table to the run file to include them."
+        )
+        blocks.append(Notice("warning", text))
+    return Section("Uncertainty budget", "budget", tuple(blocks))
+
+
+def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
+    lead = (
+        "How well this record tells the coefficients apart, and whether the residuals are the noise they "
+        "should be. "
+        "Good: whitened residuals that look like white noise of size one. Doubts stand in the verdict at the top."
+    )
+    blocks: list[Block] = [Text(lead, lead=True)]
+    blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
+    blocks += [FigureBlock(figures[key]) for key in ("whiteness", "allan") if key in figures]
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    rows = [
+        ("Condition number", printed(short(cal.condition))),
+        ("White noise of the angle", f"{white} arcsec rms ({printed(short(cal.angle_rms))} rad)"),
+        ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
+        ("Bias drift", drift_found(cal)),
+        ("Scatter of the rate from segment to segment", scatter_found(cal)),
+        *scalars({key: value for key, value in cal.diagnostics.items() if key not in OWN_TABLES}),
+    ]
+    blocks.append(facts_table(rows))
+    for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (comparison_table(cal), COMPARISON_LEAD)):
+        blocks += [Text(text, lead=True), found] if found is not None else []
+    return Section("Identifiability and noise", "identifiability", tuple(blocks))
+
+
+def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:
+    lead = (
+        "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
+    )
+    blocks: tuple[Block, ...] = (Notice("good", "Nothing was found to repair or leave out."),)
+    if cal.quality.masked:
+        blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
+    if cal.quality.events:
+        blocks = (quality_table(cal),)
+    if cal.runs:
+        rows = [
+            (f"Run {run.name}", f"{count(q.rows)} rows read, {count(q.used)} used, {count(q.masked)} masked")
+            for run in cal.runs
+            for q in (run.quality,)
+        ]
+        blocks = (facts_table(rows), *blocks)
+    if cal.outliers:
+        text = (
+            "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
+            "none is formed across a jump."
+        )
+        shown = [FigureBlock(figures["outliers"])] if "outliers" in figures else []
+        blocks = (*blocks, Text(text, lead=True), *shown, outlier_table(cal))
+    return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
+
+
+def _provenance(cal: Calibration) -> Section:
+    lead = "What it takes to trace and repeat this result: same input, software and options, same numbers."
+    rows = [(f"SHA-256 of {name}", digest) for name, digest in cal.provenance.input_sha256.items()]
+    rows += [("Software", cal.provenance.software), ("Created", cal.provenance.created)]
+    rows += [(f"Option {name}", text) for name, text in scalars(cal.provenance.options)]
+    return Section("Provenance", "provenance", (Text(lead, lead=True), facts_table(rows, code=True)))

@@ -1,0 +1,1 @@
+"""The pages of a compensated record, of one instrument or of a set."""

@@ -1,0 +1,216 @@
+"""What a report keeps of a compensated stream of any length, in bounded memory.
+
+An outline against time (lowest and highest row of each bucket of rows; buckets grow with the stream), the leading
+rows one by one for spectra (on disk), where each flag stands, and exact counts and sums.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.compensation import FLAGS, Compensated
+from piga.compensation.step import NO_RATES, NONE, Chunk
+from piga.records.calibration import Residuals
+from piga.records.run import Run
+from piga.records.spool import Arrays
+from piga.reports.render.long_record import SHOWN
+
+Array = NDArray[np.float64]
+
+BLOCK = 1 << 15
+"""Rows of a whole record that are taken at a time."""
+KEPT = 1 << 16
+"""Rows of an outline from which on its buckets are made larger."""
+GROWTH = 4
+"""By how much."""
+MARKS = 4096
+"""The same for the places of a flag."""
+CURVES = ("indicated", "ax", "correction", "u_ax")
+LEADING = [("t", "f8"), ("psi", "f8"), ("angle", "f8"), ("segment", "i4")]
+"""What is kept of each of the first rows."""
+
+
+@dataclass
+class Outline:
+    """Rows that keep the outline of all ``curves`` against time: ``rows`` by name, about ``kept``, and rows per bucket."""
+
+    curves: tuple[str, ...] = CURVES
+    kept: int = KEPT
+    rows: dict[str, Array] = field(default_factory=dict)
+    bucket: int = 1
+
+    def __post_init__(self) -> None:
+        self.rows = {name: np.zeros(0) for name in ("row", "t", *self.curves)}
+
+    def add(self, part: dict[str, Array]) -> None:
+        """Take rows behind those that are there."""
+        if not self.curves:
+            return
+        part = _extremes(part, self.curves, self.bucket)
+        self.rows = {name: np.concatenate((self.rows[name], part[name])) for name in self.rows}
+        while self.rows["row"].size > self.kept:
+            self.bucket *= GROWTH
+            self.rows = _extremes(self.rows, self.curves, self.bucket)
+
+
+@dataclass
+class Marks:
+    """Where a flag stands: rows and times of the first flagged row per bucket, the count, first and last time."""
+
+    row: Array = field(default_factory=lambda: np.zeros(0))
+    t: Array = field(default_factory=lambda: np.zeros(0))
+    bucket: int = 1
+    count: int = 0
+    first: float = math.nan
+    last: float = math.nan
+
+    def add(self, row: Array, t: Array) -> None:
+        """Take flagged rows behind those that are there."""
+        if row.size == 0:
+            return
+        self.first = self.first if self.count else float(t[0])
+        self.count, self.last = self.count + row.size, float(t[-1])
+        self.row, self.t = np.concatenate((self.row, row)), np.concatenate((self.t, t))
+        while self.row.size > MARKS:
+            self.bucket *= GROWTH
+            some = np.unique(self.row // self.bucket, return_index=True)[1]
+            self.row, self.t = self.row[some], self.t[some]
+
+
+class CompensationOutline:
+    """Watches a compensation piece by piece: what it indicated, what came out, and the flags.
+
+    Parameters
+    ----------
+    kind:
+        ``"angle"`` or ``"rate"``: what the output of the instrument is.
+    scale_factor:
+        K [(rad/s)/(m/s^2)] that turns the output rate into the indicated specific force.
+    curves:
+        What is outlined against time.
+    """
+
+    def __init__(self, kind: str, scale_factor: float, curves: tuple[str, ...] = CURVES) -> None:
+        self.kind, self.scale_factor = kind, scale_factor
+        self.outline, self.marks = Outline(curves), {name: Marks() for name in FLAGS}
+        self.size, self.flagged, self.velocity, self.start = 0, 0, 0.0, math.nan
+        self.squares = {"correction": 0.0, "u_ax": 0.0}
+        self.counts = {"correction": 0, "u_ax": 0}
+        self._first = Arrays(Path(tempfile.gettempdir())).growing(np.dtype(LEADING))
+        self._leading, self._taken = np.empty(0, LEADING), 0
+        self._t, self._output, self._omega = 0.0, 0.0, 0.0
+        self._psi, self._angle = 0.0, 0.0
+        self._label, self._segment = "", -1
+
+    def piece(self, label: str, chunk: Chunk, result: Compensated) -> Array:
+        """Take the samples of one segment, and what became of them; gives back the indicated force [m/s^2]."""
+        if label != self._label or self._segment < 0:
+            self._label, self._segment = label, self._segment + 1
+        turn, indicated, psi = self._indicated(chunk, (result.flags & FLAGS["no_increment"]) != 0)
+        angle = self._angle + np.cumsum(turn - self.scale_factor * result.dv)
+        self._angle = float(angle[-1])
+        self._keep(chunk.t, psi, angle)
+        if self.size == 0:
+            self.start = float(chunk.t[0])
+        self._count(chunk.t, indicated, result)
+        return indicated
+
+    def record(self, record: Run, result: Compensated) -> None:
+        """Take a whole record."""
+        changes = np.flatnonzero(np.diff(record.segment)) + 1
+        edges = np.unique(np.concatenate((changes, np.arange(0, record.size, BLOCK), [record.size])))
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            rows = slice(start, stop)
+            base = NO_RATES if record.base_rate is None else record.base_rate[rows]
+            chunk = Chunk(
+                record.t[rows], record.output[rows], record.f[rows, 1], record.f[rows, 2], record.begins[rows],
+                base, NONE, NONE,
+            )  # fmt: skip
+            part = Compensated(
+                result.t[rows], result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows]
+            )
+            self.piece(f"{record.segment[start]}", chunk, part)
+
+    def leading(self) -> Residuals:
+        """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0.
+
+        To be asked for after the last piece.
+        """
+        if not self._leading.size:
+            self._leading = self._first.finish()
+        t, psi, angle, segment = (self._leading[name] for name, _ in LEADING)
+        nothing = np.broadcast_to(0.0, t.size)
+        return Residuals(
+            np.arange(1, t.size + 1, dtype=np.int32), t, psi, nothing, angle, nothing, nothing, segment
+        )
+
+    def _keep(self, t: Array, psi: Array, angle: Array) -> None:
+        """Keep the first rows, on disk."""
+        rows = np.empty(min(t.size, SHOWN - self._taken), LEADING)
+        if rows.size:
+            for (name, _), values in zip(LEADING, (t, psi, angle), strict=False):
+                rows[name] = values[: rows.size]
+            rows["segment"] = self._segment
+            self._first.append(rows)
+            self._taken += rows.size
+
+    def rms(self, name: str) -> float:
+        """Root mean square of ``correction`` or ``u_ax`` over all rows that have one [m/s^2]."""
+        return math.sqrt(self.squares[name] / self.counts[name]) if self.counts[name] else math.nan
+
+    def _indicated(self, chunk: Chunk, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Turn into each row [rad], indicated specific force [m/s^2] and output angle [rad]."""
+        t, output = chunk.t, chunk.output
+        omega = chunk.base_rate[:, 0] if chunk.base_rate.shape[0] else np.zeros(t.size)
+        without = without | chunk.begins
+        without[0] |= self.size == 0
+        h = np.where(without, 0.0, np.diff(t, prepend=self._t))
+        base = 0.5 * h * (omega + np.concatenate(([self._omega], omega[:-1])))
+        if self.kind == "rate":
+            turn = 0.5 * h * (output + np.concatenate(([self._output], output[:-1])))
+            psi = self._psi + np.cumsum(turn)
+            indicated = (output + omega) / self.scale_factor
+        else:
+            turn, psi = np.where(without, 0.0, np.diff(output, prepend=self._output)), output
+            spacing = np.where(h > 0.0, h, np.nan)
+            indicated = (turn + base) / (self.scale_factor * spacing)
+        self._t, self._output, self._omega = float(t[-1]), float(output[-1]), float(omega[-1])
+        self._psi = float(psi[-1])
+        return turn + base, indicated, psi
+
+    def _count(self, t: Array, indicated: Array, result: Compensated) -> None:
+        row = np.arange(self.size, self.size + t.size, dtype=float)
+        u = result.u_ax if result.u_ax.size else np.full(t.size, np.nan)
+        curves = {"indicated": indicated, "ax": result.ax, "correction": indicated - result.ax, "u_ax": u}
+        self.outline.add({"row": row, "t": t, **curves})
+        for name in self.squares:
+            known = curves[name][np.isfinite(curves[name])]
+            self.squares[name] += float(known @ known)
+            self.counts[name] += known.size
+        for name, bit in FLAGS.items():
+            here = (result.flags & bit) != 0
+            self.marks[name].add(row[here], t[here])
+        self.flagged += int(np.count_nonzero(result.flags & ~FLAGS["no_increment"]))
+        self.velocity += float(result.dv.sum())
+        self.size += t.size
+
+
+def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> dict[str, Array]:
+    """Lowest, highest and a missing row of every curve in each bucket of rows."""
+    if bucket == 1 or rows["row"].size == 0:
+        return {name: np.array(values) for name, values in rows.items()}
+    key = rows["row"] // bucket
+    first = np.concatenate(([True], np.diff(key) != 0.0))
+    last = np.concatenate((first[1:], [True]))
+    some = []
+    for name in curves:
+        up, down = np.lexsort((rows[name], key)), np.lexsort((-rows[name], key))
+        some += [up[first], up[last], down[first]]
+    kept = np.unique(np.concatenate(some))
+    return {name: values[kept] for name, values in rows.items()}

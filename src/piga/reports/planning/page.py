@@ -1,0 +1,220 @@
+"""The page of a planned test, and its summary for the terminal."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from piga._version import __version__
+from piga.planning.mounting import Mounting
+from piga.planning.plan import Plan
+from piga.planning.prediction import Prediction
+from piga.records.terms import meaning_of, unit_of
+from piga.reports.planning.figures import planning_figures
+from piga.reports.render.numbers import pretty_unit, printed, short, significant
+from piga.reports.render.page import (
+    Block,
+    Cell,
+    Column,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tone,
+    write_page,
+)
+
+_CRITERIA = {
+    "D": "the volume of the uncertainty ellipsoid",
+    "A": "the mean variance of the coefficients, each over its wanted or equal-time variance",
+    "c": "the variance of the given combination",
+    "wanted": "the largest ratio of an uncertainty to the wanted one",
+}
+
+
+def write_plan_report(plan: Plan, mounting: Mounting | None, path: Path) -> None:
+    """Write the page of a plan as one HTML file that opens offline."""
+    write_page(plan_page(plan, mounting), path)
+
+
+def plan_page(plan: Plan, mounting: Mounting | None) -> Page:
+    """The page of a planned test."""
+    figures = {figure.key: FigureBlock(figure) for figure in planning_figures(plan, mounting)}
+    lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
+    sections = [
+        Section("The test", "the-test", (Text(lead, lead=True), figures["plan-positions"], _visit_table(plan))),
+        Section("What it will give", "what-it-gives", (_uncertainty_table(plan), figures["plan-uncertainty"])),
+        Section("Time", "time", (*_cheapest_blocks(plan), figures["plan-duration"])),
+        Section("Lock zone", "lock-zone", (figures["plan-lock"], *_excluded_blocks(plan))),
+    ]
+    if mounting is not None:
+        sections.append(Section("Mounting", "mounting", (_mounting_notice(mounting), figures["plan-mounting"])))
+    return Page(
+        title=f"Planned test of {plan.request.table.instrument.serial}",
+        subtitle=f"{len(plan.best.visits)} visits in {short(plan.best.duration)} s, moves of {short(plan.request.move)} s.",
+        tiles=_tiles(plan),
+        sections=tuple(sections),
+        kicker="piga · plan",
+        footer=f"Made by piga {__version__}. Predicted from the expected coefficients and noise; nothing was measured.",
+    )
+
+
+def relative_uncertainty(plan: Plan, prediction: Prediction) -> float:
+    """Geometric mean of the uncertainties of the plan over those of another test (coefficients alike)."""
+    ratios = [plan.best.std(name) / prediction.std(name) for name in plan.names]
+    return math.exp(sum(math.log(r) for r in ratios) / len(ratios)) if min(ratios) > 0.0 else 0.0
+
+
+def _tiles(plan: Plan) -> tuple[Tile, ...]:
+    reference = plan.reference
+    tiles = [
+        Tile("Visits", str(len(plan.best.visits)), detail=f"of {len(plan.candidates)} candidates"),
+        Tile("Recorded", short(plan.best.recorded), "s", f"of {short(plan.best.duration)} s"),
+    ]
+    if not reference.refusal:
+        gain = relative_uncertainty(plan, reference)
+        tiles.append(
+            Tile(
+                "Uncertainty",
+                f"{100.0 * (1.0 - gain):.0f}",
+                "% smaller",
+                f"than {reference.name}, geometric mean",
+                "good",
+            )
+        )
+    tiles.append(
+        Tile("Efficiency", f"{100.0 * plan.efficiency:.1f}", "%", "of the bound that no test can exceed")
+    )
+    return tuple(tiles)
+
+
+def _visit_table(plan: Plan) -> Table:
+    columns = (
+        Column("position or level", align="text"),
+        Column("dwell", "s"),
+        Column("revolutions"),
+        Column("force along X0", "g"),
+    )
+    rows = tuple(
+        (
+            visit.candidate.label,
+            f"{visit.dwell:.2f}",
+            f"{visit.dwell / visit.candidate.revolution:.2f}",
+            f"{visit.candidate.force[0] / 9.80665:+.4f}",
+        )
+        for visit in plan.best.visits
+    )
+    return Table(columns, rows, "Visits in the order of the test.")
+
+
+def _uncertainty_table(plan: Plan) -> Table:
+    columns = [
+        Column("coefficient", align="text"),
+        Column("unit", align="text"),
+        Column("u, Type A"),
+        Column("u with the stand"),
+    ]
+    columns += [Column(p.name, "u / planned") for p in plan.standard]
+    rows = []
+    for name in plan.names:
+        cells: list[str | Cell] = [
+            f"{name}: {meaning_of(name)}",
+            pretty_unit(unit_of(name)) or "1",
+            printed(significant(plan.best.std(name), 3)),
+            printed(significant(plan.best.combined(name), 3)),
+        ]
+        for prediction in plan.standard:
+            ratio = prediction.std(name) / plan.best.std(name)
+            tone: Tone = "quiet" if math.isinf(ratio) else "good" if ratio > 1.0 else "doubtful"
+            cells.append(Cell(short(ratio), tone))
+        rows.append(tuple(cells))
+    refusals = tuple(f"{p.name}: {p.refusal}." for p in plan.standard if p.refusal) + _locked_notes(plan)
+    caption = "Predicted standard uncertainties; standard plans in the same total time, as multiples of the plan's Type A."
+    return Table(tuple(columns), tuple(rows), caption, refusals)
+
+
+def _locked_notes(plan: Plan) -> tuple[str, ...]:
+    """Which standard plans visit positions that this plan leaves out."""
+    notes = []
+    for prediction in plan.standard:
+        near = [
+            v.candidate.label for v in prediction.visits if v.candidate.margin < plan.request.settings.margin
+        ]
+        if near:
+            notes.append(f"{prediction.name}: in or near the lock zone at {', '.join(near)}.")
+    return tuple(notes)
+
+
+def _cheapest_blocks(plan: Plan) -> tuple[Block, ...]:
+    cheapest = plan.cheapest
+    if cheapest is None:
+        return ()
+    wanted = ", ".join(f"u({n}) = {short(w)} {pretty_unit(unit_of(n))}" for n, w in plan.request.wanted.items())
+    if cheapest.plan is None:
+        return (Notice("problem", f"Wanted {wanted}: {cheapest.refusal}."),)
+    visits = ", ".join(f"{v.candidate.label} {short(v.dwell)} s" for v in cheapest.plan.visits)
+    return (
+        Notice(
+            "good",
+            f"Wanted {wanted}: {short(cheapest.plan.duration)} s are enough ({visits}); no test of these candidates "
+            f"is shorter than {short(cheapest.bound)} s.",
+        ),
+    )
+
+
+def _excluded_blocks(plan: Plan) -> tuple[Block, ...]:
+    if not plan.excluded:
+        return (Notice("info", "No candidate is in or near the lock zone."),)
+    rows = tuple((item.candidate.label, item.reason) for item in plan.excluded)
+    return (
+        Table(
+            (Column("candidate", align="text"), Column("reason", align="text")), rows, "Candidates left out."
+        ),
+    )
+
+
+def _mounting_notice(mounting: Mounting) -> Notice:
+    return Notice("good" if mounting.margin >= mounting.limit else "problem", mounting_text(mounting) + ".")
+
+
+def mounting_text(mounting: Mounting) -> str:
+    """The answer to the mounting question in one sentence."""
+    kept = [math.degrees(float(s)) for s in mounting.acceptable]
+    text = (
+        f"best skew {math.degrees(mounting.skew):.4g} deg towards {math.degrees(mounting.clock):.4g} deg about X: "
+        f"least |a_x| is {short(mounting.margin)} of a_t tan(beta)"
+    )
+    if not kept:
+        return f"{text}; no skew keeps the wanted {mounting.limit:g}"
+    return f"{text}; {len(kept)} of {mounting.skews.size} skews keep the wanted {mounting.limit:g}"
+
+
+def plan_text(plan: Plan, mounting: Mounting | None) -> str:
+    """Lines for the terminal."""
+    lines = [
+        f"planned: {len(plan.best.visits)} visits, {plan.best.recorded:.6g} s recorded in {plan.best.duration:.6g} s"
+    ]
+    lines += [f"  {v.candidate.label:<16}{v.dwell:>10.2f} s" for v in plan.best.visits]
+    heads = "".join(f"{p.name.replace(' positions', ' pos.'):>12}" for p in plan.standard)
+    lines.append(f"  {'coefficient':<14}{'u (Type A)':>12} {'unit':<10}{heads}   (times the plan's u)")
+    for name in plan.names:
+        ratios = "".join(f"{short(p.std(name) / plan.best.std(name)):>12}" for p in plan.standard)
+        lines.append(f"  {name:<14}{significant(plan.best.std(name), 3):>12} {unit_of(name):<10}{ratios}")
+    lines += [f"  {p.name}: {p.refusal}" for p in plan.standard if p.refusal]
+    lines.append(
+        f"  efficiency {100.0 * plan.efficiency:.1f} % of the bound; {len(plan.excluded)} candidates left out"
+    )
+    lines += [f"    left out {item.candidate.label}: {item.reason}" for item in plan.excluded]
+    if plan.cheapest is not None:
+        found = plan.cheapest
+        lines.append(
+            f"  wanted uncertainties: {found.refusal}"
+            if found.plan is None
+            else f"  wanted uncertainties: {found.plan.duration:.6g} s (bound {found.bound:.6g} s)"
+        )
+    if mounting is not None:
+        lines.append(f"  mounting: {mounting_text(mounting)}")
+    return "\n".join(lines)

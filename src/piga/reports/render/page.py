@@ -1,0 +1,259 @@
+"""Self-contained pages: one HTML file with tiles, tables and figures that opens offline.
+
+A page is plain data (:class:`Page`, :class:`Section` and blocks); :func:`page_html` turns it into text.
+Static figures stand in the page; where scripts run they become interactive when scrolled into view.
+Nothing is loaded from elsewhere, and a content security policy admits only the page's own two scripts.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+from piga.reports.render.figure import Figure
+
+Tone = Literal["", "good", "doubtful", "bad", "quiet"]
+Kind = Literal["info", "good", "warning", "problem"]
+Align = Literal["text", "number"]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One figure at a glance: ``label``, ``value`` with ``unit``, a line of ``detail``, and its tone."""
+
+    label: str
+    value: str
+    unit: str = ""
+    detail: str = ""
+    tone: Tone = ""
+
+
+@dataclass(frozen=True)
+class Text:
+    """Paragraphs of plain text, separated by blank lines. ``lead`` marks what the reader is to look for."""
+
+    text: str
+    lead: bool = False
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """The paragraphs in order."""
+        return [part.strip() for part in self.text.split("\n\n") if part.strip()]
+
+
+@dataclass(frozen=True)
+class Column:
+    """Heading of a table column, its unit, and whether it holds numbers (set to the right)."""
+
+    heading: str
+    unit: str = ""
+    align: Align = "number"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text of a cell with a tone, or with a ``heat`` from -1 to 1 that tints it."""
+
+    text: str
+    tone: Tone = ""
+    heat: float | None = None
+
+    @property
+    def css(self) -> str:
+        """CSS classes of the cell."""
+        if self.heat is None:
+            return self.tone
+        level = min(5, int(abs(self.heat) * 5.999))
+        return f"{self.tone} heat-{'p' if self.heat >= 0 else 'n'}{level}".strip()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text or :class:`Cell`, as long as ``columns``. The first column names the row.
+
+    ``code`` sets the cells of text columns in fixed-width letters (digests, options). ``upright`` turns the headings
+    of number columns: a matrix with long names then fits the page.
+    """
+
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
+    caption: str = ""
+    notes: tuple[str, ...] = ()
+    code: bool = False
+    upright: bool = False
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(
+                    f"table '{self.caption}': a row of {len(row)} cells for {len(self.columns)} columns"
+                )
+
+    @property
+    def cells(self) -> list[list[Cell]]:
+        """All rows as cells."""
+        return [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in self.rows]
+
+    def only(self, chosen: Sequence[int]) -> Table:
+        """The table with these columns."""
+        columns = tuple(self.columns[index] for index in chosen)
+        return replace(self, columns=columns, rows=tuple(tuple(row[i] for i in chosen) for row in self.rows))
+
+    def parts(self, fixed: int, across: int) -> tuple[Table, ...]:
+        """Tables that fit the page: each has the first ``fixed`` columns and at most ``across`` of the others.
+
+        The caption stands above the first part, the notes below the last.
+        """
+        count = len(self.columns) - fixed
+        tables = max(1, math.ceil(count / across))
+        edges = [fixed + round(index * count / tables) for index in range(tables + 1)]
+        split = [self.only([*range(fixed), *range(*ends)]) for ends in pairwise(edges)]
+        return tuple(
+            replace(part, caption=self.caption * (part is split[0]), notes=self.notes * (part is split[-1]))
+            for part in split
+        )
+
+
+@dataclass(frozen=True)
+class FigureBlock:
+    """A figure with its caption."""
+
+    figure: Figure
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A remark that must not be missed: ``info``, ``good``, ``warning`` or ``problem``."""
+
+    kind: Kind
+    text: str
+
+
+Block = Text | Table | FigureBlock | Notice
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict box at the top of a page: ``tone``, one sentence, what does not hold (and what to do), what holds."""
+
+    tone: Tone
+    headline: str
+    problems: tuple[tuple[str, str], ...] = ()
+    holds: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page with its heading; ``anchor`` is the link target (letters, digits, hyphens)."""
+
+    title: str
+    anchor: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole page. ``kicker`` is the small line above the title, ``footer`` the last line."""
+
+    title: str
+    subtitle: str = ""
+    tiles: tuple[Tile, ...] = ()
+    sections: tuple[Section, ...] = ()
+    kicker: str = "piga"
+    footer: str = ""
+    judgement: Judgement | None = None
+
+    def __post_init__(self) -> None:
+        names = [section.anchor for section in self.sections] + [figure.key for figure in self.figures()]
+        for name in names:
+            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
+                raise ValueError(f"'{name}' cannot be an anchor or figure key: use letters, digits, hyphens")
+            if names.count(name) > 1:
+                raise ValueError(f"'{name}' is the anchor or key of two parts of the page")
+
+    def figures(self) -> tuple[Figure, ...]:
+        """All figures in reading order."""
+        blocks = (block for section in self.sections for block in section.blocks)
+        return tuple(block.figure for block in blocks if isinstance(block, FigureBlock))
+
+
+def page_html(page: Page) -> str:
+    """The page as HTML text: the same page always gives the same bytes."""
+    from piga.reports.render.interactive import figure_spec
+    from piga.reports.render.palette import css_names, css_variables
+    from piga.reports.render.static import figure_svg
+
+    figures = page.figures()
+    scripts = (resource("assets", "plotly-basic.min.js"), resource("templates", "page.js")) if figures else ()
+    return template("page.html.jinja").render(
+        page=page,
+        css=resource("templates", "page.css"),
+        light=css_variables(dark=False),
+        dark=css_variables(dark=True),
+        scripts=scripts,
+        policy=_policy(scripts),
+        palette=json_island(css_names()),
+        svg={figure.key: figure_svg(figure) for figure in figures},
+        spec={figure.key: json_island(figure_spec(figure)) for figure in figures},
+    )
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write the page as one HTML file."""
+    path.write_bytes(page_html(page).encode("utf-8"))
+    return path
+
+
+def json_island(document: Any) -> str:
+    """JSON that can stand in a ``script`` element whatever text it holds.
+
+    Raises
+    ------
+    ValueError
+        If the document holds a number that is not finite.
+    """
+    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    for letter in "<>&\u2028\u2029":
+        text = text.replace(letter, f"\\u{ord(letter):04x}")
+    return text
+
+
+def _policy(scripts: tuple[str, ...]) -> str:
+    """Content security policy: the page's own scripts by digest, its own styles, nothing from outside."""
+    sources = " ".join(f"'sha256-{_digest(script)}'" for script in scripts) or "'none'"
+    rules = ("default-src 'none'", f"script-src {sources}", "style-src 'unsafe-inline'", "img-src data: blob:")
+    return "; ".join((*rules, "base-uri 'none'", "form-action 'none'"))
+
+
+@lru_cache(maxsize=4)
+def _digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+
+
+@lru_cache(maxsize=8)
+def resource(folder: str, name: str) -> str:
+    """Text of a file that ships with this package."""
+    return resources.files("piga.reports").joinpath(folder, name).read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=4)
+def template(name: str) -> Any:
+    """A template of this package, ready to render: everything is escaped, unknown names are errors."""
+    import jinja2
+
+    loader = jinja2.FunctionLoader(lambda name: resource("templates", name))
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    environment.tests["block"] = lambda block, kind: type(block).__name__ == kind
+    return environment.get_template(name)

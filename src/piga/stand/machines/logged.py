@@ -1,0 +1,165 @@
+"""Replay of a logged profile: specific force and base rate from arrays or a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError, DataError
+from piga.formats.stream import numbers_of
+from piga.records.limits import open_regular
+from piga.records.spool import Arrays, arrays_like, spans, steps, trim
+from piga.stand.imperfections import Imperfections
+from piga.stand.profile import Segment, plan
+from piga.units import conversion_factor
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MOST_ROWS = 1 << 16
+"""Longer profiles lie on disk, as long records do."""
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoggedProfile:
+    """Samples of specific force [m/s^2] and base rate [rad/s], (n, 3), at times ``t`` [s], linear between."""
+
+    t: Array
+    force: Array
+    base_rate: Array
+
+    kind = "profile"
+    accepted = ()
+
+    def __post_init__(self) -> None:
+        if self.t.ndim != 1 or self.t.size < 2 or not self.fastest > 0.0:
+            raise ArgumentError("profile: needs at least two times, increasing")
+        for name, array in (("force", self.force), ("base rate", self.base_rate)):
+            right = array.shape == (self.t.size, 3)
+            if not (right and all(np.isfinite(array[part]).all() for part in spans(self.t.size))):
+                raise ArgumentError(f"profile {name}: needs {self.t.size} finite rows of three numbers")
+
+    @property
+    def fastest(self) -> float:
+        """Smallest sample interval [s]."""
+        return float(min(steps(self.t, part)[int(part.start == 0) :].min() for part in spans(self.t.size)))
+
+    def segments(self) -> tuple[Segment, ...]:
+        """One segment, from time zero."""
+        return plan([("0", float(self.t[-1] - self.t[0]), True)])
+
+    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Specific force and base rate in base axes, (n, 3) each."""
+        del errors  # general imperfections act on every stand alike
+        at = t + self.t[0]
+        trim()
+        rows = self._around(at)
+        force, rate = (
+            np.column_stack([np.interp(at, self.t[rows], column[rows]) for column in columns.T])
+            for columns in (self.force, self.base_rate)
+        )
+        return force, rate
+
+    def _around(self, at: Array) -> slice:
+        """The samples that times depend on: of a long profile no others are brought into memory."""
+        if at.size == 0:
+            return slice(0, 1)
+        first, last = np.searchsorted(self.t, (at.min(), at.max()), side="right").tolist()
+        return slice(max(first - 1, 0), last + 1)
+
+
+def read_profile(
+    path: Path,
+    time: tuple[str, str],
+    force: tuple[tuple[str, str, str], str],
+    base_rate: tuple[tuple[str, str, str], str] | None = None,
+) -> LoggedProfile:
+    """Read a profile from CSV or Parquet; columns are named with their unit, e.g. ``("t_s", "s")``.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, lacks a column, or a column holds text or gaps.
+    """
+    per_second = conversion_factor(time[1], "s", what="[stand] time")
+    per_force = conversion_factor(force[1], "m/s^2", what="[stand] force")
+    rates, unit = base_rate or ((), "rad/s")
+    per_rate = conversion_factor(unit, "rad/s", what="[stand] base_rate")
+    columns = _read_columns(path, list(dict.fromkeys([time[0], *force[0], *rates])))
+    t = _scaled([columns[time[0]]], per_second)[0]
+    f = _scaled([columns[name] for name in force[0]], per_force).T
+    rate = _scaled([columns[name] for name in rates], per_rate).T if rates else np.broadcast_to(0.0, f.shape)
+    return LoggedProfile(t, f, rate)
+
+
+def _scaled(columns: list[Array], factor: float) -> Array:
+    """Columns times a factor, one row each."""
+    made: Array = arrays_like(columns[0]).empty((len(columns), columns[0].size))
+    for axis, column in enumerate(columns):
+        for part in spans(column.size):
+            made[axis, part] = column[part] * factor
+    return made
+
+
+def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
+    """The named columns as they are."""
+    from pyarrow import ArrowException
+
+    arrays, row = Arrays(path.parent), 1
+    columns = {name: arrays.growing(most=MOST_ROWS) for name in wanted}
+    try:
+        with _batches(path, wanted) as batches:
+            for batch in batches:
+                for name in wanted:
+                    columns[name].append(_numbers(path, name, batch.column(name), row))
+                row += batch.num_rows
+    except (OSError, ArrowException) as error:
+        raise DataError(f"{path}: cannot be read: {error}", remedy="give a CSV or Parquet file") from None
+    return {name: column.finish() for name, column in columns.items()}
+
+
+@contextmanager
+def _batches(path: Path, wanted: list[str]) -> Iterator[Iterator[pa.RecordBatch]]:
+    """The named columns, some rows at a time."""
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    if path.suffix == ".parquet":
+        with open_regular(path) as stream, parquet.ParquetFile(stream, pre_buffer=False) as source:
+            _check_columns(path, wanted, source.schema_arrow)
+            yield source.iter_batches(1 << 15, columns=wanted)
+        return
+    read = csv.ReadOptions(block_size=1 << 16, use_threads=False)
+    with open_regular(path) as stream, csv.open_csv(stream, read) as head:
+        _check_columns(path, wanted, head.schema)
+    as_numbers = csv.ConvertOptions(include_columns=wanted, column_types=dict.fromkeys(wanted, pa.float64()))
+    with open_regular(path) as stream, csv.open_csv(stream, read, convert_options=as_numbers) as source:
+        yield iter(source)
+
+
+def _check_columns(path: Path, wanted: list[str], schema: pa.Schema) -> None:
+    import pyarrow as pa
+
+    for name in wanted:
+        if name not in schema.names:
+            raise DataError(f"{path}: has no column '{name}'", remedy=f"it has: {', '.join(schema.names)}")
+        kind = schema.field(name).type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
+            raise DataError(f"{path}: column '{name}' does not hold numbers", remedy="name another column")
+
+
+def _numbers(path: Path, name: str, column: pa.Array, first_row: int) -> Array:
+    """Values of a column, of which ``first_row`` is the first data row."""
+    values = numbers_of(column)
+    gaps = np.flatnonzero(~np.isfinite(values))
+    if gaps.size:
+        row = first_row + int(gaps[0])
+        raise DataError(f"{path}: column '{name}', row {row} is empty", remedy="repair the profile first")
+    return values

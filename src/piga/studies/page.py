@@ -1,0 +1,147 @@
+"""A reproduction for people: the page and the terminal table."""
+
+from __future__ import annotations
+
+from piga.reports.render.numbers import pretty_unit, printed, significant
+from piga.reports.render.page import Block, Cell, Column, FigureBlock, Page, Section, Table, Text, Tile, Tone
+from piga.studies.case import Case, Chapter, Verdict
+from piga.studies.run import Reproduction
+
+TONES: dict[Verdict, Tone] = {"pass": "good", "fail": "bad", "info": "quiet"}
+SOURCES = {
+    "Wei2020": "Z. Wei, patent application, Gyro accelerometer output determination method caused by constant acceleration, "
+    "filed 2020-12-11, published 2021-03-30.",
+    "Wei2024": "Z. Wei, R. Gao, A Calibration and Compensation Method for PIGA's Cross Coupling Error, Missiles and Space "
+    "Vehicles 47(5), 56-63, 2024, doi:10.7654/j.issn.2097-1974.20240509.",
+    "He2014": "Q. He, Z. Gao, Q. Wu, Accurate compensation for case rolling misalignment angle in space-stable systems, "
+    "Journal of Chinese Inertial Technology 22(5), 572-575, 2014, doi:10.13695/j.cnki.12-1222/o3.2014.05.003.",
+}
+"""Publications in the order of the chapters."""
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """A number as the tables print it; a dash where there is none."""
+    return "–" if value is None else significant(value, digits)
+
+
+def short_id(case: Case) -> str:
+    """Name of the case without that of its chapter."""
+    return case.id.partition(".")[2]
+
+
+def difference(case: Case) -> str:
+    """Difference with three digits: more are rounding."""
+    return number(case.difference, 3)
+
+
+def reproduction_page(found: Reproduction) -> Page:
+    """All tables and figures on one page, with sections by publication."""
+    counts = {verdict: sum(case.verdict == verdict for case in found.cases) for verdict in TONES}
+    tiles = (
+        Tile("Cases", str(len(found.cases)), detail=f"in {len(found.chapters)} chapters"),
+        Tile("Agree", str(counts["pass"]), detail="within the tolerance in their note", tone="good"),
+        Tile("Disagree", str(counts["fail"]), tone="bad" if counts["fail"] else "good"),
+        Tile("For information", str(counts["info"]), detail="no comparable published number", tone="quiet"),
+        Tile("Figures", str(len(found.figures))),
+    )
+    sections = [_section(chapter) for chapter in found.chapters]
+    return Page(
+        title="The published cases, reproduced",
+        subtitle="Every number and figure of three publications beside ours, and what they got wrong.",
+        tiles=tiles,
+        sections=(*sections, _sources()),
+        kicker="piga · reproduction",
+        footer=f"Made by piga {found.version}; every computed number comes from this run.",
+    )
+
+
+def _section(chapter: Chapter) -> Section:
+    blocks: list[Block] = [Text(f"{chapter.source}. {chapter.text}", lead=True)]
+    blocks += [FigureBlock(figure) for figure in chapter.figures]
+    blocks += [_numbers(chapter), _notes(chapter)]
+    publication = chapter.source[1:].partition("]")[0]
+    title = chapter.title if chapter.id == "errata" else f"{publication}: {chapter.title}"
+    return Section(title, chapter.id, tuple(blocks))
+
+
+def _numbers(chapter: Chapter) -> Table:
+    columns = (
+        Column("case", align="text"),
+        Column("quantity", align="text"),
+        Column("published"),
+        Column("computed"),
+        Column("difference"),
+        Column("tolerance"),
+        Column("unit", align="text"),
+        Column("verdict", align="text"),
+    )
+    rows = tuple(
+        (
+            short_id(case),
+            case.quantity,
+            printed(number(case.published)),
+            printed(number(case.computed)),
+            printed(difference(case)),
+            printed(number(case.tolerance, 2)),
+            pretty_unit(case.unit),
+            Cell(case.verdict, TONES[case.verdict]),
+        )
+        for case in chapter.cases
+    )
+    return Table(columns, rows, "Published, computed, judged.")
+
+
+def _notes(chapter: Chapter) -> Table:
+    columns = (
+        Column("case", align="text"),
+        Column("source", align="text"),
+        Column("why this tolerance, or none", align="text"),
+    )
+    rows = tuple((short_id(case), case.source, case.note) for case in chapter.cases)
+    return Table(columns, rows, "Sources and tolerances.")
+
+
+def _sources() -> Section:
+    rows = tuple((f"[{key}]", text) for key, text in SOURCES.items())
+    table = Table((Column("key", align="text"), Column("publication", align="text")), rows)
+    return Section("Sources", "sources", (table,))
+
+
+def text_lines(found: Reproduction) -> list[tuple[Verdict | None, str]]:
+    """Lines of the terminal table, each with the verdict that it ends on (None: a heading)."""
+    heads = ("case", "published", "computed", "difference", "tolerance", "unit", "verdict")
+    rows = [
+        (
+            case.id,
+            number(case.published),
+            number(case.computed),
+            difference(case),
+            number(case.tolerance, 2),
+            case.unit,
+            case.verdict,
+        )
+        for case in found.cases
+    ]
+    widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
+
+    def line(row: tuple[str, ...]) -> str:
+        cells = [
+            c.rjust(w) if 1 <= k <= 4 else c.ljust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        return "  ".join(cells[:-1])
+
+    lines: list[tuple[Verdict | None, str]] = [(None, f"{line(heads)}  verdict")]
+    for chapter in found.chapters:
+        lines.append((None, ""))
+        lines.append((None, f"{chapter.title}  {chapter.source}"))
+        part = [row for row in rows if row[0].startswith(f"{chapter.id}.")]
+        lines += [(case.verdict, line(row)) for case, row in zip(chapter.cases, part, strict=True)]
+    return lines
+
+
+def summary(found: Reproduction) -> str:
+    """One line: how many agree."""
+    passed = sum(case.verdict == "pass" for case in found.cases)
+    unjudged = sum(case.verdict == "info" for case in found.cases)
+    judged = f"{len(found.cases)} cases: {passed} agree, {len(found.failed)} do not"
+    return f"{judged}, {unjudged} without a comparable published number"

@@ -1,0 +1,1 @@
+"""Years of one instrument: drift, forecast and control chart."""

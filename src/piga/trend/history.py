@@ -1,0 +1,340 @@
+"""How the coefficients of one instrument move over the years: stability, drift, control limits, forecasts.
+
+Each record gives a value with a standard uncertainty. Its part of Type B from sources that act alike in all
+records (the same standard of gravity or angle) is *common*: no number of records averages it away, and it
+cancels in differences between records. The rest is the record's own. Records of one day are merged first:
+what scatters inside a day is turn-on to turn-on, what scatters between days beyond that is day to day, and
+what is left as a line is drift. Own derivation; see docs/trend.md.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.records.calibration import Calibration, CalibrationFigures, Coefficient
+from piga.records.coverage import Coverage, coverage_factor
+from piga.records.run_file import drawn_for
+from piga.trend.control_chart import LIMIT, moving_average
+from piga.trend.trend_line import (
+    LEAST_DAYS,
+    Forecast,
+    Model,
+    day_starts,
+    lines_so_far,
+    merge_by_day,
+)
+
+Array = NDArray[np.float64]
+
+YEAR = 31557600.0
+"""One year [s], as the unit ``year``."""
+HistoryEntry = tuple[str, dt.datetime, Calibration | CalibrationFigures]
+"""Record id, time of the calibration (with time zone), and the calibration or its figures, as a store gives them."""
+Common = float | Mapping[str, float]
+"""Part (0 to 1) of the Type B variance that records share: for all sources, or by source name (others: 1)."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One record in a trend: value, whole standard uncertainty and its own part, in file units.
+
+    ``coverage`` is that of the record's coefficient, ``own_half_width`` the half-width for 95 % of its own part.
+    ``forecast`` is what the records of earlier days let expect of this one, or None while there are too few;
+    ``score`` the deviation from it as a standard normal number, nan without one.
+    """
+
+    record: str
+    time: float
+    day: int
+    value: float
+    std: float
+    own: float
+    coverage: Coverage
+    own_half_width: float
+    score: float
+    forecast: Forecast | None
+
+    @property
+    def outside(self) -> bool:
+        """True when the value lies beyond the control limits."""
+        return abs(self.score) > LIMIT
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Control chart of the days: score of each day mean, its moving average, and the limit of that."""
+
+    time: Array
+    score: Array
+    average: Array
+    limit: Array
+
+    @property
+    def shifted(self) -> NDArray[np.bool_]:
+        """Days at which the moving average is beyond its limit."""
+        return np.abs(self.average) > self.limit
+
+
+@dataclass(frozen=True)
+class CoefficientTrend:
+    """The trend of one coefficient; times in years since ``Trend.start``, values in ``unit``.
+
+    ``last_shared`` (sources,) are the errors that the last record shares with others.
+    """
+
+    key: str
+    unit: str
+    points: tuple[Point, ...]
+    chart: Chart
+    model: Model
+    last_shared: Array
+
+    @property
+    def turn_on(self) -> float:
+        """Standard deviation inside days beyond the stated uncertainty; nan without repeats."""
+        return math.sqrt(float(self.model.within)) if self.model.freedom else math.nan
+
+    @property
+    def day_to_day(self) -> float:
+        """Standard deviation between days beyond stated uncertainty and turn-on; nan with too few days."""
+        return math.sqrt(float(self.model.line.excess)) if self.model.line is not None else math.nan
+
+    @property
+    def drift(self) -> Forecast | None:
+        """Change per year with its uncertainty, None with fewer than three days."""
+        return self.model.drift
+
+    def next_record(self, time: float) -> Forecast:
+        """What a further record, as good as the last one and by the same standards, is expected to show."""
+        return self.model.record_at(time, self.points[-1].own, self.last_shared)
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Trends of all coefficients of one instrument.
+
+    ``start`` is the time from which years are counted; ``alarms`` and ``remarks`` are sentences.
+    """
+
+    serial: str
+    start: dt.datetime
+    records: tuple[str, ...]
+    times: tuple[dt.datetime, ...]
+    coefficients: tuple[CoefficientTrend, ...]
+    alarms: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+    def __getitem__(self, key: str) -> CoefficientTrend:
+        for trend in self.coefficients:
+            if trend.key == key:
+                return trend
+        raise KeyError(f"no trend of '{key}'; there are: {', '.join(t.key for t in self.coefficients)}")
+
+    def years(self, date: dt.datetime) -> float:
+        """Years from ``start`` to a date."""
+        return (date - self.start).total_seconds() / YEAR
+
+
+def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Trend:
+    """Trend of every coefficient that all records hold.
+
+    Parameters
+    ----------
+    history:
+        Records of one instrument, in any order. They are taken one by one: a generator need not hold them all.
+    common:
+        Part of the Type B variance that the records share (default: all of it). What is drawn anew in each test
+        (``..._repeatability``) is shared by none, unless it is named.
+
+    Raises
+    ------
+    ArgumentError
+        For fewer than two records, several instruments, a record named twice, or a part outside 0 to 1.
+    """
+    from piga.trend.trend_words import alarms_in_words, remarks_in_words
+
+    entries = [
+        (name, time, found.figures() if isinstance(found, Calibration) else found)
+        for name, time, found in history
+    ]
+    _check(entries, common)
+    entries.sort(key=lambda entry: (entry[1], entry[0]))
+    times = [time.astimezone(dt.UTC) for _, time, _ in entries]
+    days = np.unique([time.toordinal() for time in times], return_inverse=True)[1].astype(np.int64)
+    years = np.array([(time - times[0]).total_seconds() / YEAR for time in times])
+    records = _Records(
+        tuple(name for name, _, _ in entries), years, days, [figures for _, _, figures in entries], common
+    )
+    trends = tuple(records.trend(key) for key in records.shared_keys())
+    return Trend(
+        records.figures[0].serial,
+        times[0],
+        records.names,
+        tuple(times),
+        trends,
+        alarms_in_words(trends, records.names, times),
+        remarks_in_words(trends, records.figures, days, float(years[-1])),
+    )
+
+
+def _check(entries: Sequence[tuple[str, dt.datetime, CalibrationFigures]], common: Common) -> None:
+    if len(entries) < 2:
+        raise ArgumentError(
+            f"a trend needs at least two records, not {len(entries)}",
+            remedy="add calibrations of the instrument",
+        )
+    serials = sorted({figures.serial for _, _, figures in entries})
+    if len(serials) > 1:
+        raise ArgumentError(
+            f"the records are of different instruments: {', '.join(serials)}", remedy="give those of one"
+        )
+    names: set[str] = set()
+    for name, time, _ in entries:
+        if name in names:
+            raise ArgumentError(f"record '{name}' is given twice", remedy="give each record once")
+        if time.tzinfo is None:
+            raise ArgumentError(f"record '{name}': its time has no time zone", remedy="give it in UTC")
+        names.add(name)
+    for source, part in common.items() if isinstance(common, Mapping) else [("common", common)]:
+        if not 0.0 <= part <= 1.0:
+            raise ArgumentError(f"{source}: a shared part of {part!r} is not between 0 and 1")
+
+
+@dataclass(frozen=True)
+class _Records:
+    """The records in the order of time: names, years since the first (n,), days (n,) numbered from 0, figures."""
+
+    names: tuple[str, ...]
+    years: Array
+    days: NDArray[np.int64]
+    figures: list[CalibrationFigures]
+    common: Common
+
+    def shared_keys(self) -> list[str]:
+        """Coefficients that all records hold, in the order of the last; phases are left out (one per power-up)."""
+        everywhere = set.intersection(*(set(one) for one in self.by_key))
+        return [key for key, c in self.by_key[-1].items() if key in everywhere and c.name != "phi"]
+
+    @cached_property
+    def by_key(self) -> list[dict[str, Coefficient]]:
+        """Coefficients of each record by their key."""
+        return [{c.key: c for c in one.coefficients} for one in self.figures]
+
+    def trend(self, key: str) -> CoefficientTrend:
+        """Trend of one coefficient."""
+        held = [one[key] for one in self.by_key]
+        values, stds = np.array([c.value for c in held]), np.array([c.std for c in held])
+        shared = common_contributions(key, self.figures, self.common)
+        own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
+        last = shared[:, -1].copy()
+        model = self._model(values, own**2, shared)
+        if model.line is None:
+            forecasts: list[Forecast | None] = [None] * values.size
+            day_scores = scores = np.full(values.size, math.nan)
+        else:
+            forecasts, scores, day_scores = self._expected(model, values, own, shared)
+            model = model.take(-1)
+        half = self._own_half_widths(key, held, own)
+        points = tuple(
+            Point(
+                self.names[i],
+                float(self.years[i]),
+                int(self.days[i]),
+                c.value,
+                c.std,
+                float(own[i]),
+                c.coverage,
+                float(half[i]),
+                float(scores[i]),
+                forecasts[i],
+            )
+            for i, c in enumerate(held)
+        )
+        first = day_starts(self.days)
+        times = np.add.reduceat(self.years, first[:-1]) / np.diff(first)
+        chart = Chart(times, day_scores[: times.size], *moving_average(day_scores[: times.size]))
+        return CoefficientTrend(key, held[0].unit, points, chart, model, last)
+
+    def _model(self, values: Array, variances: Array, shared: Array) -> Model:
+        """The lines so far; without a line where there are too few days."""
+        if self.days[-1] + 1 >= LEAST_DAYS:
+            return lines_so_far(self.years, values, variances, self.days, shared)
+        merged = merge_by_day(self.years, values, variances, self.days)
+        return Model(None, merged.within, merged.freedom, float(np.median(merged.variances)))
+
+    def _own_half_widths(self, key: str, held: Sequence[Coefficient], own: Array) -> Array:
+        """Half-width for 95 % of each record's own part: k for its own effective degrees of freedom, times ``own``.
+
+        ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The shared part of each source is taken off.
+        """
+        taken_off = {
+            source: 1.0 - (1.0 - _shared_part(self.common, source)) ** 2
+            for source in {row.source for one in self.figures for row in one.type_b}
+        }
+        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in held]) - [
+            sum(
+                taken_off[row.source] * row.contributions.get(key, 0.0) ** 4 / row.degrees_of_freedom
+                for row in one.type_b
+            )
+            for one in self.figures
+        ]
+        degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
+        return np.asarray(coverage_factor(degrees)) * own
+
+    def _expected(
+        self, model: Model, values: Array, own: Array, shared: Array
+    ) -> tuple[list[Forecast | None], Array, Array]:
+        """What the days before let expect of each record; scores of the records and of the days (nan: too few days)."""
+        late = np.flatnonzero(self.days >= LEAST_DAYS)
+        scores, day_scores = np.full(values.size, math.nan), np.full(int(self.days[-1]) + 1, math.nan)
+        forecasts: list[Forecast | None] = [None] * values.size
+        if not late.size:
+            return forecasts, scores, day_scores
+        before = model.take(self.days[late] - LEAST_DAYS)
+        expected = before.record_at(self.years[late], own[late], shared[:, late].T)
+        scores[late] = expected.score(values[late])
+        forecasts[late[0] :] = expected.rows()
+        first = np.flatnonzero(np.diff(self.days[late], prepend=-1))
+        days = model.take(np.arange(first.size))
+        weights = 1.0 / (own[late] ** 2 + before.within)
+        total = np.add.reduceat(weights, first)
+        count = np.diff(first, append=late.size)
+        mean = days.day_at(
+            np.add.reduceat(self.years[late], first) / count,
+            1.0 / total,
+            (np.add.reduceat(weights * shared[:, late], first, axis=1) / total).T,
+        )
+        day_scores[LEAST_DAYS:] = mean.score(np.add.reduceat(weights * values[late], first) / total)
+        return forecasts, scores, day_scores
+
+
+def _shared_part(common: Common, source: str) -> float:
+    """Part of the variance of a source of Type B that all records share.
+
+    What is drawn anew in each test is never shared, unless it is named.
+    """
+    if isinstance(common, Mapping) and source in common:
+        return float(common[source])
+    if drawn_for(source.split(" ", maxsplit=1)[0]) != "reference":
+        return 0.0
+    return 1.0 if isinstance(common, Mapping) else float(common)
+
+
+def common_contributions(key: str, figures: Sequence[CalibrationFigures], common: Common) -> Array:
+    """What each source of Type B does alike in all records, (sources, records), from their budgets."""
+    sources = sorted({row.source for one in figures for row in one.type_b})
+    places = {source: i for i, source in enumerate(sources)}
+    table = np.zeros((len(sources), len(figures)))
+    for column, one in enumerate(figures):
+        for row in one.type_b:
+            table[places[row.source], column] += row.contributions.get(key, 0.0)
+    parts = np.array([_shared_part(common, source) for source in sources], dtype=float)
+    return table * np.sqrt(parts).reshape(-1, 1)

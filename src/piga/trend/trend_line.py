@@ -1,0 +1,291 @@
+"""A straight line through values whose uncertainties are known, with an excess variance, and its forecasts.
+
+Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i`` with ``var(e_i) = v_i`` stated and ``var(d_i) = tau^2`` found
+from the scatter (Paule and Mandel's condition: the weighted residual sum equals its expectation). Intervals
+use the weighted residual sum and Student's t with ``n - 2`` degrees of freedom (Hartung and Knapp), so that
+with equal ``v_i`` they are those of ordinary least squares, unless the values scatter far less than the stated
+``v_i`` let expect: the sum is not taken below its 20 % quantile.
+
+One object holds one line (floats) or the lines of many days ((k,) arrays): the same formulas serve both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga._kernels.estimation.trend import days_so_far, inner_excess, merge_days
+from piga.errors import ArgumentError
+from piga.records.coverage import coverage_factor, welch_satterthwaite
+
+Array = NDArray[np.float64]
+Values = Any
+"""A float, or an array (k,) for as many lines."""
+
+LEAST = 0.2
+"""Probability of the quantile below which the weighted residual sum is not believed: chance makes few values agree."""
+DOUBT = 0.01
+"""Probability of a scatter so small (or so large) that it contradicts the stated uncertainties."""
+TINY = 1e-12
+"""Least standard uncertainty taken, relative to the largest value: keeps exact values from infinite weight."""
+LEAST_DAYS = 3
+"""Days that a line with uncertainty needs."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line through the day means, about their weighted mean time ``origin``.
+
+    Attributes
+    ----------
+    level, slope:
+        Value at ``origin``, where level and slope are not correlated, and change per unit of time.
+    level_variance, slope_variance:
+        Their variances from the scatter about the line.
+    shared:
+        (2, sources) or (k, 2, sources): what errors that the values share bring into level and slope.
+    excess, stated:
+        Variance ``tau^2`` beyond the stated one, zero if the stated one explains the scatter; mean stated one.
+    scale:
+        Weighted residual sum over ``n - 2`` after the excess: 1, or less when the values scatter less
+        than stated, but not less than its 20 % quantile.
+    chi2:
+        Weighted residual sum with the stated variances alone; has ``n - 2`` degrees of freedom.
+    """
+
+    origin: Values
+    level: Values
+    slope: Values
+    level_variance: Values
+    slope_variance: Values
+    shared: Array
+    excess: Values
+    scale: Values
+    chi2: Values
+    degrees_of_freedom: Values
+    stated: Values
+
+    @property
+    def excess_std(self) -> Values:
+        """Standard uncertainty of the excess, ``sqrt(2/(n - 2)) (tau^2 + v)`` with the mean stated ``v``."""
+        return (2.0 / self.degrees_of_freedom) ** 0.5 * (self.excess + self.stated)
+
+    def at(self, time: Values) -> tuple[Values, Values]:
+        """Value of the line and its variance from the scatter."""
+        since = time - self.origin
+        return self.level + self.slope * since, self.level_variance + self.slope_variance * since**2
+
+    def shared_at(self, time: Values) -> Array:
+        """(..., sources) what errors that the values share bring into the value at ``time``."""
+        since = np.asarray(time - self.origin)[..., None]
+        return self.shared[..., 0, :] + since * self.shared[..., 1, :]
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Values for a time with their standard uncertainty and (effective) degrees of freedom."""
+
+    time: Values
+    value: Values
+    std: Values
+    degrees_of_freedom: Values
+
+    def half_width(self, probability: float = 0.95) -> float:
+        """Half the interval of that probability, by Student's t."""
+        return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * float(self.std)
+
+    def score(self, value: Values) -> Values:
+        """Deviation of a value from this forecast, as the standard normal number of the same probability."""
+        from scipy.special import ndtri_exp, stdtr
+
+        deviation = (value - self.value) / self.std
+        known = np.isinf(self.degrees_of_freedom)
+        tail = stdtr(np.where(known, 1.0, self.degrees_of_freedom), -np.abs(deviation))
+        normal = np.copysign(ndtri_exp(np.log(np.maximum(tail, 1e-300))), deviation)
+        return np.where(known, deviation, normal)[()]
+
+    def rows(self) -> list[Forecast]:
+        """Each of many by itself."""
+        columns = (self.time, self.value, self.std, self.degrees_of_freedom)
+        return [Forecast(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+@dataclass(frozen=True)
+class Model:
+    """Records merged by day, and the line through the days; times in years.
+
+    Attributes
+    ----------
+    line:
+        Line through the day means, None with fewer than three days.
+    within, freedom:
+        Variance inside days beyond the stated one (0 without repeats) and its degrees of freedom.
+    day_variance:
+        Median variance of a day mean.
+    """
+
+    line: Line | None
+    within: Values
+    freedom: Values
+    day_variance: Values
+
+    def take(self, index: int | NDArray[np.int64]) -> Model:
+        """One of many, or several."""
+        line = self.line
+        if line is not None:
+            line = Line(*(getattr(line, field.name)[index] for field in fields(line)))
+        return Model(line, self.within[index], self.freedom[index], self.day_variance[index])
+
+    @property
+    def drift(self) -> Forecast | None:
+        """Change per year, None with fewer than three days."""
+        line = self.line
+        if line is None:
+            return None
+        known = np.sum(line.shared[..., 1, :] ** 2, axis=-1)
+        parts = ((line.slope_variance, line.degrees_of_freedom), (known, math.inf))
+        return _combined(1.0, line.slope, parts)
+
+    def coefficient_at(self, time: Values) -> Forecast:
+        """The coefficient at a turn-on at that time, with the errors that all records share."""
+        return self._forecast(time, 0.0, self.within, None)
+
+    def record_at(self, time: Values, own: Values, shared: Array) -> Forecast:
+        """What a record is expected to show; ``own`` is its own standard uncertainty, ``shared`` the rest."""
+        day = np.where(self.freedom, np.minimum(own**2, self.day_variance), own**2)
+        return self._forecast(time, day, self.within + own**2 - day, shared)
+
+    def day_at(self, time: Values, variance: Values, shared: Array) -> Forecast:
+        """What the mean of a day's records is expected to be; ``variance`` is its own."""
+        return self._forecast(time, variance, 0.0, shared)
+
+    def _forecast(self, time: Values, day: Values, inside: Values, shared: Array | None) -> Forecast:
+        """``day`` and ``inside`` are variances that a value has beside the line's: as a day mean, and more.
+
+        The scatter of the days gives instability and stated variance together. For a value whose own variance
+        is smaller than theirs the two must be told apart, and that is uncertain: up to half the standard
+        uncertainty of the instability's variance is added, which keeps the intervals near 95 % in simulation.
+        """
+        line = self.line
+        if line is None:
+            raise ArgumentError(
+                "a forecast needs records of at least three days", remedy="wait for more records"
+            )
+        value, variance = line.at(time)
+        known = line.shared_at(time)
+        if shared is not None:
+            known = known - shared
+        doubt = 0.5 * line.excess_std * np.maximum(0.0, 1.0 - day / line.stated)
+        parts = (
+            (variance + line.scale * (line.excess + day) + doubt, line.degrees_of_freedom),
+            (inside, np.where(self.freedom, self.freedom, math.inf)),
+            (np.sum(known**2, axis=-1), math.inf),
+        )
+        return _combined(time, value, parts)
+
+
+def _combined(time: Values, value: Values, parts: tuple[tuple[Values, Values], ...]) -> Forecast:
+    """Forecast from independent variances with their degrees of freedom."""
+    shape = np.shape(value)
+    variances = np.stack([np.broadcast_to(variance, shape) for variance, _ in parts], axis=-1)
+    degrees = np.stack([np.broadcast_to(np.asarray(nu, dtype=float), shape) for _, nu in parts], axis=-1)
+    std = np.sqrt(variances.sum(axis=-1))[()]
+    return Forecast(time, value, std, welch_satterthwaite(np.sqrt(variances), degrees))
+
+
+@dataclass(frozen=True)
+class Days:
+    """Values merged by day: mean time, weighted mean and its variance, (days,) each.
+
+    ``within`` is the variance inside days beyond the stated one (0 without repeats), ``spread`` the
+    pooled standard deviation inside days (nan without repeats), ``freedom`` its degrees of freedom.
+    """
+
+    time: Array
+    means: Array
+    variances: Array
+    within: float
+    spread: float
+    freedom: int
+
+
+def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64]) -> Days:
+    """Weighted mean of each day with a common excess variance inside days (Paule and Mandel).
+
+    Parameters
+    ----------
+    time, values, variances:
+        (n,) each, day by day.
+    days:
+        (n,) number of the day, from 0, in rising order.
+    """
+    y, v, first = np.asarray(values, dtype=float), _not_exact(values, variances), day_starts(days)
+    count = first.size - 1
+    freedom = y.size - count
+    within = inner_excess(y, v, first, count, freedom, 0.0) if freedom else 0.0
+    when, means, merged = np.empty(count), np.empty(count), np.empty(count)
+    merge_days(np.asarray(time, dtype=float), y, v, first, count, within, when, means, merged)
+    plain = np.add.reduceat(y, first[:-1]) / np.diff(first)
+    spread = float(np.sqrt(np.sum((y - plain[days]) ** 2) / freedom)) if freedom else math.nan
+    return Days(when, means, merged, within, spread, freedom)
+
+
+def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(days + 1,) index of the first value of each day, and the number of values."""
+    return np.searchsorted(days, np.arange(int(days[-1]) + 2)).astype(np.int64)
+
+
+def lines_so_far(time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array) -> Model:
+    """The lines through the days before each day from the fourth on, and last the one through all days.
+
+    Parameters
+    ----------
+    time, values, variances, days:
+        As for :func:`merge_by_day`; variances are those of errors that the values do not share.
+    shared:
+        (sources, n) errors that the values share.
+
+    Returns
+    -------
+    Model
+        Of (days - 2,) lines: the first through three days, the last through all.
+
+    Raises
+    ------
+    ArgumentError
+        With fewer than three days, or all of them at one time.
+    """
+    first = day_starts(days)
+    count = first.size - 1
+    if count < LEAST_DAYS:
+        raise ArgumentError(f"a line with uncertainty needs {LEAST_DAYS} days, not {count}")
+    t = np.asarray(time, dtype=float)
+    if np.ptp(t) == 0.0:
+        raise ArgumentError("a drift needs values at different times")
+    figures = np.empty((count + 1 - LEAST_DAYS, 11))
+    known = np.empty((figures.shape[0], 2, shared.shape[0]))
+    y, v = np.asarray(values, dtype=float), _not_exact(values, variances)
+    days_so_far(t, y, v, first, np.ascontiguousarray(shared), LEAST_DAYS, figures, known)
+    repeats = (first - np.arange(count + 1))[LEAST_DAYS:]
+    return Model(_line(figures, known), figures[:, 0], repeats, figures[:, 10])
+
+
+def _line(figures: Array, known: Array) -> Line:
+    """The lines from what the kernel gives of each."""
+    from scipy.special import chdtri
+
+    _, origin, level, slope, weight, moment, excess, chi2, residual_sum, stated, _ = figures.T
+    freedom = np.arange(LEAST_DAYS, LEAST_DAYS + figures.shape[0]) - 2.0
+    scale = np.maximum(residual_sum, chdtri(freedom, 1.0 - LEAST)) / freedom
+    return Line(
+        origin, level, slope, scale / weight, scale / moment, known, excess, scale, chi2, freedom, stated
+    )
+
+
+def _not_exact(values: Array, variances: Array) -> Array:
+    """The variances, none so small that its value would have infinite weight."""
+    return np.maximum(variances, (TINY * float(np.abs(values).max() or 1.0)) ** 2)

@@ -1,0 +1,41 @@
+"""Small records for the store's tests: quick to make, each with its own bytes."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from piga.ledger.store import Draft, DraftFile, Store, open_store
+from piga.ledger.store.record import Position
+
+
+def content(key: str, size: int) -> bytes:
+    """Bytes that follow from ``key``: half noise, half text that packs well."""
+    noise = hashlib.shake_256(key.encode()).digest(size // 2)
+    return noise + (f"{key},0.125;" * size).encode()[: size - size // 2]
+
+
+def draft(key: str = "a", *, serial: str = "T-1", size: int = 400, **options: str) -> Draft:
+    files = (
+        DraftFile("run", "run.toml", f"# {key}\n".encode()),
+        DraftFile("data", "data/run.csv", content(key, size)),
+        DraftFile("report", "results/report.html", f"<p>{key}</p>".encode()),
+    )
+    return Draft(
+        serial, "A. Meyer", f"reason {key}", files, {"method": "information"}, {"piga": "0.1.0"}, **options
+    )
+
+
+def add(store: Store, key: str = "a", **options: object) -> str:
+    def make(_place: Position) -> Draft:
+        return draft(key, **options)  # type: ignore[arg-type]
+
+    return store.append(make).id
+
+
+def filled(path: Path, count: int = 3, **options: object) -> Store:
+    """A new store with ``count`` records."""
+    store = open_store(path, create=True)
+    for index in range(count):
+        add(store, f"{path.name}-{index}", **options)
+    return store

@@ -1,0 +1,181 @@
+"""Runs under the fault shim: each operation with its first, second, third ... call failing, until none fails.
+
+Started by ``test_faults.py`` as ``python -m tests.ledger.store.fault_worker FOLDER STEP``; prints one JSON document.
+Step 1 tries every kind of failure, a larger step one kind for each operation.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from piga.errors import StoreError
+from piga.ledger.store import open_store
+from piga.ledger.store.software import source_digest
+from piga.ledger.store.transfer import backup, export_records, import_records, restore
+from piga.ledger.store.verify import verify
+from tests.ledger.store.drafts import add, filled
+from tests.ledger.store.newer import become_newer
+
+SHIM = ctypes.CDLL(None)
+KINDS = {
+    "EIO once": (errno.EIO, 0, 0),
+    "ENOSPC from then on": (errno.ENOSPC, 1, 0),
+    "EROFS from then on": (errno.EROFS, 1, 0),
+    "EINTR once": (errno.EINTR, 0, 0),
+    "short write": (0, 0, 1),
+}
+ALLOWED = {"a.sqlite", "o.sqlite", "old.sqlite", "all.zip", "new.sqlite", "new.zip"}
+
+
+def prepare(folder: Path) -> None:
+    with filled(folder / "a.sqlite", 2) as store:
+        add(store, "large", size=300_000)
+    with filled(folder / "o.sqlite", 2) as other:
+        export_records(other, folder / "all.zip")
+
+
+def append(folder: Path) -> None:
+    with open_store(folder / "a.sqlite") as store:
+        add(store, "more", size=20_000)
+
+
+def take_over(folder: Path) -> None:
+    with open_store(folder / "a.sqlite") as store:
+        import_records(store, folder / "all.zip", "A", "merge")
+
+
+def make_new(folder: Path) -> None:
+    open_store(folder / "new.sqlite", create=True).close()
+
+
+def export(folder: Path) -> None:
+    with open_store(folder / "a.sqlite") as store:
+        export_records(store, folder / "new.zip")
+
+
+def copy(folder: Path) -> None:
+    with open_store(folder / "a.sqlite") as store:
+        backup(store, folder / "new.sqlite")
+
+
+def make_again(folder: Path) -> None:
+    restore(folder / "all.zip", folder / "new.sqlite")
+
+
+def open_it(folder: Path) -> None:
+    open_store(folder / "a.sqlite").close()
+
+
+OPERATIONS: dict[str, Callable[[Path], None]] = {
+    "append": append,
+    "import": take_over,
+    "create": make_new,
+    "export": export,
+    "backup": copy,
+    "restore": make_again,
+    "migrate": open_it,
+}
+
+
+def loop(source: Path, work: Path, name: str, kind: str, step: int) -> dict[str, int]:
+    """Fail call 1, 1 + step, ... of one operation; check after each that the old or the new state is there."""
+    error, stays, short = KINDS[kind]
+    old = verify(source / "a.sqlite").head
+    points = refused = 0
+    for n in range(1, 100_000, step):
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(source, work)
+        done = False
+        SHIM.fault_arm(ctypes.c_long(n), error, stays, short)
+        try:
+            OPERATIONS[name](work)
+            done = True
+        except StoreError:
+            refused += 1
+        finally:
+            counted = SHIM.fault_disarm()
+        points += counted >= n
+        check(work, name, done, old)
+        if counted < n:
+            return {"points": points, "refused": refused}
+    raise AssertionError("the operation never ends")
+
+
+def check(work: Path, name: str, done: bool, old: str) -> None:
+    found = verify(work / "a.sqlite")
+    assert found.sound, found.problems
+    if name in ("append", "import"):
+        assert found.records in ((5,) if done and name == "import" else (4,) if done else (3, 4, 5)), found
+        assert done or found.records == 3 or verify(work / "a.sqlite", [old]).sound
+    else:
+        assert found.head == old
+    made = work / ("new.zip" if name == "export" else "new.sqlite")
+    if name in ("create", "export", "backup", "restore"):
+        assert made.exists() or not done
+        assert not made.exists() or verify(made).sound
+        if not made.exists():
+            OPERATIONS[name](work)
+        elif made.suffix == ".sqlite":
+            open_store(made).close()
+    orphans = {path.name for path in work.iterdir()} - ALLOWED
+    assert not orphans or name == "export", orphans
+    if orphans:
+        made.unlink(missing_ok=True)
+        export(work)
+        assert {path.name for path in work.iterdir()} <= ALLOWED
+
+
+def main() -> None:
+    folder, step = Path(sys.argv[1]), int(sys.argv[2])
+    source, work = folder / "source", folder / "work"
+    source.mkdir()
+    prepare(source)
+    source_digest()
+    OPERATIONS["append"](shutil.copytree(source, folder / "warm"))
+    found = {}
+    for number, name in enumerate(OPERATIONS):
+        kinds = list(KINDS) if step == 1 else [list(KINDS)[number % len(KINDS)]]
+        if name == "migrate":
+            become_newer(folder / "versions")
+            open_it(shutil.copytree(source, folder / "warm2"))
+        for kind in kinds:
+            if name == "migrate":
+                found[f"{name}, {kind}"] = loop_migrate(source, work, kind, step)
+            else:
+                found[f"{name}, {kind}"] = loop(source, work, name, kind, step)
+    json.dump(found, sys.stdout)
+
+
+def loop_migrate(source: Path, work: Path, kind: str, step: int) -> dict[str, int]:
+    """As :func:`loop`, for a store of the older schema: afterwards opening it once more ends the migration."""
+    error, stays, short = KINDS[kind]
+    points = refused = 0
+    for n in range(1, 100_000, step):
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(source, work)
+        SHIM.fault_arm(ctypes.c_long(n), error, stays, short)
+        try:
+            open_it(work)
+        except StoreError:
+            refused += 1
+        finally:
+            counted = SHIM.fault_disarm()
+        points += counted >= n
+        open_it(work)
+        found = verify(work / "a.sqlite")
+        assert found.sound, found.problems
+        assert found.records == 3
+        assert {path.name for path in work.iterdir()} <= ALLOWED
+        if counted < n:
+            return {"points": points, "refused": refused}
+    raise AssertionError("the operation never ends")
+
+
+if __name__ == "__main__":
+    main()

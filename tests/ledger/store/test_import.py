@@ -1,0 +1,196 @@
+"""Import takes no record that ``add`` would refuse: what enters an append-only store stays for ever."""
+
+from __future__ import annotations
+
+import dataclasses
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from piga.errors import PigaError, StoreError
+from piga.ledger.store import Draft, DraftFile, Store, open_store
+from piga.ledger.store import documents as documents_module
+from piga.ledger.store.export import Export
+from piga.ledger.store.transfer import export_records, import_records
+from piga.ledger.store.verify import verify
+from piga.records.calibration_json import calibration_to_bytes
+from tests.calibration.history import record
+from tests.ledger.store.drafts import draft, filled
+
+
+def calibrated(serial: str = "T-1", data: bytes | None = None) -> Draft:
+    """A draft with a calibration of instrument ``T-1``."""
+    found = dataclasses.replace(record({"k0": 1e-3}, {"k0": 1e-6}), serial="T-1")
+    file = DraftFile(
+        "calibration", "results/calibration.json", calibration_to_bytes(found) if data is None else data
+    )
+    return Draft(serial, "A", "test", (file,), {}, {})
+
+
+def twice(made: Draft) -> Draft:
+    return dataclasses.replace(made, files=(made.files[0], made.files[0]))
+
+
+CASES: dict[str, tuple[Callable[[], Draft], str]] = {
+    "no date": (lambda: draft(measured="yesterday"), "measured: 'yesterday' is not a date"),
+    "a date beyond the calendar": (lambda: draft(measured="0001-01-01T00:00:00+23:59"), "is not a date"),
+    "a year nobody measured in": (lambda: draft(measured="0207-01-01"), "years 1900 to 2199"),
+    "a line break in the serial": (lambda: draft(serial="T-1\n    2  AAAAA-AAAAA"), "control character"),
+    "no serial": (lambda: draft(serial=" "), "the serial is empty"),
+    "a serial of 3000 letters": (lambda: draft(serial="x" * 3000), "the serial has 3000 characters"),
+    "a reason of a megabyte": (lambda: dataclasses.replace(draft(), reason="x" * 1_000_000), "reason: must be"),
+    "an operator with a control character": (
+        lambda: dataclasses.replace(draft(), operator="A\x1b[2J"), "operator: must be",
+    ),
+    "a control character in the software": (
+        lambda: dataclasses.replace(draft(), software={"piga": "1\n2"}), "software: a text",
+    ),
+    "two files of one name": (lambda: twice(draft()), "two have the same name"),
+    "no calibration": (lambda: calibrated(data=b"{}"), "no calibration record"),
+    "a calibration of another instrument": (lambda: calibrated("T-2"), "is of instrument 'T-1'"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def local(tmp_path: Path) -> Store:
+    return filled(tmp_path / "local.sqlite", 2)
+
+
+def forged(folder: Path, make: Callable[[], Draft], monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A sound export with one record that no piga would write."""
+    with open_store(folder / "forged.sqlite", create=True) as store, monkeypatch.context() as patch:
+        patch.setattr(Store, "check", lambda *_: None)
+        store.append(lambda _place: make())
+        export_records(store, folder / "forged.zip")
+    assert verify(folder / "forged.zip").sound
+    return folder / "forged.zip"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_add_refuses_import_refuses(
+    tmp_path: Path, local: Store, case: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make, message = CASES[case]
+    with pytest.raises(PigaError, match=message):
+        local.append(lambda _place: make())
+    path = forged(tmp_path, make, monkeypatch)
+    with pytest.raises(StoreError, match=f"cannot be taken over: .*{message}"):
+        import_records(local, path, "A", "merge")
+    assert local.head().number == 2
+    assert verify(tmp_path / "local.sqlite").sound
+
+
+def test_names_that_are_none(tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("piga.ledger.store.store.new_id", lambda: "nobody")
+        path = forged(tmp_path, draft, monkeypatch)
+    with pytest.raises(StoreError, match="'nobody' is not the name of a record"):
+        import_records(local, path, "A", "merge")
+
+
+def test_a_record_that_no_piga_wrote(tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    original = documents_module.encode
+
+    def spaced(document):  # type: ignore[no-untyped-def]
+        raw = original(document)
+        return raw.replace(b'{"after"', b'{ "after"') if b'"after"' in raw else raw
+
+    with monkeypatch.context() as patch:
+        patch.setattr("piga.ledger.store.store.encode", spaced)
+        path = forged(tmp_path, draft, monkeypatch)
+    with pytest.raises(StoreError, match="not written as piga writes records"):
+        import_records(local, path, "A", "merge")
+
+
+def test_a_foreign_record_cannot_supersede_a_local_one(
+    tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = local.record(1)
+    mine = own.id
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "_find", lambda *_: own)
+        path = forged(tmp_path, lambda: draft("forged", supersedes=mine), monkeypatch)
+    with pytest.raises(StoreError, match="is not of the store that the record comes from"):
+        import_records(local, path, "A", "merge")
+    assert not local.superseded()
+
+
+def test_amended_records_come_over_and_are_amended_here(tmp_path: Path, local: Store) -> None:
+    """A foreign record and its successor; then this laboratory amends what it took over."""
+    with filled(tmp_path / "other.sqlite", 1) as other:
+        first = other.record(1).id
+        second = other.append(lambda _place: draft("better", supersedes=first)).id
+        export_records(other, tmp_path / "other.zip")
+        export_records(other, tmp_path / "second.zip", [second])
+    with open_store(tmp_path / "third.sqlite", create=True) as third:
+        assert import_records(third, tmp_path / "second.zip", "A", "part") == [second]
+        assert import_records(third, tmp_path / "other.zip", "A", "rest") == [first]
+    assert import_records(local, tmp_path / "other.zip", "A", "merge") == [first, second]
+    own = local.append(lambda _place: draft("mine", supersedes=second)).id
+    assert local.superseded() == {first, second}
+    assert local.record(own).document.supersedes == second
+
+
+def test_a_store_that_holds_such_a_record_can_still_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Piga 0.1 let them in: the list shows them, a history leaves out what cannot be read and says so."""
+    with open_store(tmp_path / "old.sqlite", create=True) as store:
+        with monkeypatch.context() as patch:
+            patch.setattr(Store, "check", lambda *_: None)
+            for made in (draft(measured="yesterday"), calibrated(data=b"{}"), calibrated()):
+                store.append(lambda _place, made=made: made)
+        assert len([record.measured for record in store.each()]) == 3
+        with pytest.warns(match="left out: record .*: no calibration record"):
+            assert len(list(store.figures("T-1"))) == 1
+
+
+@pytest.mark.parametrize("which", ["link", "record"])
+def test_a_document_that_names_a_key_twice_is_not_sound(
+    tmp_path: Path, which: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Programs differ in which of the two they take; the chain over the bytes holds all the same."""
+    number = {"link": 2, "record": 1}[which]
+    written = 0
+
+    def doubled(document: object) -> bytes:
+        nonlocal written
+        written += 1
+        raw = documents_module.encode(document)  # type: ignore[arg-type]
+        return b'{"schema":"another",' + raw[1:] if written == number else raw
+
+    monkeypatch.setattr("piga.ledger.store.store.encode", doubled)
+    with open_store(tmp_path / "forged.sqlite", create=True) as store:
+        store.append(lambda _place: draft())
+        assert written >= number
+    found = verify(tmp_path / "forged.sqlite")
+    assert not found.sound
+    assert any("the key 'schema' is there twice" in problem for problem in found.problems), found.problems
+
+
+def test_what_is_read_of_an_export_is_what_was_sealed(tmp_path: Path, local: Store) -> None:
+    """An export that is put in place of another after its seal was checked is not read."""
+    first, second = tmp_path / "first.zip", tmp_path / "second.zip"
+    export_records(local, first)
+    with filled(tmp_path / "other.sqlite", 1) as other:
+        export_records(other, second)
+    with Export(first) as export:
+        identity = export.identity()
+        second.replace(first)
+        assert export.identity() == identity
+        assert len(list(export.entries())) == 2
+        for name in export.file_names():
+            assert b"".join(export.file(name))
+
+
+def test_a_database_put_in_place_of_a_store_is_refused(tmp_path: Path, local: Store) -> None:
+    path = local.database.path
+    assert path is not None
+    with closing(sqlite3.connect(tmp_path / "foreign.sqlite")) as foreign:
+        foreign.execute("CREATE TABLE piga_head (a)")
+    (tmp_path / "foreign.sqlite").replace(path)
+    with pytest.raises(StoreError, match="a SQLite database of another program"):
+        list(local.records())

@@ -1,0 +1,132 @@
+"""``kill -9`` at random moments: nothing that was acknowledged is lost, nothing is damaged, nothing is left over."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import time
+from collections import Counter
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from piga.ledger.store import open_store
+from piga.ledger.store.transfer import backup, export_records
+from piga.ledger.store.verify import verify
+from tests.ledger.store import kill_worker
+from tests.ledger.store.drafts import filled
+from tests.ledger.store.newer import become_newer
+
+OPERATIONS = ("add", "import", "migrate", "export", "create")
+EXPECTED = {"a.sqlite", "all.zip", "copy.sqlite", "m.sqlite", *(f"new-{k}.sqlite" for k in range(5))}
+AFRESH = 20
+"""Rounds after which a new store is begun: a small one is quickly verified."""
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="kill -9 is POSIX")
+
+
+def campaign(folder: Path, kills: int, seed: int) -> Counter[str]:
+    """Kill ``kills`` workers; returns what happened. Any loss, damage or orphan fails at once."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([kill_worker.__name__])
+    chance, found = random.Random(seed), Counter[str]()
+    _prepare(folder, exports=min(40, 3 + kills // 20))
+    acknowledged: set[str] = set()
+    for number in range(kills):
+        place = folder / f"place-{number // AFRESH}"
+        if number % AFRESH == 0:
+            place.mkdir()
+            filled(place / "a.sqlite", 2).close()
+            with open_store(place / "a.sqlite") as store:
+                acknowledged = {record.id for record in store.records()}
+        operation = OPERATIONS[number % len(OPERATIONS)]
+        mine, other = context.Pipe(duplex=False)
+        process = context.Process(target=kill_worker.work, args=(operation, place, other, number))
+        process.start()
+        other.close()
+        acknowledged |= _killed(process, mine, chance, found)
+        found["journals or parts left by the kill"] += any(_left(place))
+        _check(folder, place, operation, acknowledged)
+        found[operation] += 1
+    return found
+
+
+def _prepare(folder: Path, exports: int) -> None:
+    (folder / "exports").mkdir()
+    with filled(folder / "other.sqlite", 3 * exports, size=2000) as other:
+        records = [record.id for record in other.records()]
+        for index in range(exports):
+            export_records(other, folder / "exports" / f"{index}.zip", records[3 * index : 3 * index + 3])
+    filled(folder / "old.sqlite", 6, size=20_000).close()
+
+
+def _killed(
+    process: multiprocessing.Process, pipe: Connection, chance: random.Random, found: Counter[str]
+) -> set[str]:
+    """Let the worker start, kill it after a random time, and collect what it acknowledged."""
+    assert pipe.poll(60), "the worker did not start"
+    assert pipe.recv() == "ready"
+    time.sleep(chance.uniform(0.0, 0.2))
+    process.kill()
+    process.join()
+    names: set[str] = set()
+    try:
+        while pipe.poll():
+            names |= set(pipe.recv())
+            found["acknowledgements"] += 1
+    except (EOFError, OSError):
+        pass
+    pipe.close()
+    return names
+
+
+def _left(place: Path) -> list[str]:
+    return [path.name for path in place.iterdir() if path.name not in EXPECTED]
+
+
+def _check(folder: Path, place: Path, operation: str, acknowledged: set[str]) -> None:
+    """Recover as the next user would, then look."""
+    with open_store(place / "a.sqlite") as store:
+        there = {record.id for record in store.records()}
+        if operation == "export":
+            export_records(store, place / "all.zip", replace=True)
+            backup(store, place / "copy.sqlite", replace=True)
+    assert acknowledged <= there, f"lost: {acknowledged - there}"
+    for name in ("a.sqlite", "all.zip", "copy.sqlite"):
+        found = verify(place / name)
+        assert found.sound or not (place / name).exists(), found.problems
+    if operation == "create":
+        for index in range(5):
+            open_store(place / f"new-{index}.sqlite", create=True).close()
+            assert verify(place / f"new-{index}.sqlite").sound
+    if operation == "migrate" and (place / "m.sqlite").exists():
+        _check_migrated(folder, place / "m.sqlite")
+    assert not _left(place), _left(place)
+
+
+def _check_migrated(folder: Path, path: Path) -> None:
+    head = verify(folder / "old.sqlite").head
+    with pytest.MonkeyPatch.context() as patch:
+        become_newer(folder / "versions", patch)
+        open_store(path).close()
+        found = verify(path, [head])
+        assert found.sound, found.problems
+        assert found.records == 6
+    from piga.ledger.store import verify as module
+
+    module._sqlite_schema.cache_clear()
+    path.unlink()
+
+
+def test_some_kills(memory_path: Path) -> None:
+    found = campaign(memory_path, 15, seed=5)
+    assert found["add"] == 3
+
+
+@pytest.mark.slow
+def test_thousand_kills(tmp_path: Path) -> None:
+    found = campaign(tmp_path, 1000, seed=int(time.time()))
+    print(dict(found))
+    assert sum(found[operation] for operation in OPERATIONS) == 1000

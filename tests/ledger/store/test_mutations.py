@@ -1,0 +1,230 @@
+"""Every change is found: random bytes, lengths, rows and members, in stores and exports.
+
+A flipped byte that ``verify`` does not report must lie where SQLite keeps no content (unused space of a page,
+counters of the file header): then everything that can be read from the file is compared, and must be the same.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+import sqlite3
+import zipfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from piga.ledger.store.export import SEAL, _seal
+from piga.ledger.store.transfer import export_records
+from piga.ledger.store.verify import verify
+from tests.ledger.store.drafts import filled
+
+TABLES = ("piga_store", "piga_entry", "piga_blob", "piga_chunk", "piga_head", "piga_schema_version")
+
+
+def everything(path: Path) -> object:
+    """All rows of all tables, the schema, and the marks in the header."""
+    connection = sqlite3.connect(path)
+    try:
+        marks = [
+            connection.execute(f"PRAGMA {name}").fetchall()
+            for name in ("application_id", "user_version", "encoding")
+        ]
+        schema = connection.execute(
+            "SELECT type, name, tbl_name, sql FROM sqlite_master ORDER BY 1, 2"
+        ).fetchall()
+        rows = [
+            connection.execute(
+                f"SELECT * FROM {table} ORDER BY 1, 2" if table not in ONE_COLUMN else f"SELECT * FROM {table}"
+            ).fetchall()
+            for table in TABLES
+        ]
+        return marks, schema, rows
+    finally:
+        connection.close()
+
+
+ONE_COLUMN = ("piga_store", "piga_schema_version")
+
+
+def flip(raw: bytes, chance: random.Random) -> bytes:
+    at = chance.randrange(len(raw))
+    return raw[:at] + bytes([raw[at] ^ chance.randrange(1, 256)]) + raw[at + 1 :]
+
+
+def cut(raw: bytes, chance: random.Random) -> bytes:
+    return raw[: chance.randrange(len(raw))]
+
+
+def tamper(path: Path, change: Callable[[sqlite3.Connection], None]) -> None:
+    """Change rows as someone would who has the file: triggers off, change, the same triggers on again."""
+    connection = sqlite3.connect(path)
+    connection.execute("PRAGMA synchronous=OFF")
+    connection.execute("PRAGMA journal_mode=MEMORY")
+    triggers = connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'trigger'").fetchall()
+    for name, _ in triggers:
+        connection.execute(f"DROP TRIGGER {name}")
+    try:
+        change(connection)
+    finally:
+        for _, sql in triggers:
+            connection.execute(sql)
+        connection.commit()
+        connection.close()
+
+
+def _changed(value: object, chance: random.Random) -> object:
+    if isinstance(value, int):
+        return value + chance.choice((-1, 1, 1000))
+    if isinstance(value, bytes):
+        return flip(value, chance) if value else b"x"
+    assert isinstance(value, str)
+    at = chance.randrange(len(value))
+    return value[:at] + chance.choice("0123456789abcdefXYZ") + value[at + 1 :]
+
+
+def row_change(chance: random.Random) -> tuple[str, Callable[[sqlite3.Connection], None]]:
+    """A random edit, swap, deletion or addition of rows."""
+    kind = chance.choice(("edit", "swap", "swap rows", "delete", "copy"))
+    table = chance.choice(TABLES)
+
+    def change(connection: sqlite3.Connection) -> None:
+        columns = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
+        rows = connection.execute(f"SELECT rowid, * FROM {table}").fetchall()
+        first, second = chance.choice(rows), chance.choice(rows)
+        column = chance.randrange(len(columns))
+        name = columns[column]
+        if kind == "edit":
+            value = _changed(first[column + 1], chance)
+            connection.execute(f"UPDATE {table} SET {name} = ? WHERE rowid = ?", (value, first[0]))
+        elif kind == "swap":
+            for one, other in ((first, second), (second, first)):
+                connection.execute(
+                    f"UPDATE {table} SET {name} = ? WHERE rowid = ?", (other[column + 1], one[0])
+                )
+        elif kind == "swap rows":
+            rest = columns[1:] or columns
+            sets = ", ".join(f"{column} = ?" for column in rest)
+            values = {row[0]: row[1 + len(columns) - len(rest) :] for row in (first, second)}
+            if first[0] != second[0]:
+                connection.execute(f"DELETE FROM {table} WHERE rowid = ?", (second[0],))
+            connection.execute(f"UPDATE {table} SET {sets} WHERE rowid = ?", (*values[second[0]], first[0]))
+            if first[0] != second[0]:
+                marks = ", ".join("?" * len(columns))
+                own = second[1 : 1 + len(columns) - len(rest)]
+                connection.execute(f"INSERT INTO {table} VALUES ({marks})", (*own, *values[first[0]]))
+        elif kind == "delete":
+            connection.execute(f"DELETE FROM {table} WHERE rowid = ?", (first[0],))
+        else:
+            marks = ", ".join("?" * len(columns))
+            copied = [_changed(value, chance) for value in first[1:]]
+            connection.execute(f"INSERT INTO {table} VALUES ({marks})", copied)
+
+    return kind, change
+
+
+def test_store_bytes(memory_path: Path) -> None:
+    found = mutate_store_bytes(memory_path, 80, 1)
+    assert found["missed"] == 0, found
+
+
+def mutate_store_bytes(folder: Path, count: int, seed: int) -> Counter[str]:
+    """Change bytes until ``count`` changes were found; those that change nothing that can be read are counted too."""
+    filled(folder / "a.sqlite", 3, size=20_000).close()
+    raw, whole = (folder / "a.sqlite").read_bytes(), everything(folder / "a.sqlite")
+    chance, found, work = random.Random(seed), Counter[str](), folder / "work"
+    while found["found"] < count:
+        work.mkdir()
+        path = work / "m.sqlite"
+        path.write_bytes(cut(raw, chance) if chance.random() < 0.1 else flip(raw, chance))
+        sound = verify(path).sound
+        found["no content" if sound and everything(path) == whole else "missed" if sound else "found"] += 1
+        shutil.rmtree(work)
+    return found
+
+
+def test_store_rows(memory_path: Path) -> None:
+    found = mutate_store_rows(memory_path, 60, 2)
+    assert sum(found.values()) == 60
+    assert found["missed"] == 0, found
+
+
+def mutate_store_rows(folder: Path, count: int, seed: int) -> Counter[str]:
+    filled(folder / "a.sqlite", 4).close()
+    whole, chance, found = everything(folder / "a.sqlite"), random.Random(seed), Counter[str]()
+    path = folder / "m.sqlite"
+    while sum(found.values()) < count:
+        shutil.copy(folder / "a.sqlite", path)
+        kind, change = row_change(chance)
+        try:
+            tamper(path, change)
+        except sqlite3.IntegrityError:
+            continue
+        if everything(path) == whole:
+            continue
+        found["missed" if verify(path).sound else kind] += 1
+    return found
+
+
+def test_export_bytes_and_members(memory_path: Path) -> None:
+    found = mutate_export(memory_path, 250, 3)
+    assert found["missed"] == 0, found
+
+
+def mutate_export(folder: Path, count: int, seed: int) -> Counter[str]:
+    with filled(folder / "a.sqlite", 3) as store:
+        export_records(store, folder / "a.zip")
+    raw, chance, found = (folder / "a.zip").read_bytes(), random.Random(seed), Counter[str]()
+    path = folder / "m.zip"
+    for index in range(count):
+        if index % 5 == 0:
+            path.write_bytes(cut(raw, chance))
+        elif index % 5 == 1:
+            kept = _member_changed(folder / "a.zip", path, chance)
+            if not kept:
+                continue
+        else:
+            path.write_bytes(flip(raw, chance))
+        found["missed" if verify(path).sound else "found"] += 1
+    return found
+
+
+def _member_changed(source: Path, target: Path, chance: random.Random) -> bool:
+    """An export made anew with a member edited, dropped, or two swapped: sealed again, sums as they were."""
+    with zipfile.ZipFile(source) as export:
+        members = {name: export.read(name) for name in export.namelist()}
+    name, other = chance.choice(list(members)), chance.choice(list(members))
+    kind = chance.choice(("edit", "drop", "swap"))
+    if kind == "edit":
+        members[name] = flip(members[name], chance)
+    elif kind == "drop":
+        del members[name]
+    elif members[name] == members[other]:
+        return False
+    else:
+        members[name], members[other] = members[other], members[name]
+    with zipfile.ZipFile(target, "w") as export:
+        for key, value in members.items():
+            export.writestr(key, value)
+        export.comment = SEAL + b"0" * 64
+    _seal(target)
+    return True
+
+
+@pytest.mark.slow
+def test_ten_thousand_mutations(memory_path: Path) -> None:
+    """The full campaign: 10 000 changes, none missed."""
+    totals = Counter[str]()
+    for name, mutate, count in (
+        ("bytes", mutate_store_bytes, 2000),
+        ("rows", mutate_store_rows, 2000),
+        ("export", mutate_export, 6500),
+    ):
+        (memory_path / name).mkdir()
+        found = mutate(memory_path / name, count, 11)
+        print(name, dict(found))
+        totals.update(found)
+    assert totals["missed"] == 0
+    assert sum(totals.values()) - totals["no content"] >= 10_000

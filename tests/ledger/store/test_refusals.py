@@ -1,0 +1,388 @@
+"""What a store cannot do is refused in words: missing extras, places that cannot be written, rows and exports made by hand."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import os
+import re
+import sqlite3
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from piga.errors import StoreError
+from piga.ledger.store import Draft, DraftFile, open_store
+from piga.ledger.store.difference import difference
+from piga.ledger.store.export import SEAL
+from piga.ledger.store.transfer import backup, export_records, import_records
+from piga.ledger.store.verify import verify
+from piga.output import write_whole
+from tests.ledger.store.drafts import add, content, filled
+from tests.ledger.store.test_mutations import tamper
+
+LARGE = 200_000
+"""Bytes of a file that is stored compressed."""
+
+
+def test_without_the_extra_for_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "alembic" else there(name, *rest)
+    )
+    with pytest.raises(StoreError, match="needs the extra 'records'") as caught:
+        open_store(tmp_path / "a.sqlite", create=True)
+    assert "pip install 'piga[records]'" in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_the_extra_for_postgresql(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "psycopg", None)
+    with pytest.raises(StoreError, match="needs the extra 'postgres'"):
+        open_store("postgresql://piga@server/lab")
+
+
+def test_a_name_that_no_file_can_have(tmp_path: Path) -> None:
+    path = tmp_path / ("a" * 300)
+    for create in (False, True):
+        with pytest.raises(StoreError, match=r"cannot be (read|written) \(File name too long\)"):
+            open_store(path, create=create)
+    assert "File name too long" in verify(path).problems[0]
+
+
+def test_identity_and_order_by_the_time_of_the_test(tmp_path: Path) -> None:
+    from tests.reports.example import calibration
+
+    first = calibration(with_residuals=False)
+    first.to_json(tmp_path / "c.json")
+    file = DraftFile("calibration", "c.json", (tmp_path / "c.json").read_bytes())
+    with open_store(tmp_path / "a.sqlite", create=True) as store:
+        for when in ("2026-11-20T09:30:00+01:00", "2025-03-01"):
+            store.append(lambda _place, when=when: Draft(first.serial, "A", "r", (file,), measured=when))  # type: ignore[misc]
+        assert [record.document.store for record in store.records()] == [store.identity().store] * 2
+        names = [record.id for record in store.records()]
+        assert [name for name, _, _ in store.history(first.serial)] == names[::-1]
+        found = difference(store, 1, 2)
+        assert {change.ratio for change in found.coefficients} <= {0.0, None}
+        assert any(change.ratio == 0.0 for change in found.coefficients)
+
+
+class Changing(type(Path())):  # type: ignore[misc]
+    """A file that another program writes to whenever it is opened."""
+
+    def __fspath__(self) -> str:
+        with open(str(self), "ab") as stream:  # noqa: PTH123 - Path.open would ask for the name again
+            stream.write(b"x")
+        return str(self)
+
+
+def test_a_file_that_changes_while_it_is_stored(tmp_path: Path) -> None:
+    log = tmp_path / "run.csv"
+    log.write_bytes(b"t,n\n")
+    with filled(tmp_path / "a.sqlite", 1) as store:
+        growing = DraftFile("data", "run.csv", Changing(log))
+        with pytest.raises(StoreError, match="changed while it was stored"):
+            store.append(lambda _place: Draft("T-1", "A", "B", (growing,)))
+        assert store.head().number == 1
+    assert verify(tmp_path / "a.sqlite").sound
+
+
+def test_extracting_where_nothing_can_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("here already")
+    with (
+        filled(tmp_path / "a.sqlite", 1) as store,
+        pytest.raises(StoreError, match=r"cannot be written \(Not a directory\)"),
+    ):
+        store.extract(1, tmp_path / "file" / "x")
+
+
+def large_part(connection: sqlite3.Connection) -> tuple[str, bytes]:
+    """Name and packed bytes of the file that is stored compressed."""
+    return connection.execute("SELECT sha256, data FROM piga_chunk WHERE codec = 'zlib'").fetchone()
+
+
+def repack(change: Callable[[bytes], bytes]) -> Callable[[sqlite3.Connection], None]:
+    """Put other packed bytes in, with the digest that fits them."""
+
+    def apply(connection: sqlite3.Connection) -> None:
+        name, data = large_part(connection)
+        forged = change(data)
+        connection.execute(
+            "UPDATE piga_chunk SET data = ?, digest = ? WHERE sha256 = ?",
+            (forged, hashlib.sha256(forged).hexdigest(), name),
+        )
+
+    return apply
+
+
+def statement(text: str) -> Callable[[sqlite3.Connection], None]:
+    def apply(connection: sqlite3.Connection) -> None:
+        connection.execute(text.format(large=large_part(connection)[0]))
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (repack(lambda _: b"no zlib at all"), "is damaged in the store"),
+        (repack(lambda data: data[:-5]), "is damaged in the store"),
+        (repack(lambda data: data + b"more"), "is damaged in the store"),
+        (repack(lambda data: zlib.compress(zlib.decompress(data)[:-1])), "is damaged in the store"),
+        (statement("UPDATE piga_chunk SET data = 'text' WHERE sha256 = '{large}'"), "is damaged in the store"),
+        (statement("UPDATE piga_chunk SET codec = 'lzma' WHERE sha256 = '{large}'"), "is damaged in the store"),
+        (statement("DELETE FROM piga_chunk WHERE sha256 = '{large}'"), "is damaged in the store"),
+        (statement("DELETE FROM piga_blob WHERE sha256 = '{large}'"), "is not in the store"),
+    ],
+)
+def test_a_stored_file_made_by_hand_is_not_given_out(
+    tmp_path: Path, change: Callable[[sqlite3.Connection], None], message: str
+) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1, size=LARGE).close()
+    with open_store(path) as store:
+        assert store.read(1, "data") == content("a.sqlite-0", LARGE)
+    tamper(path, change)
+    with open_store(path) as store:
+        with pytest.raises(StoreError, match=message):
+            store.read(1, "data")
+        assert store.read(1, "report") == b"<p>a.sqlite-0</p>"
+        with pytest.raises(StoreError, match=r"is damaged|belongs to no file"):
+            backup(store, tmp_path / "copy.sqlite")
+    assert not verify(path).sound
+
+
+def test_a_damaged_head(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    tamper(path, statement_without_files("UPDATE piga_head SET number = 'one'"))
+    with open_store(path) as store:
+        with pytest.raises(StoreError, match="the head is damaged in the store"):
+            store.head()
+        with pytest.raises(StoreError, match="the head is damaged"):
+            add(store, "next")
+    assert any("the head is damaged" in problem for problem in verify(path).problems)
+
+
+def statement_without_files(text: str) -> Callable[[sqlite3.Connection], None]:
+    def apply(connection: sqlite3.Connection) -> None:
+        connection.execute(text)
+
+    return apply
+
+
+def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE piga_blob", b"CREATE TABLE\xffpiga_blob"))
+    with pytest.raises(StoreError, match=r"the file is damaged(?s:.*)restore a backup"):
+        open_store(path)
+    assert not verify(path).sound
+
+
+def test_only_the_first_hundred_problems_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    found = verify(path, [f"{number:064x}" for number in range(130)])
+    assert len(found.problems) == 100
+    assert len(found.known) == 130
+
+
+def test_leftovers_of_killed_runs_are_put_away(tmp_path: Path) -> None:
+    import fcntl
+
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    dead, orphan = tmp_path / ".a.sqlite.1.piga-part", tmp_path / ".a.sqlite.2.piga-part-journal"
+    alive = tmp_path / ".a.sqlite.3.piga-part"
+    other = tmp_path / ".b.sqlite.4.piga-part-journal"
+    kept = [alive, alive.with_name(alive.name + "-journal"), other]
+    for left in (dead, dead.with_name(dead.name + "-journal"), orphan, *kept):
+        left.write_bytes(b"x")
+    with alive.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        open_store(path).close()
+    assert sorted(tmp_path.iterdir()) == sorted([path, *kept])
+
+
+@pytest.mark.parametrize("replace", [False, True])
+def test_whole_files_where_open_ones_cannot_be_renamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replace: bool
+) -> None:
+    """As on Windows: closed before it is written by name, renamed, no lock, no directory to be synced."""
+    monkeypatch.setattr("piga.output._WINDOWS", True)
+    monkeypatch.setattr(os, "link", None)
+    target = tmp_path / "a.zip"
+    if replace:
+        target.write_bytes(b"old")
+        (tmp_path / ".a.zip.left.piga-part").write_bytes(b"left")
+    write_whole(target, lambda part: part.write_bytes(b"new"), replace=replace)
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.zip", b"new")]
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_whole(target, lambda _: (_ for _ in ()).throw(OSError(28, "No space left")), kind=StoreError)
+    assert target.read_bytes() == b"new"
+
+
+# --- exports made by hand: sums and seal are right, what they hold is not
+
+
+def members_of(path: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(path) as export:
+        return {name: export.read(name) for name in export.namelist()}
+
+
+def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP_DEFLATED) -> None:
+    """An export with sums and seal that fit its members."""
+    named = {name: data for name, data in members.items() if name != "SHA256SUMS"}
+    digests = {
+        name: name[6:] if name.startswith("files/") else hashlib.sha256(data).hexdigest()
+        for name, data in named.items()
+    }
+    sums = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
+    with zipfile.ZipFile(path, "w", packing) as export:
+        for name, data in {**named, "SHA256SUMS": members.get("SHA256SUMS-as-is", sums)}.items():
+            if name != "SHA256SUMS-as-is":
+                export.writestr(name, data)
+        export.comment = SEAL + b"0" * 64
+    seal(path)
+
+
+def seal(path: Path) -> None:
+    raw = path.read_bytes()[: -len(SEAL) - 64]
+    path.write_bytes(raw + SEAL + hashlib.sha256(raw).hexdigest().encode())
+
+
+def forge(members: dict[str, bytes], change: Callable[[int, dict[str, Any]], None]) -> dict[str, bytes]:
+    """Records changed, and every link, the manifest and the head made anew after them."""
+
+    def packed(document: dict[str, Any]) -> bytes:
+        return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+
+    made, head = dict(members), hashlib.sha256(members["store.json"]).hexdigest()
+    for name in sorted(name for name in members if name.startswith("links/")):
+        number = int(name[6:14])
+        link, document = json.loads(members[name]), json.loads(members[f"records/{number:08d}.json"])
+        document["after"] = link["previous"] = head
+        change(number, document)
+        made[f"records/{number:08d}.json"] = packed(document)
+        link["record"] = hashlib.sha256(made[f"records/{number:08d}.json"]).hexdigest()
+        made[name] = packed(link)
+        head = hashlib.sha256(made[name]).hexdigest()
+    manifest = json.loads(members["manifest.json"]) | {"head": head}
+    return made | {"manifest.json": json.dumps(manifest).encode()}
+
+
+@pytest.fixture
+def sound(tmp_path: Path) -> Path:
+    with filled(tmp_path / "a.sqlite", 2) as store:
+        export_records(store, tmp_path / "a.zip")
+    return tmp_path / "a.zip"
+
+
+def test_a_chain_forged_without_a_change_is_sound(sound: Path) -> None:
+    """The forger's tools work: what the next tests find is what they changed."""
+    rewrite(sound, forge(members_of(sound), lambda _number, _document: None))
+    assert verify(sound).problems == []
+
+
+def same_name(_number: int, document: dict[str, Any]) -> None:
+    document["id"] = "AAAAA-AAAAA"
+
+
+def other_place(number: int, document: dict[str, Any]) -> None:
+    document["number"] = number + 1
+
+
+def other_size(number: int, document: dict[str, Any]) -> None:
+    document["files"][0] = document["files"][0] | {"size": number}
+
+
+def no_digest(_number: int, document: dict[str, Any]) -> None:
+    document["files"][0] = document["files"][0] | {"sha256": "../../etc/passwd"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (same_name, r"record 2: has the name of another \(AAAAA-AAAAA\)"),
+        (other_place, "record 1: was not written for this place"),
+        (other_size, "was altered"),
+        (no_digest, "file 'run.toml' has no valid digest or size"),
+    ],
+)
+def test_a_chain_forged_from_end_to_end(
+    sound: Path, change: Callable[[int, dict[str, Any]], None], message: str
+) -> None:
+    rewrite(sound, forge(members_of(sound), change))
+    problems = "\n".join(verify(sound).problems)
+    assert re.search(message, problems), problems
+    with open_store(sound.parent / "b.sqlite", create=True) as store:
+        with pytest.raises(StoreError):
+            import_records(store, sound, "A", "merge")
+        assert store.head().number == 0
+
+
+def test_one_file_of_two_sizes(sound: Path) -> None:
+    def change(number: int, document: dict[str, Any]) -> None:
+        first = {"role": "run", "name": "run.toml", "sha256": "0" * 64, "size": number}
+        document["files"] = [first]
+
+    rewrite(sound, forge(members_of(sound), change))
+    problems = verify(sound).problems
+    assert any("record 2: file 'run.toml' has no valid digest or size" in problem for problem in problems)
+    assert any("file 000000000000: is missing" in problem for problem in problems)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"notes.txt": b"hello"}, r"member 'notes\.txt' does not belong into an export"),
+        ({"files/" + 64 * "0": bytes(3 << 20)}, "is larger than an export may hold"),
+        ({"manifest.json": b"{"}, r"manifest\.json is no JSON"),
+        ({"manifest.json": b"[" * 100_000}, r"manifest\.json is no JSON"),
+        ({"manifest.json": b'{"schema": "piga.export/2"}'}, "export of schema 'piga.export/2'"),
+        ({"manifest.json": b"[]"}, "export of schema 'None'"),
+        ({"manifest.json": b'{"schema": "piga.export/1", "links": 3}'}, "does not fit its members"),
+        ({"SHA256SUMS-as-is": b"none\n"}, "SHA256SUMS does not fit its members"),
+        ({"manifest.json": None}, r"member 'manifest\.json' is missing"),
+    ],
+)
+def test_an_export_made_by_hand(sound: Path, change: dict[str, bytes | None], message: str) -> None:
+    members = members_of(sound) | change
+    rewrite(sound, {name: data for name, data in members.items() if data is not None})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(sound.parent)
+        (problem,) = verify("a.zip").problems
+    assert re.search(message, problem), problem
+
+
+def test_what_is_no_export(tmp_path: Path) -> None:
+    with filled(tmp_path / "a.sqlite", 1) as store:
+        with pytest.raises(StoreError, match="no such file"):
+            import_records(store, tmp_path / "none.zip", "A", "merge")
+        with pytest.raises(StoreError, match="no ZIP file"):
+            import_records(store, tmp_path / "a.sqlite", "A", "merge")
+        (tmp_path / "b.zip").write_bytes(b"PK\x03\x04 and nothing that a ZIP file needs" + SEAL + bytes(64))
+        seal(tmp_path / "b.zip")
+        with pytest.raises(StoreError, match="the export is damaged"):
+            import_records(store, tmp_path / "b.zip", "A", "merge")
+
+
+def test_a_member_whose_bytes_were_changed(sound: Path) -> None:
+    """Stored as it is, so that one byte can be changed where it lies; sealed again, the sum of the ZIP file is not."""
+    rewrite(sound, members_of(sound), packing=zipfile.ZIP_STORED)
+    raw = sound.read_bytes()
+    at = raw.index(b"This is an export")
+    sound.write_bytes(raw[:at] + b"t" + raw[at + 1 :])
+    seal(sound)
+    (problem,) = verify(sound).problems
+    assert "member 'README.txt': Bad CRC-32" in problem
+    with closing(sqlite3.connect(sound.parent / "a.sqlite")) as untouched:
+        assert untouched.execute("SELECT count(*) FROM piga_entry").fetchone() == (2,)

@@ -1,0 +1,395 @@
+"""The store as its users meet it: append, read, amend, refuse, copy, restore."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import sqlite3
+import warnings
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import piga
+from piga.errors import PigaError, PigaWarning, StoreError
+from piga.ledger.store import Draft, DraftFile, open_store
+from piga.ledger.store import store as store_module
+from piga.ledger.store.blobs import PART
+from piga.ledger.store.difference import difference
+from piga.ledger.store.documents import encode, sha256
+from piga.ledger.store.file_names import safe_name
+from piga.ledger.store.transfer import backup, export_records, import_records, restore
+from piga.ledger.store.verify import verify
+from tests.ledger.store import station
+from tests.ledger.store.drafts import add, content, draft, filled
+
+
+def test_what_is_appended_is_read_back(tmp_path: Path) -> None:
+    with filled(tmp_path / "a.sqlite", 3, size=3 * PART + 17) as store:
+        names = [record.id for record in store.records()]
+        assert [record.number for record in store.records()] == [1, 2, 3]
+        for index, name in enumerate(names):
+            assert store.read(name, "data") == content(f"a.sqlite-{index}", 3 * PART + 17)
+            assert store.record(index + 1).id == name == store.record(name.lower()).id
+        assert store.head().number == 3
+        assert store.head().sha256 == store.record(3).head
+    with piga.open_store(tmp_path / "a.sqlite") as again:
+        assert [record.id for record in again.records()] == names
+    assert [path.name for path in tmp_path.iterdir()] == ["a.sqlite"]
+
+
+def test_the_chain_by_hand(tmp_path: Path) -> None:
+    """hashlib and the sqlite3 module alone find the chain sound: nothing of ours is needed to check it."""
+    filled(tmp_path / "a.sqlite").close()
+    raw = sqlite3.connect(tmp_path / "a.sqlite")
+    (identity,) = raw.execute("SELECT document FROM piga_store").fetchone()
+    head = hashlib.sha256(identity).hexdigest()
+    for link, document in raw.execute("SELECT link, document FROM piga_entry ORDER BY number"):
+        assert f'"previous":"{head}"'.encode() in link
+        assert f'"record":"{hashlib.sha256(document).hexdigest()}"'.encode() in link
+        head = hashlib.sha256(link).hexdigest()
+    assert raw.execute("SELECT head FROM piga_head").fetchone() == (head,)
+    raw.close()
+
+
+def test_same_file_is_kept_once_and_large_ones_are_packed(tmp_path: Path) -> None:
+    with open_store(tmp_path / "a.sqlite", create=True) as store:
+        for _ in range(2):
+            add(store, "same", size=1 << 20)
+    raw = sqlite3.connect(tmp_path / "a.sqlite")
+    assert raw.execute("SELECT count(*) FROM piga_blob").fetchone() == (3,)
+    codecs = dict(raw.execute("SELECT codec, sum(length(data)) FROM piga_chunk GROUP BY codec"))
+    assert set(codecs) == {"plain", "zlib"}
+    assert codecs["zlib"] < 0.6 * (1 << 20)
+    raw.close()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "DELETE FROM {table}",
+        "UPDATE {table} SET {column} = {column}",
+        "INSERT OR REPLACE INTO {table} SELECT * FROM {table}",
+    ],
+)
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [("store", "document"), ("entry", "document"), ("blob", "size"), ("chunk", "data"), ("head", "head")],
+)
+def test_the_database_itself_refuses_changes(tmp_path: Path, statement: str, table: str, column: str) -> None:
+    filled(tmp_path / "a.sqlite", 1).close()
+    raw = sqlite3.connect(tmp_path / "a.sqlite")
+    with pytest.raises(sqlite3.DatabaseError, match="append-only"):
+        raw.execute(statement.format(table=f"piga_{table}", column=column))
+    raw.close()
+    assert verify(tmp_path / "a.sqlite").sound
+
+
+def test_an_amendment_is_a_new_record(tmp_path: Path) -> None:
+    with open_store(tmp_path / "a.sqlite", create=True) as store:
+        first, other = add(store, "a"), add(store, "b", serial="T-2")
+        second = add(store, "c", supersedes=first)
+        assert store.record(second).document.supersedes == first
+        for wrong, message in (
+            (first, "superseded already, by"),
+            (other, "is of instrument 'T-2'"),
+            ("00000-00000", "no record"),
+            ("1", "superseded already, by"),
+            ("7", "no record"),
+        ):
+            with pytest.raises(PigaError, match=message):
+                add(store, "d", supersedes=wrong)
+        assert store.head().number == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"operator": ""}, "operator: must be"),
+        ({"reason": "two\nlines"}, "reason: must be"),
+        ({"reason": "x" * 3000}, "reason: must be"),
+        ({"measured": "last week"}, "measured: 'last week' is not a date"),
+        ({"files": (DraftFile("data", "../x", b""),)}, "cannot be stored"),
+        ({"files": (DraftFile("a", "x", b""), DraftFile("b", "x", b""))}, "same name"),
+        ({"files": (DraftFile("a", "x", Path("missing.csv")),)}, "cannot be read"),
+    ],
+)
+def test_a_bad_draft_changes_nothing(tmp_path: Path, options: dict[str, object], message: str) -> None:
+    fields = {"serial": "T-1", "operator": "A", "reason": "B", "files": ()} | options
+    with filled(tmp_path / "a.sqlite", 1) as store:
+        with pytest.raises(PigaError, match=message):
+            store.append(lambda _place: Draft(**fields))  # type: ignore[arg-type]
+        assert store.head().number == 1
+    assert verify(tmp_path / "a.sqlite").sound
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "/x", "../x", "a/../x", "a//b", "C:x", "a\\b", "a\x00b", "nul.csv", "a/COM1", "x.", "y ", "n" * 600],
+)
+def test_names_that_lead_elsewhere_are_refused(name: str) -> None:
+    with pytest.raises(StoreError, match="cannot be stored"):
+        safe_name(name)
+
+
+def test_extract(tmp_path: Path) -> None:
+    with filled(tmp_path / "a.sqlite", 1) as store:
+        run = store.extract(1, tmp_path / "x")
+        assert run == tmp_path / "x" / "run.toml"
+        assert (tmp_path / "x" / "data" / "run.csv").read_bytes() == content("a.sqlite-0", 400)
+        with pytest.raises(StoreError, match="exists already"):
+            store.extract(1, tmp_path / "x")
+        with pytest.raises(StoreError, match="it has: data, report, run"):
+            store.read(1, "calibration")
+
+
+def test_clock_behind_the_last_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with filled(tmp_path / "a.sqlite", 1) as store:
+        monkeypatch.setattr(store_module, "now", lambda: "1999-01-01T00:00:00.000000Z")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            add(store, "late")
+        assert [item.category for item in caught] == [PigaWarning]
+    assert verify(tmp_path / "a.sqlite").sound
+
+
+def _header(path: Path, offset: int, value: int) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[offset : offset + 4] = value.to_bytes(4, "big")
+    path.write_bytes(raw)
+
+
+def test_what_is_no_store_of_ours(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    with pytest.raises(StoreError, match="no such store"):
+        open_store(path)
+    for raw in (b"", b"hello", b"SQLite format 3\x00", b"\x00" * 5000):
+        path.write_bytes(raw)
+        for create in (False, True):
+            with pytest.raises(StoreError, match="no SQLite database"):
+                open_store(path, create=create)
+        assert path.read_bytes() == raw
+    path.unlink()
+    other = sqlite3.connect(path)
+    other.execute("CREATE TABLE t (a)")
+    other.close()
+    with pytest.raises(StoreError, match="of another program"):
+        open_store(path, create=True)
+    with pytest.raises(StoreError, match="no such store"):
+        open_store(tmp_path)
+    with pytest.raises(StoreError, match=r"No such file|cannot be written"):
+        open_store(tmp_path / "missing" / "a.sqlite", create=True)
+
+
+def test_a_newer_store_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    _header(path, 60, 7)
+    raw = path.read_bytes()
+    with pytest.raises(StoreError, match=r"made by a newer piga \(schema 7"):
+        open_store(path)
+    assert path.read_bytes() == raw
+
+
+def test_read_only_store_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with open_store(path) as store:
+        assert store.head().number == 1
+        with pytest.raises(StoreError, match="cannot be written to"):
+            add(store, "b")
+
+
+def test_disk_full_changes_nothing(tmp_path: Path) -> None:
+    """SQLite's own page limit stands for a full disk: at every size the store stays whole."""
+    path = tmp_path / "a.sqlite"
+    with filled(path, 1) as store:
+        pages = path.stat().st_size // 4096
+        for extra in (0, 1, 3, 10):
+            with store.database.engine.connect() as connection:
+                connection.exec_driver_sql("SELECT 1")
+            failed = False
+            try:
+                _append_with_limit(store, pages + extra)
+            except StoreError as error:
+                failed = "no space is left" in str(error)
+            assert failed
+            assert store.head().number == 1
+            assert verify(path).sound
+        _append_with_limit(store, pages + 10_000)
+        assert store.head().number == 2
+
+
+def _append_with_limit(store: piga.ledger.store.Store, pages: int) -> None:  # type: ignore[name-defined]
+    def make(_place: object) -> Draft:
+        return draft("big", size=200_000)
+
+    original = store.database.writing
+
+    from contextlib import contextmanager
+
+    @contextmanager
+    def limited():  # type: ignore[no-untyped-def]
+        with original() as connection:
+            connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
+            yield connection
+
+    store.database.writing = limited  # type: ignore[method-assign]
+    try:
+        store.append(make)
+    finally:
+        store.database.writing = original  # type: ignore[method-assign]
+
+
+def test_export_is_deterministic_complete_and_readable_without_us(tmp_path: Path) -> None:
+    with filled(tmp_path / "a.sqlite") as store:
+        found = export_records(store, tmp_path / "a.zip")
+        export_records(store, tmp_path / "b.zip")
+        assert (found.sound, found.records, found.head) == (True, 3, store.head().sha256)
+        with pytest.raises(StoreError, match="exists already"):
+            export_records(store, tmp_path / "a.zip")
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+    with zipfile.ZipFile(tmp_path / "a.zip") as export:
+        sums = dict(reversed(line.split("  ")) for line in export.read("SHA256SUMS").decode().splitlines())
+        assert set(sums) == set(export.namelist()) - {"SHA256SUMS"}
+        assert all(sha256(export.read(name)) == digest for name, digest in sums.items())
+
+
+def test_import_keeps_documents_and_origin(tmp_path: Path) -> None:
+    with filled(tmp_path / "a.sqlite") as a, filled(tmp_path / "b.sqlite", 1) as b:
+        chosen = a.record(2).id
+        export_records(a, tmp_path / "one.zip", [chosen])
+        export_records(a, tmp_path / "all.zip")
+        assert import_records(b, tmp_path / "one.zip", "B", "merge") == [chosen]
+        assert len(import_records(b, tmp_path / "all.zip", "B", "merge")) == 2
+        assert import_records(b, tmp_path / "all.zip", "B", "merge") == []
+        for record in a.records():
+            taken = b.record(record.id)
+            assert encode(taken.document) == encode(record.document)
+            assert taken.link.taken_over is not None
+            assert sha256(taken.link.taken_over.link.encode()) == record.head
+        export_records(b, tmp_path / "b.zip")
+        with open_store(tmp_path / "c.sqlite", create=True) as c:
+            import_records(c, tmp_path / "b.zip", "C", "again")
+            assert {record.id for record in c.records()} == {record.id for record in b.records()}
+    for name in ("a.sqlite", "b.sqlite", "c.sqlite", "one.zip", "b.zip"):
+        assert verify(tmp_path / name).sound, name
+
+
+def test_backup_and_restore_give_the_same_head(tmp_path: Path) -> None:
+    with filled(tmp_path / "a.sqlite") as store:
+        head = store.head().sha256
+        assert backup(store, tmp_path / "copy.sqlite").head == head
+        export_records(store, tmp_path / "part.zip", [store.record(1).id])
+        export_records(store, tmp_path / "all.zip")
+        with pytest.raises(StoreError, match="exists already"):
+            backup(store, tmp_path / "copy.sqlite")
+    for source in ("copy.sqlite", "all.zip"):
+        target = tmp_path / f"{source}.restored"
+        assert restore(tmp_path / source, target).head == head
+        assert verify(target, [head]).sound
+        with open_store(target) as store:
+            add(store, "after")
+        assert verify(target, [head]).sound
+    with pytest.raises(StoreError, match="exists already"):
+        restore(tmp_path / "all.zip", tmp_path / "a.sqlite")
+    with pytest.raises(StoreError, match="is not in this export"):
+        restore(tmp_path / "part.zip", tmp_path / "new.sqlite")
+    assert not (tmp_path / "new.sqlite").exists()
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_damage_is_neither_exported_nor_backed_up(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 2).close()
+    raw = path.read_bytes()
+    at = raw.index(b"A. Meyer")
+    path.write_bytes(raw[:at] + b"B" + raw[at + 1 :])
+    with open_store(path) as store:
+        for name, act in (("b.sqlite", backup), ("b.zip", export_records)):
+            with pytest.raises(StoreError, match="was altered"):
+                act(store, tmp_path / name)
+    assert [found.name for found in tmp_path.iterdir()] == ["a.sqlite"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "DROP TRIGGER piga_entry_no_delete",
+        "DROP INDEX ix_piga_entry_serial",
+        "CREATE TABLE other (a)",
+        "CREATE TRIGGER t AFTER INSERT ON piga_entry BEGIN SELECT 1; END",
+        "PRAGMA journal_mode=WAL",
+        "PRAGMA user_version=2",
+        "PRAGMA application_id=1",
+    ],
+)
+def test_altered_schema_is_found(tmp_path: Path, change: str) -> None:
+    filled(tmp_path / "a.sqlite", 1).close()
+    raw = sqlite3.connect(tmp_path / "a.sqlite")
+    raw.execute(change)
+    raw.close()
+    assert not verify(tmp_path / "a.sqlite").sound
+
+
+def test_two_programs_at_once_on_one_file(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([station.__name__])
+    started = []
+    for name in ("east", "west"):
+        mine, other = context.Pipe(duplex=False)
+        process = context.Process(target=station.station, args=(str(tmp_path / "a.sqlite"), name, 12, other))
+        process.start()
+        other.close()
+        started.append((process, mine))
+    names = []
+    for process, pipe in started:
+        process.join(120)
+        assert process.exitcode == 0
+        names += [pipe.recv() for _ in range(12)]
+    with open_store(tmp_path / "a.sqlite") as store:
+        assert sorted(record.id for record in store.records()) == sorted(names)
+    assert verify(tmp_path / "a.sqlite").sound
+
+
+def test_known_heads(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    with filled(path, 2) as store:
+        early = store.record(1).head
+    found = verify(path, [early, "0" * 64])
+    assert found.known == {early: 1, "0" * 64: None}
+    assert not found.sound
+
+
+def test_a_forged_record_under_a_known_name_is_refused(tmp_path: Path) -> None:
+    """The same name with other content: built with our own functions, as a forger would."""
+    with filled(tmp_path / "a.sqlite", 1) as a, open_store(tmp_path / "b.sqlite", create=True) as b:
+        name = a.record(1).id
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(store_module, "new_id", lambda: name)
+            add(b, "forged")
+        export_records(b, tmp_path / "b.zip")
+        with pytest.raises(StoreError, match="with other content"):
+            import_records(a, tmp_path / "b.zip", "A", "merge")
+        assert a.head().number == 1
+
+
+def test_difference(tmp_path: Path) -> None:
+    from tests.reports.example import calibration
+
+    first = calibration(with_residuals=False)
+    with open_store(tmp_path / "a.sqlite", create=True) as store:
+        for index, operator in enumerate(("A", "B")):
+            first.to_json(tmp_path / "c.json")
+            file = DraftFile("calibration", "c.json", (tmp_path / "c.json").read_bytes())
+            made = Draft(first.serial, operator, "r", (file,), {}, {"piga": str(index)})
+            store.append(lambda _place, made=made: made)  # type: ignore[misc]
+        found = difference(store, 1, 2)
+        assert all(change.difference == 0.0 for change in found.coefficients)
+        assert found.facts == {"operator": ("A", "B"), "software piga": ("0", "1")}
+        names = [(name, when) for name, when, _ in store.history(first.serial)]
+        assert [name for name, _ in names] == [store.record(1).id, store.record(2).id]
+        assert store.history(first.serial)[0][2].coefficients == first.coefficients

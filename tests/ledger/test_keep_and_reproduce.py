@@ -1,0 +1,235 @@
+"""Keep a calibration and compute it again: same bits here, 1e-12 kappa where the arithmetic differs."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piga
+from piga.errors import PigaError
+from piga.ledger import compare_calibrations, prepare_results, prepare_run, reproduce
+from piga.ledger import reproduce as reproduce_function
+from piga.ledger.inputs import input_files
+from piga.ledger.store.verify import verify
+from piga.stand.run_reference import _check_unchanged
+from tests.records.files import lines, write_log, write_run
+
+
+def small_run(folder: Path, name: str = "run.csv") -> Path:
+    """Two positions of a noisy rest: enough for scale_factor and k0."""
+    first = [row + ",0" for row in lines(60)]
+    turned = [f"{i / 20.0 + 10.0:.4f},{20000 + round(5089.5 * i / 20.0)},0.5,0.3,0.0,1" for i in range(60)]
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    write_log(folder, first + turned, header="t,n,fx,fy,fz,seg", name=name)
+    return write_run(folder, name, data='segment = "seg"')
+
+
+def test_keep_and_reproduce(tmp_path: Path) -> None:
+    run = small_run(tmp_path)
+    with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
+        prepared = prepare_run(run, "A. Meyer", "yearly", measured="2026-11-20")
+        record, calibration = prepared.keep(store), prepared.calibration
+        before = store.head()
+        report = store.read(record.id, "report").decode()
+        for text in (record.id, record.document.after, record.document.store, "A. Meyer", "number 1"):
+            assert text in report
+        assert "\u27e6" not in report
+        assert store.read(record.id, "run") == run.read_bytes()
+        stored = store.calibration(record.id)
+        assert stored.coefficients == calibration.coefficients
+        again = reproduce(store, record.id)
+        assert (again.verdict, again.same_platform, again.comparison.worst) == ("identical", True, 0.0)
+        name, when, found = store.history("T-1")[0]
+        assert (name, when.isoformat()) == (record.id, "2026-11-20T00:00:00+00:00")
+        assert np.array_equal(found.covariance, calibration.covariance)
+        second = prepare_run(run, "B", "corrected", supersedes=record.id, report=False).keep(store)
+        assert [name for name, _, _ in store.history("T-1")] == [second.id]
+        assert store.record(2).document.after == before.sha256
+    assert verify(tmp_path / "lab.sqlite").sound
+
+
+def test_reproduce_needs_nothing_but_the_store(tmp_path: Path) -> None:
+    run = (
+        small_run(tmp_path / "deep" / "er", "../logs/run.csv")
+        if (tmp_path / "deep" / "er").mkdir(parents=True) is None
+        else None
+    )
+    assert run is not None
+    names = [(file.role, file.name) for file in input_files(run, piga.read_run(run).input_sha256)]
+    assert names == [("run", "run/run.toml"), ("data", "logs/run.csv")]
+    with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
+        prepare_run(run, "A", "test", report=False).keep(store)
+        (tmp_path / "deep" / "logs" / "run.csv").unlink()
+        run.unlink()
+        assert reproduce(store, 1).verdict == "identical"
+
+
+def test_results_of_calibrate_are_kept_as_they_are(tmp_path: Path) -> None:
+    run = small_run(tmp_path)
+    calibration = piga.calibrate(piga.read_run(run), ["scale_factor"], "rate")
+    (tmp_path / "out").mkdir()
+    calibration.to_json(tmp_path / "out" / "calibration.json")
+    with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
+        record = prepare_results(run, tmp_path / "out", "A", "as it was").keep(store)
+        assert store.read(record.id, "calibration") == (tmp_path / "out" / "calibration.json").read_bytes()
+        assert record.document.request["method"] == "rate"
+        assert reproduce(store, record.id).verdict == "identical"
+        (tmp_path / "run.csv").write_text((tmp_path / "run.csv").read_text() + "9,1,1,1,1,1\n")
+        with pytest.raises(PigaError, match="is not the file that the calibration was computed from"):
+            prepare_results(run, tmp_path / "out", "A", "changed")
+        assert store.head().number == 1
+
+
+def test_absolute_data_file_is_refused(tmp_path: Path) -> None:
+    run = small_run(tmp_path)
+    run.write_text(run.read_text().replace('file = "run.csv"', f'file = "{tmp_path}/run.csv"'))
+    with pytest.raises(PigaError, match="is an absolute path"):
+        input_files(run, {})
+
+
+def profile_run(folder: Path) -> Path:
+    """A record whose reference is a logged profile, with a ``.sha256`` beside its data."""
+    run = small_run(folder)
+    text = run.read_text().replace('reference = { columns = ["fx", "fy", "fz"], unit = "g" }\n', "")
+    columns = 'time = { column = "t", unit = "s" }, force = { columns = ["fx", "fy", "fz"], unit = "g" }'
+    (folder / "stand").mkdir()
+    rows = "\n".join(f"{t / 10},1.0,0.3,0.0" for t in range(200))
+    (folder / "stand" / "p.csv").write_text(f"t,fx,fy,fz\n{rows}\n")
+    composite = (
+        f'[stand]\nkind = "profile"\nfile = "stand/p.csv"\n{columns.replace(", force", chr(10) + "force")}\n'
+    )
+    run.write_text(f"{text}\n{composite}")
+    digest = hashlib.sha256((folder / "run.csv").read_bytes()).hexdigest()
+    (folder / "run.csv.sha256").write_text(f"{digest}  run.csv\n")
+    return run
+
+
+def test_every_input_has_its_digest_in_the_result(tmp_path: Path) -> None:
+    run = profile_run(tmp_path)
+    digests = piga.calibrate(piga.read_run(run), ["scale_factor"]).provenance.input_sha256
+    files = ("run.toml", "run.csv", "run.csv.sha256", "stand/p.csv")
+    assert digests == {name: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() for name in files}
+    roles = [(file.role, file.name) for file in input_files(run, digests)]
+    assert roles == [
+        ("run", "run.toml"), ("data", "run.csv"), ("stand", "stand/p.csv"), ("sidecar", "run.csv.sha256"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["run.toml", "run.csv", "run.csv.sha256", "stand/p.csv"])
+def test_an_input_that_changes_before_the_record_is_written_is_refused(tmp_path: Path, name: str) -> None:
+    """Between calibration and record (while the report is drawn), and between calibrate and ``add --results``."""
+    run = profile_run(tmp_path)
+    with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
+        prepared = prepare_run(run, "A", "test", terms=["scale_factor"], report=False)
+        (tmp_path / "out").mkdir()
+        prepared.calibration.to_json(tmp_path / "out" / "calibration.json")
+        path = tmp_path / name
+        path.write_text(path.read_text() + ("# more\n" if name == "run.toml" else "\n"))
+        with pytest.raises(PigaError, match=f"{name}: changed after it was read"):
+            prepared.keep(store)
+        with pytest.raises(PigaError, match=f"{name}: is not the file that the calibration was computed from"):
+            prepare_results(run, tmp_path / "out", "A", "test")
+        assert store.head().number == 0
+
+
+def test_a_stand_that_changes_between_reading_and_its_uncertainty_is_refused(tmp_path: Path) -> None:
+    run = profile_run(tmp_path)
+    record = piga.read_run(run)
+    path = tmp_path / "stand" / "p.csv"
+    path.write_text(path.read_text().replace("0.3", "0.4"))
+    with pytest.raises(PigaError, match="changed after it was read"):
+        _check_unchanged(record)
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> piga.Calibration:
+    folder = tmp_path_factory.mktemp("run")
+    return piga.calibrate(piga.read_run(small_run(folder)))
+
+
+def _with(calibration: piga.Calibration, index: int, **changes: float) -> piga.Calibration:
+    coefficients = list(calibration.coefficients)
+    coefficients[index] = dataclasses.replace(coefficients[index], **changes)
+    return dataclasses.replace(calibration, coefficients=tuple(coefficients))
+
+
+def test_comparison_knows_bits_rounding_and_difference(calibration: piga.Calibration) -> None:
+    assert compare_calibrations(calibration, calibration).identical
+    value = calibration.coefficients[0].value
+    limit = 1e-12 * calibration.condition * value
+    for step, agrees in ((np.spacing(value), True), (0.5 * limit, True), (20.0 * limit, False)):
+        found = compare_calibrations(calibration, _with(calibration, 0, value=value + step))
+        assert (found.identical, found.agrees) == (False, agrees)
+    assert "recomputed" in found.differences[0]
+    found = compare_calibrations(calibration, dataclasses.replace(calibration, method="rate"))
+    assert found.differences == ("method: 'information', recomputed 'rate'",)
+    other = dataclasses.replace(calibration, covariance=calibration.covariance * (1.0 + 1e-3))
+    assert not compare_calibrations(calibration, other).agrees
+
+
+def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One unit in the last place: different here, within tolerance where the software is another."""
+    import piga.calibration
+    from piga.ledger import reproduce as module_function  # noqa: F401 - the module is patched by name
+
+    with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
+        prepare_run(small_run(tmp_path), "A", "test", report=False).keep(store)
+        original = piga.calibration.calibrate
+
+        def nearly(*arguments, **options):  # type: ignore[no-untyped-def]
+            found = original(*arguments, **options)
+            return _with(found, 0, value=float(np.nextafter(found.coefficients[0].value, 1.0)))
+
+        monkeypatch.setattr(piga.calibration, "calibrate", nearly)
+        assert reproduce_function(store, 1).verdict == "different"
+        import sys
+
+        module = sys.modules["piga.ledger.reproduce"]
+        here = module.software_identity()
+        monkeypatch.setattr(module, "software_identity", lambda: here | {"numpy": "9.9"})
+        found = reproduce_function(store, 1)
+        assert (found.verdict, found.changed) == ("within tolerance", {"numpy": (here["numpy"], "9.9")})
+
+
+def test_record_without_inputs(tmp_path: Path) -> None:
+    from tests.ledger.store.drafts import filled
+
+    with filled(tmp_path / "a.sqlite", 1) as store, pytest.raises(PigaError, match="cannot be recomputed"):
+        reproduce(store, 1)
+
+
+@pytest.mark.slow
+def test_other_arithmetic_agrees_to_1e12_kappa(tmp_path: Path) -> None:
+    """The shipped record, interpreted instead of compiled: other rounding everywhere, the same result."""
+    import json
+    import os
+    import subprocess
+    import sys
+
+    from piga.cli.demo import copy_example
+
+    run = copy_example(tmp_path)
+    command = [sys.executable, "-c", "from piga.cli.main import main; main()", "records"]
+    kept = [
+        "add",
+        run,
+        "--store",
+        tmp_path / "lab.sqlite",
+        "--operator",
+        "A",
+        "--reason",
+        "test",
+        "--no-report",
+    ]
+    for arguments, jit in ((kept, "0"), (["reproduce", "--store", tmp_path / "lab.sqlite", "--json"], "1")):
+        environment = os.environ | {"NUMBA_DISABLE_JIT": jit}
+        done = subprocess.run(
+            [*command, *map(str, arguments)], env=environment, capture_output=True, check=True
+        )
+    found = json.loads(done.stdout)["records"][0]
+    assert found["verdict"] == "within tolerance", found
+    assert "compiled" in found["changed"]

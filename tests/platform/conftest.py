@@ -1,0 +1,68 @@
+"""Scenarios and runs shared by the platform tests."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from piga.platform import Scenario, true_knowledge
+from piga.platform.identification.observation import Tip
+from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Sensors
+
+DEG = np.pi / 180.0
+ARCMIN = DEG / 60.0
+ARCSEC = DEG / 3600.0
+INTERPRETED = bool(numba.config.DISABLE_JIT)
+
+only_compiled = pytest.mark.skipif(INTERPRETED, reason="days of one-second steps take minutes with the JIT off")
+
+
+def published(**changes) -> Scenario:
+    """The published case; ten days at 1 Hz unless changed."""
+    turning = Rotation(2.0 * np.pi / 480.0)
+    values = {
+        "place": Place(40.0 * DEG, 116.0 * DEG),
+        "duration": 864000.0,
+        "polar_rotation": turning,
+        "equatorial_rotation": turning,
+        "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG),
+        "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, drift=(0.01 * DEG / 3600.0, 0.0)),
+    }
+    return Scenario(**(values | changes))
+
+
+def wobbling(**changes) -> Scenario:
+    """The published case with wobble and readout noise."""
+    polar = (Harmonic(2, 0.3 * ARCMIN, 60.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 130.0 * DEG))
+    equatorial = (Harmonic(2, 0.3 * ARCMIN, 100.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 10.0 * DEG))
+    noise = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-5)
+    values = {
+        "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG, polar),
+        "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, equatorial, drift=(0.01 * DEG / 3600.0, 0.0)),
+        "sensors": noise,
+    }
+    return published(**(values | changes))
+
+
+HARMONICS = (Harmonic(1, 0.2 * ARCMIN, 0.3), Harmonic(2, 0.25 * ARCMIN, 1.0), Harmonic(3, 0.05 * ARCMIN, 2.0))
+NOISE = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4)
+
+
+def calibration(**changes) -> Scenario:
+    """A short static run with harmonics in both gyros, for identification."""
+    values = {
+        "duration": 3600.0 if INTERPRETED else 7200.0,
+        "step": 8.0 if INTERPRETED else 1.0,
+        "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG, HARMONICS),
+        "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, HARMONICS[::-1], drift=(0.01 * DEG / 3600.0, 0.0)),
+        "triad": (0.02, -0.03, 0.01),
+    }
+    return published(**(values | changes))
+
+
+def truth(s, orders=3):
+    """The Cartesian unknowns that an identification should find."""
+    known = true_knowledge(s)
+    tips = [Tip.of(known.polar, orders).vector, Tip.of(known.equatorial, orders).vector]
+    return np.concatenate([*tips, [known.eta0, known.eta_rate]])

@@ -1,0 +1,74 @@
+"""Linear platform errors against the difference of two full navigation runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from piga.platform import error_budget, linear_errors, monte_carlo, simulate, standard_sources
+from piga.platform.model.scenario import Place
+from piga.platform.navigation.error_model import Perturbation
+from piga.platform.runs.budget import perturbed_errors
+
+from .conftest import DEG, INTERPRETED, only_compiled, published, wobbling
+
+pytestmark = pytest.mark.compiled
+
+DURATION = 7200.0 if INTERPRETED else 86400.0
+SOURCES = list(standard_sources().items())
+
+
+@pytest.fixture(scope="module")
+def quiet_run():
+    return simulate(published(duration=DURATION, step=2.0).without_errors())
+
+
+@pytest.mark.parametrize(("name", "perturbation"), SOURCES, ids=[name for name, _ in SOURCES])
+def test_linear_errors_are_those_of_a_perturbed_run(quiet_run, name, perturbation):
+    full, quiet = perturbed_errors(quiet_run, perturbation), perturbed_errors(quiet_run, Perturbation())
+    linear = linear_errors(quiet_run.scenario.place, perturbation, DURATION, step=10.0)[1:]
+    position = np.stack([full.north - quiet.north, full.east - quiet.east, quiet.up - full.up], axis=1)
+    velocity = full.velocity - quiet.velocity
+    off = np.abs(position - linear[:, 1:4]).max(axis=0)
+    assert off[:2].max() < 5e-3 * np.abs(position[:, :2]).max()
+    assert off[2] < 0.04 * max(
+        np.abs(position[:, 2]).max(), 0.01 * np.abs(position).max()
+    )  # height one step late
+    assert np.abs(velocity[:, :2] - linear[:, 4:6]).max() < 0.02 * np.abs(velocity[:, :2]).max()
+
+
+def test_a_tilt_swings_with_the_schuler_period():
+    history = linear_errors(Place(0.7), Perturbation(velocity=(0.01, 0.0, 0.0)), 5400.0, step=5.0)
+    north = history[:, 1]
+    crossing = history[np.flatnonzero(np.diff(np.sign(north[1:])))[0] + 1, 0]
+    assert crossing == pytest.approx(2.0 * np.pi * np.sqrt(6378137.0**3 / 3.986004418e14) / 2.0, rel=0.01)
+    assert north.max() == pytest.approx(0.01 / 1.2394e-3, rel=0.02)
+
+
+def test_errors_add_up():
+    place = Place(40 * DEG)
+    one, two = (
+        Perturbation(attitude=(1e-6, 0, 0), height=3.0),
+        Perturbation(bias=(0, 1e-6, 0), drift=(0, 0, 1e-11)),
+    )
+    both = linear_errors(place, one.plus(two), 3600.0)
+    np.testing.assert_allclose(
+        both[:, 1:], (linear_errors(place, one, 3600.0) + linear_errors(place, two, 3600.0))[:, 1:], atol=1e-9
+    )
+
+
+def test_the_budget_lists_every_source_and_their_sum():
+    sources = dict(SOURCES[:2])
+    rows = error_budget(published(duration=3600.0, step=10.0), sources)
+    assert [r.source for r in rows] == [*sources, "all together"]
+    for row in rows:
+        assert row.position_linear == pytest.approx(row.position_full, rel=0.01)
+        assert row.difference < 0.01 * row.position_full
+
+
+@only_compiled
+def test_monte_carlo_scatters_with_the_noise():
+    found = monte_carlo(wobbling(duration=14400.0), 4)
+    assert found.seeds == (1, 2, 3, 4)
+    assert len(set(found.position["B"].tolist())) == 4
+    assert found.east_line["C"].max() < found.east_line["B"].min()

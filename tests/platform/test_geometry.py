@@ -1,0 +1,122 @@
+"""The exact nulled geometry: against 50-digit solutions, the small-angle matrices, and its own conditions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from piga.frames import matrix_to_rotation_vector
+from piga.platform.identification.observation import Tip, gimbals_of
+from piga.platform.model.geometry import (
+    gimbal_attitude,
+    misalignment,
+    nulled_attitude,
+    small_angle_attitude,
+    small_angles,
+    turns_to_gimbals,
+)
+from piga.platform.model.scenario import Gyro, Harmonic
+
+from .conftest import ARCMIN, DEG
+
+CASES = json.loads((Path(__file__).parent / "data" / "geometry.json").read_text())["cases"]
+
+pytestmark = pytest.mark.compiled
+
+
+def test_matches_the_null_conditions_solved_at_fifty_digits():
+    for case in CASES:
+        m1, c1, m2, c2, eta = case["input"]
+        attitude, ring = nulled_attitude(Gyro(m1), Gyro(m2), c1, c2, eta)
+        np.testing.assert_allclose(attitude[0], case["attitude"], rtol=0, atol=5e-16)
+        assert abs(ring[0] - case["ring"]) < 4e-16
+
+
+@pytest.mark.parametrize(("eta", "published"), [(1.0, 0.06982), (2.4, 0.16765), (5.0, 0.34995)])
+def test_z_amplitude_is_that_of_the_small_angle_matrix(eta, published):
+    c = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    attitude, _ = nulled_attitude(Gyro(4.0 * ARCMIN), Gyro(), c, 0.0, eta * DEG)
+    z = -matrix_to_rotation_vector(attitude)[:, 2]
+    amplitude = 2.0 * abs(np.mean(z * np.exp(-1j * c))) / ARCMIN
+    small, _ = small_angles(Gyro(4.0 * ARCMIN), Gyro(), c, 0.0, eta * DEG)
+    assert abs(amplitude - published) < 6e-6
+    assert abs(np.abs(small[:, 2]).max() / ARCMIN - amplitude) < 1e-6
+
+
+def test_the_small_angle_matrices_are_wrong_by_second_order():
+    c1, c2 = np.linspace(0.0, 6.0, 50), np.linspace(1.0, 9.0, 50)
+
+    def difference(m):
+        exact, ring = nulled_attitude(Gyro(m), Gyro(0.8 * m), c1, c2, 0.1)
+        e, pick = small_angles(Gyro(m), Gyro(0.8 * m), c1, c2, 0.1)
+        return np.abs(exact - small_angle_attitude(e)).max(), np.abs(ring - pick).max()
+
+    for whole, half in zip(difference(2e-3), difference(1e-3), strict=True):
+        assert 3.9 < whole / half < 4.1
+        assert whole < 2.0 * (2e-3) ** 2
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    m1=st.floats(-0.05, 0.05),
+    m2=st.floats(-0.05, 0.05),
+    c1=st.floats(-9, 9),
+    c2=st.floats(-9, 9),
+    eta=st.floats(-1, 1),
+)
+def test_each_momentum_lies_along_its_tip(m1, m2, c1, c2, eta):
+    attitude, ring = nulled_attitude(Gyro(m1), Gyro(m2), c1, c2, eta)
+    c = attitude[0]
+    np.testing.assert_allclose(c @ c.T, np.eye(3), atol=1e-15)
+    polar = np.array([-np.sin(m1) * np.sin(c1), np.sin(m1) * np.cos(c1), np.cos(m1)])
+    np.testing.assert_allclose(c @ [0, 0, 1], polar, atol=1e-15)
+    tip = np.array([np.cos(m2), -np.sin(m2) * np.sin(c2), np.sin(m2) * np.cos(c2)])
+    turn = np.array([[np.cos(ring[0]), 0, np.sin(ring[0])], [0, 1, 0], [-np.sin(ring[0]), 0, np.cos(ring[0])]])
+    np.testing.assert_allclose(c @ [np.cos(eta), 0, -np.sin(eta)], turn @ tip, atol=2e-15)
+
+
+def test_harmonics_follow_their_definition_whatever_the_phase():
+    gyro = Gyro(4.0 * ARCMIN, 0.7, (Harmonic(1, 1e-5, 0.2), Harmonic(3, 2e-5, -1.1)))
+    c = np.linspace(0.0, 7.0, 40)
+    expected = 4.0 * ARCMIN + 1e-5 * np.cos(c + 0.2) + 2e-5 * np.cos(3.0 * c - 1.1)
+    np.testing.assert_allclose(misalignment(gyro, c), expected, rtol=0, atol=1e-18)
+    series, _ = Tip.of(gyro, 3).series(c - gyro.phase)
+    np.testing.assert_allclose(series, expected * np.exp(1j * c), rtol=0, atol=1e-18)
+    attitude, _ = nulled_attitude(gyro, Gyro(), c, 0.0, 0.0)
+    np.testing.assert_allclose(attitude[:, 1, 2], np.sin(expected) * np.cos(c), rtol=0, atol=1e-18)
+
+
+def test_tip_turns_into_a_gyro_and_back():
+    gyro = Gyro(3e-4, -2.2, (Harmonic(1, 1e-5, 0.2), Harmonic(2, 2e-5, 3.0)))
+    back = Tip.of(gyro, 2).gyro()
+    c = np.linspace(0.0, 6.0, 20)
+    np.testing.assert_allclose(misalignment(back, c), misalignment(gyro, c), rtol=0, atol=1e-18)
+    assert abs(back.phase - gyro.phase) < 1e-15
+
+
+def test_derivatives_of_a_tip_are_those_of_finite_differences():
+    tip = Tip(3e-4, -2e-4, np.array([2e-5, -1e-5]), np.array([1e-5, 3e-5]))
+    angle = np.linspace(0.0, 6.0, 13)
+    _, columns = tip.series(angle)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-9
+        up, down = Tip.from_vector(tip.vector + step), Tip.from_vector(tip.vector - step)
+        slope = (up.series(angle)[0] - down.series(angle)[0]) / 2e-9
+        np.testing.assert_allclose(columns[:, k], slope, rtol=0, atol=1e-7)
+
+
+def test_gimbal_angles_invert_the_gimbal_attitude():
+    angles = np.array([[0.4, 2.2, -1.0], [-3.0, 1.1, 3.1], [2.0, 0.3, 0.0]])
+    np.testing.assert_allclose(gimbals_of(gimbal_attitude(angles)), angles, atol=1e-15)
+
+
+def test_a_turn_of_the_platform_becomes_gimbal_angles():
+    angles, step = np.array([0.4, 2.2, -1.0]), np.array([1e-6, -2e-6, 1.5e-6])
+    turn = -matrix_to_rotation_vector(gimbal_attitude(angles + step) @ gimbal_attitude(angles).T)
+    np.testing.assert_allclose(turns_to_gimbals(angles[None], turn[None, :, None])[0, :, 0], step, atol=1e-11)

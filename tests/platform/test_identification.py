@@ -1,0 +1,209 @@
+"""Identification: exact without noise, efficient and honest with it; recursive as batch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from piga.errors import ArgumentError, IdentifiabilityError
+from piga.platform import identify, identify_recursively, observability, simulate
+from piga.platform.identification.estimate import Group, solve
+from piga.platform.identification.sources import Record
+from piga.platform.model.case_rotation import apparent_gyro
+from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
+
+from .conftest import ARCMIN, ARCSEC, DEG, INTERPRETED, NOISE, calibration, only_compiled, truth
+
+pytestmark = pytest.mark.compiled
+
+
+@pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("gimbals",)])
+def test_without_noise_everything_is_found(sources):
+    s = calibration()
+    found = identify(simulate(s).readouts, s.place, sources=sources)
+    tolerance = 1e-13 if "pick-off" in sources else 1e-12
+    np.testing.assert_allclose(found.values, truth(s)[: len(found.values)], rtol=0, atol=tolerance)
+    assert found["polar.misalignment"].value == pytest.approx(4.0 * ARCMIN, abs=tolerance)
+
+
+def test_parameters_come_back_as_amplitudes_and_phases():
+    s = calibration()
+    found = identify(simulate(s).readouts, s.place)
+    for gyro, name in ((s.polar, "polar"), (s.equatorial, "equatorial")):
+        assert found[f"{name}.phase"].value == pytest.approx(gyro.phase, abs=1e-9)
+        for h in gyro.harmonics:
+            assert found[f"{name}.harmonic{h.order}.amplitude"].value == pytest.approx(h.amplitude, abs=1e-12)
+            assert found[f"{name}.harmonic{h.order}.phase"].value == pytest.approx(h.phase, abs=1e-6)
+    with pytest.raises(KeyError, match=r"polar\.phase"):
+        found["polar.size"]
+
+
+def test_a_case_fixed_drift_is_identified_as_part_of_the_misalignment():
+    drift = (0.02 * DEG / 3600.0, -0.01 * DEG / 3600.0)
+    s = calibration(
+        polar=Gyro(4.0 * ARCMIN, 0.4, case_drift=drift), equatorial=Gyro(3.0 * ARCMIN, 1.3, case_drift=drift)
+    )
+    found = identify(simulate(s).readouts, s.place)
+    for gyro, rotation, seen in (
+        (s.polar, s.polar_rotation, found.polar),
+        (s.equatorial, s.equatorial_rotation, found.equatorial),
+    ):
+        apparent = apparent_gyro(gyro, rotation)
+        assert abs(apparent.phase - gyro.phase) > 5e-3
+        assert seen.misalignment == pytest.approx(apparent.misalignment, abs=0.01 * ARCSEC)
+        assert seen.phase == pytest.approx(apparent.phase, abs=5e-5)
+
+
+@pytest.mark.parametrize("sources", [("force", "pick-off"), ("force",)])
+def test_the_force_alone_tells_it_too(sources):
+    s = calibration()
+    found = identify(simulate(s).readouts, s.place, sources=sources)
+    np.testing.assert_allclose(found.values, truth(s)[: len(found.values)], rtol=0, atol=5e-4 * ARCSEC)
+
+
+@pytest.mark.parametrize("step", [4.0, 8.0, 24.0])
+def test_the_length_of_the_step_does_not_bias_what_the_force_tells(step):
+    s = calibration(step=step)
+    found = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
+    np.testing.assert_allclose(found.values, truth(s), rtol=0, atol=5e-4 * ARCSEC)
+
+
+@only_compiled
+def test_gyro_accelerometers_read_the_turn_of_the_platform_too():
+    """Left out, it would show as 1.5 % of the misalignment: 3.6 arcsec."""
+    piga = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed")
+    s = calibration(sensors=Sensors(piga=piga), step=0.5)
+    found = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
+    np.testing.assert_allclose(found.values[:16], truth(s)[:16], rtol=0, atol=0.005 * ARCSEC)
+
+
+def test_too_few_samples_a_turn_are_refused():
+    s = calibration(step=30.0)
+    with pytest.raises(ArgumentError, match="20 samples a case turn"):
+        identify(simulate(s).readouts, s.place, sources=("force",))
+
+
+def test_a_long_record_is_cut_into_stretches(monkeypatch):
+    """Forty-five turns: three stretches with a slow force each tell as much as one long one."""
+    s = calibration(duration=21600.0, step=16.0, sensors=NOISE)
+    readouts = simulate(s).readouts
+    assert len(Record.checked(readouts, ("force",), 3).stretches) == 3
+    cut = identify(readouts, s.place, sources=("force",))
+    monkeypatch.setattr("piga.platform.identification.disturbance._TURNS", 100)
+    assert len(Record.checked(readouts, ("force",), 3).stretches) == 1
+    whole = identify(readouts, s.place, sources=("force",))
+    std = np.sqrt(np.diag(whole.covariance))
+    np.testing.assert_allclose(np.sqrt(np.diag(cut.covariance)), std, rtol=0.05)
+    assert np.abs((cut.values - whole.values) / std).max() < 0.8
+    assert np.abs((cut.values - truth(s)[:16]) / std).max() < 4.0
+
+
+def test_a_swaying_base_does_not_spoil_it():
+    sway = tuple(
+        Oscillation(a, p)
+        for a, p in ((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
+    )
+    s = calibration(motion=MotionPlan("sway", sway=sway), step=2.0 if INTERPRETED else 1.0, sensors=NOISE)
+    found = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
+    std = np.sqrt(np.diag(found.covariance))
+    score = (found.values - truth(s)) / std
+    assert np.abs(score).max() < 4.5
+    assert std[:4].max() < (0.3 if INTERPRETED else 0.1) * ARCSEC
+
+
+@pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("force", "pick-off"), ("force",)])
+def test_recursive_ends_where_batch_does(sources):
+    s = calibration(sensors=NOISE, duration=7200.0, step=16.0 if INTERPRETED else 4.0)
+    readouts = simulate(s).readouts
+    batch = identify(readouts, s.place, sources=sources)
+    stepwise = identify_recursively(readouts, s.place, sources=sources)
+    std = np.sqrt(np.diag(batch.covariance))
+    apart = np.abs((stepwise.values - batch.values) / std).max()
+    assert apart < (
+        0.02 if len(sources) == 1 else 0.3
+    )  # two sources: their levels come from a quarter of the run
+    np.testing.assert_allclose(np.sqrt(np.diag(stepwise.covariance)), std, rtol=0.15)
+    history = stepwise.history
+    assert np.all(np.diff(history["time"]) > 0.0)
+    assert history["stds"][-1, 0] < 0.7 * history["stds"][len(history["stds"]) // 4, 0]
+    np.testing.assert_allclose(history["values"][-1], stepwise.values, rtol=0, atol=1e-15)
+
+
+def test_what_cannot_be_told_apart_is_said():
+    s = calibration(polar=Gyro(4 * ARCMIN, 0.3), equatorial=Gyro(4 * ARCMIN, 1.0, drift=(1e-8, 0.0)))
+    run = simulate(s)
+    verdicts = {o.source: o for o in observability(run.readouts, identify(run.readouts, s.place))}
+    assert not verdicts["gimbals, z only"].separable
+    assert "one speed" in verdicts["redundancy-axis pick-off only"].sentence
+    assert "equatorial.u" in verdicts["gimbals, x and y"].sentence
+    for name in ("gimbals, z, with pick-off", "gimbals, all", "gimbals with pick-off"):
+        assert verdicts[name].separable
+    assert np.all(verdicts["gimbals with pick-off"].std < 0.02 * ARCSEC * (4.0 if INTERPRETED else 1.0))
+
+
+@pytest.mark.parametrize("sources", [("force",), ("force", "pick-off")])
+def test_what_the_force_tells_is_judged_as_it_is_identified(sources):
+    """One arc-second on the pick-off and, as 9.80 m/s^2 times that, on the specific force."""
+    felt = 9.8017 * ARCSEC
+    step = 16.0 if INTERPRETED else 4.0
+    noise = Sensors(pickoff_noise=ARCSEC, velocity_random_walk=felt * np.sqrt(step))
+    s = calibration(
+        sensors=noise, step=step, duration=7200.0, polar=Gyro(4 * ARCMIN, 0.3), equatorial=Gyro(3 * ARCMIN)
+    )
+    readouts = simulate(s).readouts
+    found = identify(readouts, s.place, sources=sources, orders=0)
+    verdict = {o.source: o for o in observability(readouts, found)}[
+        "specific force with pick-off" if len(sources) == 2 else "specific force"
+    ]
+    assert verdict.separable
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance))[:4], verdict.std, rtol=0.08)
+
+
+def test_unequal_speeds_separate_the_pick_off():
+    s = calibration(equatorial_rotation=Rotation(0.75 * 2 * np.pi / 480.0))
+    run = simulate(s)
+    verdicts = {o.source: o for o in observability(run.readouts, identify(run.readouts, s.place))}
+    assert verdicts["redundancy-axis pick-off only"].separable
+    only = identify(run.readouts, s.place, sources=("pick-off",), orders=1)
+    assert only["polar.misalignment"].value == pytest.approx(4 * ARCMIN, rel=0.02)
+
+
+def test_equal_speeds_refuse_the_pick_off_alone():
+    s = calibration()
+    with pytest.raises(IdentifiabilityError, match="cannot tell apart"):
+        identify(simulate(s).readouts, s.place, sources=("pick-off",), orders=1)
+
+
+def test_wrong_use_is_refused():
+    s = calibration(duration=800.0)
+    readouts = simulate(s).readouts
+    with pytest.raises(ArgumentError, match="two turns"):
+        identify(readouts, s.place)
+    resting = simulate(calibration(equatorial_rotation=Rotation(0.0))).readouts
+    with pytest.raises(ArgumentError, match="one is at rest"):
+        identify(resting, s.place)
+    with pytest.raises(ArgumentError, match="among gimbals"):
+        identify(readouts, s.place, sources=("stars",))
+
+
+def test_an_absent_misalignment_is_called_absent():
+    s = calibration(polar=Gyro(), sensors=NOISE)
+    found = identify(simulate(s).readouts, s.place)
+    assert any(note.startswith("polar: the misalignment is below") for note in found.notes)
+
+
+def test_least_squares_agrees_with_the_normal_equations():
+    rng = np.random.default_rng(3)
+    j1, j2, r1, r2 = (
+        rng.normal(size=(40, 3)),
+        rng.normal(size=(30, 3)),
+        rng.normal(size=40),
+        rng.normal(size=30),
+    )
+    parts = [Group("a", r1, j1).reduced(), Group("b", r2, j2).reduced()]
+    found = solve(parts, (0.5, 2.0), ("p", "q", "s"))
+    normal = j1.T @ j1 / 0.25 + j2.T @ j2 / 4.0
+    np.testing.assert_allclose(
+        found.step, np.linalg.solve(normal, j1.T @ r1 / 0.25 + j2.T @ r2 / 4.0), rtol=1e-12
+    )
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-12)

@@ -1,0 +1,217 @@
+"""Compensation models against the published case and the closed-form theory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piga.platform import (
+    compare,
+    compensator,
+    errors,
+    line_amplitudes,
+    navigate,
+    simulate,
+    spectrum,
+    true_knowledge,
+)
+from piga.platform.model.models import encoder_harmonics
+from piga.platform.model.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
+from piga.platform.navigation.analysis import CHANNELS, daily_lines, day_slices
+from piga.platform.navigation.navigator import true_start
+
+from .conftest import ARCMIN, ARCSEC, DEG, only_compiled, published, wobbling
+
+pytestmark = pytest.mark.compiled
+
+
+@pytest.fixture(scope="module")
+def ten_days():
+    return compare(published())
+
+
+@pytest.fixture(scope="module")
+def ten_days_with_wobble():
+    return compare(wobbling())
+
+
+@only_compiled
+def test_model_a_leaves_what_the_theory_says(ten_days):
+    run = ten_days.models["A"]
+    for channel in ("east_velocity", "heading", "roll"):
+        ratio = run.lines.amplitude[channel] / run.theory.amplitude[channel]
+        assert np.all(np.abs(ratio - 1.0) < 0.003), channel
+        assert np.all(np.abs(ratio[2:] - 1.0) < 0.001), channel
+
+
+@only_compiled
+def test_the_coriolis_coupling_gives_the_north_velocity(ten_days):
+    run = ten_days.models["A"]
+    ratio = run.lines.amplitude["north_velocity"] / run.theory.amplitude["north_velocity"]
+    assert np.all(np.abs(ratio[2:] - 1.0) < 0.002)
+
+
+@only_compiled
+def test_the_published_numbers_of_day_ten(ten_days):
+    a = ten_days.models["A"].lines.amplitude
+    end = np.tan(2.4 * DEG) / np.tan(2.28 * DEG)
+    assert a["east_velocity"][-1] * end == pytest.approx(0.02797, rel=0.02)
+    assert a["heading"][-1] / ARCMIN * end == pytest.approx(
+        4.0 * np.tan(2.4 * DEG) * np.sin(40 * DEG), rel=0.02
+    )
+    assert a["roll"][-1] / ARCMIN * end == pytest.approx(4.0 * np.tan(2.4 * DEG) * np.cos(40 * DEG), rel=0.02)
+
+
+@only_compiled
+def test_model_a_also_leaves_the_secant_term(ten_days):
+    """The published d_r = m1 cos(c1) (tan eta - tan eta0) lacks m2 sin(c2) (sec eta - sec eta0)."""
+    eta, m = 2.28 * DEG, 4.0 * ARCMIN
+    first = -np.exp(1j * 20 * DEG) * np.tan(eta)
+    second = -1j * np.exp(1j * 75 * DEG) * (1.0 / np.cos(eta) - 1.0)
+    schuler = 1.0 / (1.0 - (1.2394e-3 * 480 / (2 * np.pi)) ** 2)
+    found = ten_days.models["A"].lines.amplitude["heading"][-1] / (m * np.sin(40 * DEG) * schuler)
+    assert found == pytest.approx(abs(first + second), rel=1e-3)
+    assert abs(found / abs(first) - 1.0) > 0.01
+
+
+@only_compiled
+def test_model_b_leaves_under_one_percent_of_model_a(ten_days):
+    a, b = ten_days.models["A"].lines.amplitude, ten_days.models["B"].lines.amplitude
+    for channel in ("east_velocity", "heading", "roll"):
+        assert b[channel][-1] < 0.001 * a[channel][-1]
+
+
+@only_compiled
+def test_no_model_leaves_the_whole_misalignment(ten_days):
+    left = ten_days.models["none"].lines.amplitude["east_velocity"]
+    assert left[0] == pytest.approx(0.871 * np.cos(40 * DEG), rel=0.02)
+
+
+@only_compiled
+def test_with_wobble_b_removes_a_part_and_c_the_rest(ten_days_with_wobble):
+    found = {m: r.lines.amplitude for m, r in ten_days_with_wobble.models.items()}
+    for channel in ("east_velocity", "heading", "roll"):
+        by_b = 1.0 - found["B"][channel][-1] / found["A"][channel][-1]
+        by_c = 1.0 - found["C"][channel][-1] / found["A"][channel][-1]
+        assert 0.30 < by_b < 0.50
+        assert by_c > 0.99
+
+
+@only_compiled
+def test_the_theory_knows_the_wobble(ten_days_with_wobble):
+    for model in ("A", "B"):
+        run = ten_days_with_wobble.models[model]
+        ratio = run.lines.amplitude["east_velocity"] / run.theory.amplitude["east_velocity"]
+        assert np.all(np.abs(ratio - 1.0) < 0.005)
+
+
+@only_compiled
+def test_the_second_order_remainder_is_a_step_and_lines_at_twice_the_rate():
+    """Model B, truth known: what stays is the second order of the small-angle matrices."""
+    s = published(duration=86400.0, redundancy=1.0 * DEG)
+
+    def left(scale):
+        scaled = replace(
+            s,
+            polar=replace(s.polar, misalignment=4.0 * ARCMIN * scale),
+            equatorial=replace(s.equatorial, misalignment=4.0 * ARCMIN * scale),
+        )
+        run = simulate(scaled)
+        shown = navigate(
+            run.readouts, compensator("B", true_knowledge(scaled), run.readouts), true_start(run.truth)
+        )
+        e = errors(shown, run.truth, run.readouts)
+        rate = s.polar_rotation.rate
+        at = [line_amplitudes(e.times, e.velocity[:, 1:2], k * rate, s.place.latitude)[0] for k in (1.0, 2.0)]
+        return np.abs(e.velocity[:, :2]).max(), *at
+
+    whole, half = left(1.0), left(0.5)
+    assert 3.8 < whole[0] / half[0] < 4.2
+    assert 3.8 < whole[2] / half[2] < 4.2
+    assert whole[0] < 8e-3
+    assert whole[1] < 2e-5
+
+
+@pytest.mark.parametrize("model", ["A", "B", "C"])
+def test_models_agree_while_the_redundancy_angle_stays(model):
+    s = published(duration=1920.0, step=4.0, equatorial=Gyro(3 * ARCMIN, 1.0), redundancy=0.05)
+    run = simulate(s)
+    made = compensator(model, true_knowledge(s), run.readouts)
+    reference = compensator("B", true_knowledge(s), run.readouts, redundancy="drift-model")
+    start = true_start(run.truth)
+    one, two = (navigate(run.readouts, m, start).position for m in (made, reference))
+    assert np.abs(one - two).max() < 2e-4
+
+
+def test_the_redundancy_angle_is_followed_without_lag():
+    s = published(duration=9600.0, step=8.0, redundancy=0.02)
+    run = simulate(s)
+    made = compensator("B", true_knowledge(s), run.readouts)
+    assert np.abs(made.eta - run.truth.eta).max() < 2e-6
+    ignorant = replace(true_knowledge(s), eta_rate=0.0)
+    late = compensator("B", ignorant, run.readouts).eta - run.truth.eta
+    assert abs(late[-1]) < 0.2 * np.abs(late).max()
+
+
+def test_harmonics_over_encoder_and_case_angle_are_the_same():
+    gyro = Gyro(1e-3, 0.6, (Harmonic(1, 1e-5, 0.2), Harmonic(2, 3e-5, 2.0)))
+    cosines, sines = encoder_harmonics(gyro, 2)
+    theta = np.linspace(0.0, 6.0, 9)
+    c = theta + 0.6
+    expected = 1e-5 * np.cos(c + 0.2) + 3e-5 * np.cos(2 * c + 2.0)
+    found = sum(cosines[k] * np.cos((k + 1) * theta) + sines[k] * np.sin((k + 1) * theta) for k in range(2))
+    np.testing.assert_allclose(found, expected, atol=1e-18)
+
+
+def test_a_line_is_found_among_its_neighbours():
+    t = np.arange(10800) * 8.0
+    rate, latitude = 2.0 * np.pi / 480.0, 40.0 * DEG
+    earth_rate, schuler = 7.292115e-5, 1.2394e-3
+    line = (0.02 + 2e-7 * (t - t.mean())) * np.cos(rate * t + 0.3)
+    others = 0.5 * np.sin((rate + earth_rate) * t) + 0.4 * np.cos((rate - earth_rate) * t + 1.0)
+    slow = 0.7 * np.sin(schuler * t) + 1e-5 * t + 0.3 + 0.01 * np.sin(2 * rate * t)
+    found = line_amplitudes(t, (line + others + slow)[:, None], rate, latitude)
+    assert found[0] == pytest.approx(0.02, rel=2e-3)
+
+
+def test_a_spectrum_shows_the_amplitude_of_a_sine():
+    t = np.arange(4096.0)
+    frequency, amplitude = spectrum(t, 3.0 + 0.25 * np.sin(2 * np.pi * 64 / 4096 * t))
+    assert frequency[np.argmax(amplitude)] == pytest.approx(64 / 4096)
+    assert amplitude.max() == pytest.approx(0.25, rel=1e-3)
+
+
+def test_days_are_cut_where_they_end():
+    parts = day_slices(np.arange(1, 4 * 86400 // 600 + 30) * 600.0)
+    assert [p.stop - p.start for p in parts] == [144, 144, 144, 144, 29]
+
+
+def test_a_short_run_has_one_short_day():
+    s = published(duration=3600.0, step=8.0)
+    run = simulate(s)
+    shown = navigate(run.readouts, compensator("A", true_knowledge(s), run.readouts), true_start(run.truth))
+    lines = daily_lines(errors(shown, run.truth, run.readouts), s.polar_rotation.rate, s.place.latitude)
+    assert lines.day.tolist() == [1]
+    assert set(lines.amplitude) == set(CHANNELS)
+
+
+@only_compiled
+@pytest.mark.parametrize("kind", ["reversal", "unequal", "at rest", "moving"])
+def test_the_chain_runs_for_other_schedules_and_bases(kind):
+    noise = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-5)
+    rate = 2.0 * np.pi / 480.0
+    changes = {
+        "reversal": {"polar_rotation": Rotation(rate, 2), "equatorial_rotation": Rotation(rate, 2)},
+        "unequal": {"equatorial_rotation": Rotation(0.8 * rate)},
+        "at rest": {"polar_rotation": Rotation(0.0), "equatorial_rotation": Rotation(0.0)},
+        "moving": {"motion": MotionPlan("turn", turn_rate=0.01), "compensation": Compensation(attitude="true")},
+    }[kind]
+    found = compare(published(duration=21600.0, sensors=noise, **changes))
+    none, b = found.models["none"].errors, found.models["B"].errors
+    if kind == "at rest":
+        assert "at rest" in found.preparation.notes[0]
+    else:
+        assert b.horizontal.max() < 0.15 * none.horizontal.max()
+    assert set(found.document()["models"]) == {"none", "A", "B", "C"}

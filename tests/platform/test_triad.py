@@ -1,0 +1,149 @@
+"""Three gyro accelerometers on the platform: solved together, and the capstone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piga._kernels.platform.triad import solve_triad
+from piga.errors import ArgumentError
+from piga.platform.model.scenario import Compensation, Gyro, PigaSensors, Sensors
+from piga.platform.model.triad import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
+from piga.platform.runs import capstone
+
+from .conftest import DEG, only_compiled, published
+
+pytestmark = pytest.mark.compiled
+
+PIGA = PigaSensors(0.8884 / 9.80665, 3.6e-4, mounting="skewed", cone=TRIPOD)
+
+
+def _sweep(n=400, step=1.0):
+    t = np.arange(n + 1) * step
+    angle = 2e-4 * t
+    force = 9.8 * np.stack([np.cos(angle), 0.02 - np.sin(angle) * 0.7, 0.6 * np.ones_like(t)], axis=1)
+    return t, force
+
+
+@pytest.mark.parametrize("mounting", [{"mounting": "orthogonal"}, {"cone": TRIPOD}, {"cone": 0.5}])
+@pytest.mark.parametrize("tan_beta", [3.6e-4, 5e-3])
+def test_the_solved_force_is_the_true_one(mounting, tan_beta):
+    t, force = _sweep()
+    sensors = replace(PIGA, tan_beta=tan_beta, **mounting)
+    alpha = gimbal_angles(sensors, t, force, np.zeros((len(t) - 1, 3)))
+    solved = read_increments(sensors, t, alpha)
+    raw = read_increments(replace(sensors, output="raw"), t, alpha)
+    mean = 0.5 * (force[1:] + force[:-1])
+    assert np.abs(solved - mean).max() < 3e-6 * (tan_beta / 3.6e-4)
+    assert np.abs(raw - mean).max() > 1.5 * tan_beta
+
+
+def test_two_newton_steps_reach_the_end():
+    """The averaged effective axes are the Jacobian to first order in tan(beta)."""
+    t, force = _sweep(n=40)
+    alpha = gimbal_angles(replace(PIGA, tan_beta=5e-3), t, force, np.zeros((40, 3)))
+    found = []
+    for sweeps in (2, 6):
+        increments = np.empty((40, 3))
+        constants = np.full(3, PIGA.scale_factor), np.full(3, 5e-3)
+        solve_triad(alpha, mounting_axes(PIGA), *constants, 1.0, sweeps, np.empty((3, 4)), increments)
+        found.append(increments)
+    assert np.abs(found[0] - found[1])[1:].max() < 2e-8
+
+
+def test_mounting_axes_are_right_handed_triads():
+    for sensors in (replace(PIGA, mounting="orthogonal"), PIGA, replace(PIGA, cone=0.4)):
+        axes = mounting_axes(sensors)
+        for frame in axes:
+            np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
+            assert np.linalg.det(frame) == pytest.approx(1.0)
+    tripod = mounting_axes(PIGA)[:, 0, :]
+    np.testing.assert_allclose(tripod @ tripod.T, np.eye(3), atol=1e-15)
+    assert np.degrees(np.arccos(mounting_axes(replace(PIGA, cone=0.4))[0, 0, 2])) == pytest.approx(
+        np.degrees(0.4)
+    )
+
+
+def test_axes_within_the_latitude_of_the_pole_never_lock():
+    angle = np.linspace(0.0, 2 * np.pi, 20001)
+    gravity = 9.8 * np.stack(
+        [np.cos(40 * DEG) * np.cos(angle), np.cos(40 * DEG) * np.sin(angle), np.sin(40 * DEG) + 0 * angle],
+        axis=1,
+    )
+    assert locked(replace(PIGA, tan_beta=5e-3), gravity).any(axis=0).all()
+    assert not locked(replace(PIGA, cone=35 * DEG, tan_beta=5e-3), gravity).any()
+    share = locked(PIGA, gravity).mean()
+    expected = (
+        2
+        * 2
+        * 3.6e-4
+        / (2 * np.pi)
+        / (np.cos(40 * DEG) * np.sin(TRIPOD))
+        / np.sqrt(1 - (np.tan(40 * DEG) / np.tan(TRIPOD)) ** 2)
+    )
+    assert share == pytest.approx(expected, rel=0.15)
+
+
+def test_the_platforms_own_turn_is_read_and_known():
+    t, force = _sweep()
+    turn = np.tile([1e-6, -2e-6, 3e-6], (len(t) - 1, 1))
+    still, turned = (read_increments(PIGA, t, gimbal_angles(PIGA, t, force, s)) for s in (0 * turn, turn))
+    np.testing.assert_allclose(turned - still, -turn / PIGA.scale_factor, atol=3e-8)
+
+
+def test_counting_loses_no_velocity():
+    t, force = _sweep()
+    counted = replace(PIGA, counts_per_revolution=72000.0)
+    alpha = gimbal_angles(PIGA, t, force, np.zeros((len(t) - 1, 3)))
+    off = read_increments(
+        counted, t, gimbal_angles(counted, t, force, np.zeros((len(t) - 1, 3)))
+    ) - read_increments(PIGA, t, alpha)
+    assert np.abs(np.cumsum(off, axis=0)).max() < 2.0 * 2 * np.pi / 72000 / PIGA.scale_factor
+
+
+def test_a_step_too_long_is_refused():
+    t, force = _sweep(n=20, step=3.0)
+    with pytest.raises(ArgumentError, match="third of a turn"):
+        read_increments(PIGA, t, gimbal_angles(PIGA, t, force, np.zeros((20, 3))))
+
+
+def _capstone_scenario(**changes):
+    values = {
+        "polar": Gyro(1e-3, 0.3),
+        "equatorial": Gyro(1e-3, 1.3),
+        "sensors": Sensors(piga=replace(PIGA, cone=35 * DEG)),
+        "compensation": Compensation(misalignment="true", attitude="true"),
+    }  # fmt: skip
+    return published(**(values | changes))
+
+
+@only_compiled
+def test_the_story_of_the_capstone():
+    found = capstone(_capstone_scenario(duration=2 * 86400.0))
+    o = {name: outcome.position for name, outcome in found.outcomes.items()}
+    assert o["raw tripod"] > 500.0
+    assert o["raw skewed"] < 0.05 * o["raw tripod"]
+    assert abs(o["triad"] - o["ideal"]) < 0.2
+    assert o["triad, calibrated"] < 3.0 * o["ideal"]
+    assert found.outcomes["raw tripod"].locked_per_day.min() > 10.0
+    assert found.outcomes["raw skewed"].locked_per_day.max() == 0.0
+
+
+@only_compiled
+def test_a_passage_leaves_what_stationary_phase_says():
+    """The starting angle is one for which the phase at the passage is near its worst."""
+    sensors = Sensors(piga=replace(PIGA, cone=35 * DEG, alpha0=(2.0, 0.1, 0.5)))
+    found = capstone(_capstone_scenario(duration=7200.0, polar=Gyro(), equatorial=Gyro(), sensors=sensors))
+    p = found.passage
+    assert np.abs(p.triad - p.true).max() < 1e-3 * np.abs(p.raw - p.true).max()
+    step = float(p.times[1] - p.times[0])
+    left = abs(np.sum(p.raw - p.true) * step)
+    assert 0.9 * p.velocity_error < left < 1.05 * p.velocity_error
+    assert p.lock_time > 20.0 * p.locked.sum() * step
+
+
+def test_the_capstone_needs_gyro_accelerometers():
+    with pytest.raises(ArgumentError, match="accelerometers = 'piga'"):
+        capstone(published(duration=1200.0, step=4.0))

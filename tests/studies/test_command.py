@@ -1,0 +1,94 @@
+"""The command as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from piga.cli.main import app
+from piga.studies import run
+from piga.studies.case import Case, Chapter
+
+KEYS = {
+    "id",
+    "source",
+    "quantity",
+    "unit",
+    "published",
+    "computed",
+    "difference",
+    "tolerance",
+    "verdict",
+    "note",
+}
+
+
+def piga(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-c",
+        "from piga.cli.main import main; main()",
+        "reproduce",
+        *map(str, arguments),
+    ]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "100"}
+    )
+
+
+def test_json_is_one_document_of_the_interface():
+    done = piga("--only", "redundancy-angle", "--json")
+    assert done.returncode == 0, done.stderr
+    cases = json.loads(done.stdout)["cases"]
+    assert len(cases) == 7
+    for case in cases:
+        assert set(case) == KEYS
+        assert case["verdict"] in ("pass", "fail", "info")
+        assert case["difference"] == case["computed"] - case["published"]
+        assert abs(case["difference"]) <= case["tolerance"]
+
+
+def test_table_is_plain_text_off_a_terminal():
+    done = piga("--only", "mounting")
+    assert done.returncode == 0, done.stderr
+    assert "\x1b" not in done.stdout
+    assert done.stdout.splitlines()[0].split()[:4] == ["case", "published", "computed", "difference"]
+    assert done.stdout.count("  pass") == 2
+    assert "3 cases: 2 agree, 0 do not, 1 without" in done.stdout
+
+
+def test_unknown_id_names_the_known_ones():
+    done = piga("--only", "nothing")
+    assert done.returncode == 2
+    assert "one of: constant-input, period" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_out_writes_page_and_pictures(tmp_path):
+    done = piga("--only", "mounting", "--out", tmp_path / "new")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (tmp_path / "new" / "figures").iterdir()) == [
+        "mounting-skew.png",
+        "mounting-skew.svg",
+    ]
+    page = (tmp_path / "new" / "reproduction.html").read_text(encoding="utf-8")
+    assert "mounting-skew" in page
+    assert "least skew against the load" in page
+
+
+def test_disagreement_ends_with_exit_code_1(monkeypatch):
+    wrong = Case("mounting.moves", "[Wei2024]", "skew", "arcsec", 1000.0, 900.0, 0.1, "a wrong number")
+    monkeypatch.setitem(run.CHAPTERS, "mounting", lambda: Chapter("mounting", "Mounting", "", "", (wrong,), ()))
+    done = CliRunner().invoke(app, ["reproduce", "--only", "mounting"])
+    assert done.exit_code == 1
+    assert "1 cases: 0 agree, 1 do not" in done.stdout
+
+
+@pytest.mark.parametrize("option", ["--out", "--only", "--json"])
+def test_help_names_the_options(option):
+    assert option in CliRunner().invoke(app, ["reproduce", "--help"]).stdout

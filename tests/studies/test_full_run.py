@@ -1,0 +1,67 @@
+"""The whole reproduction, compiled: enough cases and figures, none failing, within a minute, docs up to date."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from piga.studies import CHAPTERS, Reproduction, reproduce
+from tests.studies.test_chapters import check
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+pytestmark = pytest.mark.only_compiled
+
+
+@pytest.fixture(scope="module")
+def timed() -> tuple[Reproduction, float]:
+    begin = time.perf_counter()
+    found = reproduce()
+    return found, time.perf_counter() - begin
+
+
+def test_no_case_fails_and_everything_is_labelled(timed):
+    found, seconds = timed
+    assert [chapter.id for chapter in found.chapters] == list(CHAPTERS)
+    assert len(found.cases) >= 25
+    assert len(found.figures) >= 12
+    assert len({case.id for case in found.cases}) == len(found.cases)
+    assert len({figure.key for figure in found.figures}) == len(found.figures)
+    for chapter in found.chapters:
+        check(chapter)
+    assert seconds < 60.0
+
+
+def test_document_is_json_and_pass_means_within_tolerance(timed):
+    document = json.loads(json.dumps(timed[0].document(), allow_nan=False))
+    for case in document["cases"]:
+        if case["verdict"] == "pass":
+            assert abs(case["difference"]) <= case["tolerance"]
+        else:
+            assert case["published"] is None or case["tolerance"] is None
+
+
+def test_known_values(timed):
+    """East-velocity line of model A as an independent integration at 1 Hz gave it; share that B removes."""
+    value = {case.id: case.computed for case in timed[0].cases}
+    assert value["ten-days.east-velocity-A"] == pytest.approx(0.0281, abs=1e-4)
+    assert value["ten-days.east-velocity-B"] < 3.5e-5
+    assert 30.0 < value["wobble.removed-B"] < 50.0
+    assert value["wobble.removed-C"] > 90.0
+    assert 0.03 < min(value[f"errata.sign-{k}"] for k in (2, 3, 4)) < 0.05
+    assert value["five-coefficients.successes"] == 20.0
+
+
+def test_docs_hold_every_case_and_figure(timed):
+    """The pages are made by builders/build_reproduction_docs.py: build them again when this fails."""
+    pages = {name: (DOCS / name).read_text(encoding="utf-8") for name in ("reproduction.md", "errata.md")}
+    for chapter in timed[0].chapters:
+        text = pages["errata.md" if chapter.id == "errata" else "reproduction.md"]
+        for case in chapter.cases:
+            assert f"`{case.id.partition('.')[2]}`" in text, case.id
+        for figure in chapter.figures:
+            assert f"figures/reproduction/{figure.key}.svg" in text
+            assert (DOCS / "figures" / "reproduction" / f"{figure.key}.svg").exists()
