@@ -14,11 +14,15 @@ ROOMS = {
     "frames",
     "earth",
     "units",
+    "formats",
+    "reading",
     "records",
     "stand",
     "calibration",
     "compensation",
-    "stable_platform",
+    "planning",
+    "platform",
+    "trend",
 }
 """Numerics and readers: branch coverage of at least ``PROMISE`` percent."""
 

@@ -32,10 +32,10 @@ from pathlib import Path
 import atheris
 
 with atheris.instrument_imports(include=["piga.records", "piga.units"]):
+    from piga.formats.columns import RecordStream
     from piga.formats.containers.container import read_container
     from piga.formats.containers.container_child import READERS
     from piga.formats.containers.parquet_reader import ParquetStream
-    from piga.formats.stream import RecordStream
     from piga.formats.text.reader import TextStream
     from piga.records.calibration_json import read_calibration
     from piga.records.run_file import read_run_file

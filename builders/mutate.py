@@ -75,80 +75,113 @@ COMPENSATED = tests_of(
 )
 SETS = tests_of("compensation", "triad", "set_corners", "published_case", "large_record")
 PHASES = tests_of("compensation", "phase_and_resample")
-GEOMETRY = tests_of("stable_platform", "geometry", "simulate")
-PLATFORM = [*GEOMETRY, *tests_of("stable_platform", "scenario", "navigation")]
-ERRORS = tests_of("stable_platform", "error_model", "navigation", "models")
-IDENTIFIED = tests_of("stable_platform", "identification", "alignment", "intervals")
-TRIADS = tests_of("stable_platform", "triad", "simulate")
+GEOMETRY = tests_of("platform", "geometry", "simulate")
+PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigation")]
+ERRORS = tests_of("platform", "error_model", "navigation", "models")
+IDENTIFIED = tests_of("platform", "identification", "alignment", "intervals")
+TRIADS = tests_of("platform", "triad", "simulate")
 GROUND = ["tests/foundations"]
 CALIBRATION = {
-    "advice advice_sample advice_words thinning": tests_of("calibration", "advice"),
-    "allan": tests_of("calibration", "allan", "drift"),
-    "calibrate coefficients design fit noise residuals solution weighting identifiability": FIT,
-    "budget degrees_of_freedom monte_carlo propagation uncertainty": UNCERTAINTY,
-    "candidate_columns missing_terms": SIGNATURES,
-    "candidates criterion mounting planning prediction visits plan_file plan_export": PLANS,
-    "cleaning outliers": tests_of("calibration", "small_parts", "outliers"),
-    "control_chart trend trend_line trend_words": TREND,
-    "counted stretches": COUNTED,
-    "cross_validation model_choice model_comparison": CHOICE,
-    "added_noise": tests_of("calibration", "small_parts", "added_noise"),
-    "faint_walk": tests_of("calibration", "small_parts", "faint_walk"),
-    "saw_tooth": COUNTED,
-    "servo servo_columns cubic": tests_of("calibration", "servo"),
-    "slow_bases slow_noise": tests_of("calibration", "small_parts", "drift", "segment_scatter"),
-    "joint joint_result summary summary_json": JOINT,
-    "leverage segment_parts": [*tests_of("calibration", "leverage"), *SIGNATURES],
-    "published recursive request": FIT,
-    "reduction": [*tests_of("calibration", "reduction"), *FIT],
-    "revolutions": REVOLUTIONS,
+    "calibration/remarks/advice calibration/remarks/advice_sample "
+    "calibration/remarks/advice_words calibration/remarks/thinning": tests_of("calibration", "advice"),
+    "calibration/allan": tests_of("calibration", "allan", "drift"),
+    "calibration/calibrate calibration/model/coefficients calibration/model/design "
+    "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "
+    "calibration/model/solution calibration/noise/weighting "
+    "calibration/model/identifiability": FIT,
+    "calibration/budget/rows calibration/intervals/degrees_of_freedom "
+    "calibration/budget/monte_carlo calibration/budget/propagation "
+    "calibration/budget/uncertainty": UNCERTAINTY,
+    "calibration/remarks/candidate_columns calibration/remarks/missing_terms": SIGNATURES,
+    "planning/candidates planning/criterion planning/mounting planning/plan "
+    "planning/prediction planning/visits planning/plan_file planning/plan_export": PLANS,
+    "calibration/fit/cleaning calibration/fit/outliers": tests_of("calibration", "small_parts", "outliers"),
+    "trend/control_chart trend/history trend/trend_line trend/trend_words": TREND,
+    "calibration/noise/counted calibration/noise/stretches": COUNTED,
+    "calibration/choice/cross_validation calibration/choice/model_choice "
+    "calibration/choice/model_comparison": CHOICE,
+    "calibration/intervals/added_noise": tests_of("calibration", "small_parts", "added_noise"),
+    "calibration/intervals/faint_walk": tests_of("calibration", "small_parts", "faint_walk"),
+    "calibration/noise/saw_tooth": COUNTED,
+    "calibration/fit/servo calibration/model/servo_columns": tests_of("calibration", "servo"),
+    "calibration/remarks/left_out calibration/remarks/left_out_runs": tests_of("calibration", "servo"),
+    "calibration/noise/slow_bases calibration/intervals/slow_noise": tests_of(
+        "calibration", "small_parts", "drift", "segment_scatter"
+    ),
+    "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary "
+    "calibration/joint/summary_json": JOINT,
+    "calibration/remarks/leverage calibration/model/segment_parts": [
+        *tests_of("calibration", "leverage"),
+        *SIGNATURES,
+    ],
+    "calibration/classical/published calibration/classical/recursive calibration/model/request": FIT,
+    "calibration/model/reduction": [*tests_of("calibration", "reduction"), *FIT],
+    "calibration/classical/revolutions": REVOLUTIONS,
 }
 INSTRUMENT = {
-    "constant_motion regimes": MOTION,
-    "electronics": tests_of("instrument", "electronics", "borders"),
-    "fleet": tests_of("instrument", "fleet"),
-    "function_input input_forms sampled_motion sensitivity": [*SAMPLES, *tests_of("instrument", "fleet")],
-    "motion_analysis published": ANALYSIS,
-    "twin twin_linear twin_parameters twin_predictions": TWIN,
+    "instrument/motion/constant_motion instrument/regimes": MOTION,
+    "instrument/twin/electronics": tests_of("instrument", "electronics", "borders"),
+    "instrument/motion/fleet": tests_of("instrument", "fleet"),
+    "instrument/motion/function_input instrument/motion/input_forms "
+    "instrument/motion/sampled_motion instrument/motion/sensitivity": [
+        *SAMPLES,
+        *tests_of("instrument", "fleet"),
+    ],
+    "instrument/motion/motion_analysis instrument/published": ANALYSIS,
+    "instrument/twin/run instrument/twin/linear instrument/twin/parameters instrument/twin/predictions": TWIN,
 }
 COMPENSATION = {
-    "compensate compensator model step validity result": COMPENSATED,
-    "phase resample rate_angle": [*PHASES, *COMPENSATED, *tests_of("compensation", "files")],
-    "published_set set_compensator triad mounting": SETS,
+    "compensation/compensate compensation/compensator compensation/model compensation/step "
+    "compensation/validity compensation/result": COMPENSATED,
+    "compensation/phase compensation/resample compensation/rate_angle": [
+        *PHASES,
+        *COMPENSATED,
+        *tests_of("compensation", "files"),
+    ],
+    "compensation/sets/published_set compensation/sets/set_compensator "
+    "compensation/sets/triad compensation/mounting": SETS,
 }
 PLATFORM_ROOM = {
-    "alignment disturbance estimate identified observation sources case_rotation": IDENTIFIED,
-    "analysis budget error_model models observability capstone": ERRORS,
-    "geodesy geometry motion navigation scenario simulate recursion": PLATFORM,
-    "chain triad output": TRIADS,
+    "platform/identification/alignment platform/identification/disturbance "
+    "platform/identification/estimate platform/identification/identified "
+    "platform/identification/observation platform/identification/sources "
+    "platform/model/case_rotation": IDENTIFIED,
+    "platform/navigation/analysis platform/runs/budget platform/navigation/error_model "
+    "platform/model/models platform/identification/observability platform/runs/capstone": ERRORS,
+    "platform/model/geodesy platform/model/geometry platform/model/motion "
+    "platform/navigation/navigator platform/model/scenario platform/model/simulate "
+    "platform/identification/recursion": PLATFORM,
+    "platform/runs/chain platform/model/triad platform/runs/output": TRIADS,
 }
 KERNELS = {
-    "compensate compensate_bow compensate_layout compensate_near compensate_record compensate_terms "
-    "compensate_uncertainty sine_cosine smooth": [*COMPENSATED, *SETS],
-    "compensate_set compensate_set_record": SETS,
-    "counting": COUNTED,
-    "published": FIT,
-    "double_double regressors square_root statistics whitening": SUMS,
-    "function_motion": SAMPLES,
-    "motion motion_blocks motion_increments motion_sensitivity transfer trig": SAMPLES,
-    "motion_samples": [*SAMPLES, *tests_of("instrument", "fleet")],
-    "outliers": [*tests_of("kernels", "outlier_scan"), *tests_of("calibration", "outliers")],
-    "platform_errors platform_motion platform_navigation": [*PLATFORM, *ERRORS],
-    "platform_geometry": [*GEOMETRY, *EQUATIONS],
-    "platform_triad": TRIADS,
-    "resample": [*PHASES, *tests_of("compensation", "files")],
-    "servo": TWIN,
-    "trend": TREND,
+    "_kernels/compensation/compensate _kernels/compensation/bow "
+    "_kernels/compensation/layout _kernels/compensation/near _kernels/compensation/record "
+    "_kernels/compensation/terms _kernels/compensation/uncertainty "
+    "_kernels/arithmetic/sine_cosine _kernels/arithmetic/smooth": [*COMPENSATED, *SETS],
+    "_kernels/compensation/set _kernels/compensation/set_record": SETS,
+    "_kernels/estimation/counting": COUNTED,
+    "_kernels/estimation/published": FIT,
+    "_kernels/arithmetic/double_double _kernels/estimation/regressors "
+    "_kernels/estimation/square_root _kernels/arithmetic/statistics "
+    "_kernels/estimation/whitening": SUMS,
+    "_kernels/motion/function_motion": SAMPLES,
+    "_kernels/motion/step _kernels/motion/blocks _kernels/motion/increments "
+    "_kernels/motion/sensitivity _kernels/motion/transfer _kernels/arithmetic/trig": SAMPLES,
+    "_kernels/motion/samples": [*SAMPLES, *tests_of("instrument", "fleet")],
+    "_kernels/estimation/outliers": [
+        *tests_of("kernels", "outlier_scan"),
+        *tests_of("calibration", "outliers"),
+    ],
+    "_kernels/platform/errors _kernels/platform/motion _kernels/platform/navigation": [*PLATFORM, *ERRORS],
+    "_kernels/platform/geometry": [*GEOMETRY, *EQUATIONS],
+    "_kernels/platform/triad": TRIADS,
+    "_kernels/arithmetic/resample": [*PHASES, *tests_of("compensation", "files")],
+    "_kernels/motion/servo": TWIN,
+    "_kernels/estimation/trend": TREND,
 }
 TESTS = {
-    f"{room}/{name}.py": tests
-    for room, table in (
-        ("calibration", CALIBRATION),
-        ("instrument", INSTRUMENT),
-        ("compensation", COMPENSATION),
-        ("stable_platform", PLATFORM_ROOM),
-        ("_kernels", KERNELS),
-    )
+    f"{name}.py": tests
+    for table in (CALIBRATION, INSTRUMENT, COMPENSATION, PLATFORM_ROOM, KERNELS)
     for names, tests in table.items()
     for name in names.split()
 } | {

@@ -1,4 +1,4 @@
-"""Write the old-record corpus of this version: a folder named by it in ``tests/records/corpus``.
+"""Write the old-record corpus of this version: a folder named by it in ``tests/ledger/store/corpus``.
 
 It holds a store, its export, and what they hold.
 

@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
-from piga.calibration.fit.one_run import Fit, fit_run, phase_groups
+from piga.calibration.fit.one_run import Fit, fit_run, phase_groups, refine_counted
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, quick_look
 from piga.calibration.joint.summary import RunSummary
@@ -18,7 +18,6 @@ from piga.calibration.model.coefficients import name_coefficients
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import solve
-from piga.calibration.noise.counted import refine_counted
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.slow_bases import DriftBasis
 from piga.calibration.noise.weighting import reduce_segments

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.calibration import RunSummary, calibrate
+from piga.calibration import RunSummary
+from piga.calibration.calibrate import calibrate
 from piga.records.coverage import is_of_reference
 from piga.records.run_file import EstimationTable
 from tests.calibration.servo_data import TERMS, TRUTH, head, levels, recorded

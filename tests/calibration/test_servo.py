@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import quad
 
 from piga._kernels.estimation.regressors import cubic_moments, servo_columns
-from piga.calibration.joint.summary import RunSummary, calibrate, compare_models
+from piga.calibration import RunSummary, compare_models
+from piga.calibration.calibrate import calibrate
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
 from piga.records.distribution import Given, GivenParameter
 from piga.records.run_file import EstimationTable, ServoTable

@@ -19,10 +19,10 @@ from piga.calibration.intervals.slow_noise import _whitened_means, quick_look
 from piga.calibration.model.coefficients import name_parameters
 from piga.calibration.model.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Estimate, Layout
+from piga.calibration.model.solution import KNOTS, Estimate, Layout
 from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import KNOTS, DriftBasis
+from piga.calibration.noise.slow_bases import DriftBasis
 from piga.calibration.remarks.advice import with_advice
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.planning.candidates import _without_phase, coefficient_names

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from piga._kernels.estimation.counting import add_waves
-from piga.calibration.fit.one_run import fit_run
+from piga.calibration.fit.one_run import fit_run, refine_counted
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
-from piga.calibration.noise.counted import refine_counted
 from piga.calibration.noise.saw_tooth import SawTooth, follow, looks_white
 from piga.calibration.noise.stretches import empty_stretches, find_stretches
 from piga.records.run import Run

@@ -11,7 +11,7 @@ import piga
 from piga.compensation import identify_phase
 from piga.compensation.compensate import compensate_in_pieces
 from piga.compensation.writers import TableWriter
-from piga.formats.stream import nulls_of, numbers_of
+from piga.formats.columns import nulls_of, numbers_of
 
 from .test_command import CAL, command, small_chunks, write
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of

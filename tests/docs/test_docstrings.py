@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-ROOMS = ["instrument", "stand", "records", "calibration", "compensation", "stable_platform", "reports"]
+ROOMS = ["instrument", "stand", "records", "calibration", "compensation", "platform", "reports"]
 MODULES = ["units", "frames", "earth", "errors"]
 STRICT = {"instrument", "stand", "records", "reports", "units", "frames", "earth", "calibration"}
 """Rooms whose functions name every argument in the docstring."""

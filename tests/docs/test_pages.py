@@ -15,7 +15,7 @@ _TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?[^`]*`|`(test_\w+)`")
 
 
 def test_the_picture_of_the_rooms_is_that_of_the_code() -> None:
-    assert build_architecture.drawn() == build_architecture.graph(), (
+    assert build_architecture.drawn() == build_architecture.shown(), (
         "run: python builders/build_architecture.py"
     )
 

@@ -15,7 +15,7 @@ from tests.reports.certificate_data import complete, key_pair
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
 
-from piga.certificate.dcc import xml_file
+from piga.certificate.dcc import xml_file  # noqa: E402
 from piga.certificate.dcc.reader import calibration_of, read_dcc  # noqa: E402
 from piga.certificate.dcc.writer import dcc_document  # noqa: E402
 from piga.certificate.dcc.xml_signature import sign_xml, verify_signature, written  # noqa: E402

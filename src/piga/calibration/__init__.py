@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from piga.calibration.model.reduction import Reduction
 
 _LAZY = {
-    "ModelComparison": "model_comparison",
-    "Reduction": "reduction",
-    "RunSummary": "summary",
-    "TermSet": "model_comparison",
-    "compare_models": "model_choice",
+    "ModelComparison": "choice.model_comparison",
+    "Reduction": "model.reduction",
+    "RunSummary": "joint.summary",
+    "TermSet": "choice.model_comparison",
+    "compare_models": "choice.model_choice",
 }
 
 __all__ = ["ModelComparison", "Reduction", "RunSummary", "TermSet", "compare_models"]

@@ -33,7 +33,7 @@ from piga.calibration.classical.revolutions import (
     revolutions_degrees,
     revolutions_result,
 )
-from piga.calibration.fit.one_run import Fit, fit_run, noise_of, phase_groups
+from piga.calibration.fit.one_run import Fit, fit_run, noise_of, phase_groups, refine_counted
 from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.faint_walk import include_faint_walk
@@ -60,7 +60,6 @@ from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.servo_columns import given_servo
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.model.workers import beside
-from piga.calibration.noise.counted import refine_counted
 from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, without_slow

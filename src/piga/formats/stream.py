@@ -8,66 +8,17 @@ chunks. What is read, what is found and what is refused do not depend on the siz
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from piga.errors import DataError
-from piga.records.calibration import Event
+from piga.formats.columns import CHUNK_ROWS, RecordStream
 
 if TYPE_CHECKING:
     from piga.records.run_file import DataTable
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
-CHUNK_ROWS = 1 << 16
-"""Rows of a chunk of Parquet or a container."""
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Rows that follow each other in a file.
-
-    Attributes
-    ----------
-    numbers:
-        Column name to float64 values, shape (n,), in the unit of the file; a missing value is nan.
-    codes:
-        Index into the stream's ``label_names`` for the segment column (-1 where there is none), or None.
-    rows:
-        1-based file row of each.
-    """
-
-    numbers: dict[str, NDArray[np.float64]]
-    codes: NDArray[np.int32] | None
-    rows: NDArray[np.int64]
-
-
-class RecordStream(Protocol):
-    """A data file being read.
-
-    ``units``: unit of a column where the file has one. ``label_names``: segment labels met so far, in order of
-    appearance. ``chunks()`` gives the rows once; ``events()``, after the last chunk, what was found and left out.
-    """
-
-    units: dict[str, str]
-    label_names: list[str]
-
-    @property
-    def expected_rows(self) -> int:
-        """About how many rows there will be; 0 when nothing is known."""
-        ...
-
-    def chunks(self) -> Iterator[Chunk]:
-        """The rows in order."""
-        ...
-
-    def events(self) -> list[Event]:
-        """What was found, after the last chunk."""
-        ...
 
 
 def open_stream(
@@ -126,81 +77,3 @@ def file_kind(path: Path) -> str:
     if suffixes[-1:] == [".gz"] and len(suffixes) > 1:
         return suffixes[-2]
     return (suffixes[-1:] or [""])[0]
-
-
-def plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """Copy of the memory of an Arrow array, anything where it is null.
-
-    Its own ``to_numpy`` and ``fill_null`` would load pandas where there is one, and 40 MB with it.
-    """
-    values = np.frombuffer(column.buffers()[1] or b"", dtype=kind, count=column.offset + len(column))
-    return np.array(values[column.offset :])
-
-
-def numbers_of(column: Any) -> NDArray[np.float64]:
-    """Values of an Arrow array of numbers as float64; nan where it is null."""
-    import pyarrow as pa
-
-    whole = column if str(column.type) == "double" else column.cast(pa.float64(), safe=False)
-    values = plain_values(whole, np.float64)
-    if whole.null_count:
-        values[nulls_of(whole)] = np.nan
-    return values
-
-
-def nulls_of(column: Any) -> NDArray[np.bool_]:
-    """Where an Arrow array is null."""
-    bitmap = column.buffers()[0]
-    if bitmap is None:
-        return np.zeros(len(column), dtype=np.bool_)
-    bits = np.unpackbits(np.frombuffer(bitmap, dtype=np.uint8), bitorder="little")
-    return bits[column.offset : column.offset + len(column)] == 0
-
-
-@dataclass
-class LabelCodes:
-    """Codes of label cells, the same name the same code through all chunks; fills ``names``."""
-
-    names: list[str]
-    known: dict[str, int] = field(default_factory=dict)
-
-    def of(self, column: Any) -> NDArray[np.int32]:
-        """Codes of an Arrow array; -1 where it is null."""
-        import pyarrow as pa
-
-        coded = pa.types.is_dictionary(column.type)
-        encoded = column if coded else column.cast(pa.string()).dictionary_encode()
-        indices = encoded.indices.cast(pa.int32())
-        index, empty = plain_values(indices, np.int32), nulls_of(indices)
-        index[empty] = len(encoded.dictionary)
-        table = np.full(len(encoded.dictionary) + 1, -1, dtype=np.int32)
-        used, first = np.unique(index[~empty], return_index=True)
-        used = used[np.argsort(first)]
-        words = encoded.dictionary.take(pa.array(used)).cast(pa.string()).to_pylist()
-        for place, word in zip(used, words, strict=True):
-            table[place] = -1 if word is None else self.code(word)
-        return table[index]
-
-    def code(self, word: str) -> int:
-        """Code of a label, a new one at the end."""
-        if word not in self.known:
-            self.known[word] = len(self.names)
-            self.names.append(word)
-        return self.known[word]
-
-
-@dataclass
-class MissingCount:
-    """Missing values by column: how many, and the file row of the first."""
-
-    found: dict[str, tuple[int, int]] = field(default_factory=dict)
-
-    def add(self, name: str, mask: NDArray[np.bool_], rows: NDArray[np.int64]) -> None:
-        """Count a chunk's missing values."""
-        count, first = self.found.get(name, (0, int(rows[np.argmax(mask)])))
-        self.found[name] = count + int(np.count_nonzero(mask)), first
-
-    def events(self, order: tuple[str, ...]) -> list[Event]:
-        """One event for each column with missing values."""
-        counts = [(name, *self.found[name]) for name in order if name in self.found]
-        return [Event("missing-value", count, first, f"column '{name}'") for name, count, first in counts]

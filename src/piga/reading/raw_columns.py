@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.stream import TEXT_SUFFIXES, Chunk, RecordStream, file_kind, open_stream
+from piga.formats.columns import Chunk, RecordStream
+from piga.formats.stream import TEXT_SUFFIXES, file_kind, open_stream
 from piga.reading.visits import Visits
 from piga.records.calibration import Event
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole

@@ -1,6 +1,5 @@
-"""Plain data in and out: run files, runs, calibration records."""
+"""Plain data: run files, runs, calibrations, terms, units of their files."""
 
-from piga.reading.read_run import read_record
 from piga.records.calibration import (
     Calibration,
     Coefficient,
@@ -24,7 +23,6 @@ __all__ = [
     "Run",
     "RunFile",
     "SegmentSummary",
-    "read_record",
     "read_run_file",
     "read_toml",
 ]

@@ -17,8 +17,9 @@ from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import projected
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.servo_columns import ServoState
+from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import find_noise
-from piga.calibration.noise.slow_bases import KNOTS, DriftBasis
+from piga.calibration.noise.slow_bases import DriftBasis
 from piga.calibration.remarks.leverage import all_but_one, leverages
 from piga.calibration.remarks.missing_terms import tested
 from piga.instrument.parameters import ErrorModel

@@ -14,7 +14,7 @@ from piga.ledger.store import Store, open_store
 from piga.ledger.store.transfer import restore
 from piga.ledger.store.verify import verify
 
-CORPUS = Path(__file__).parent.parent / "corpus"
+CORPUS = Path(__file__).parent / "corpus"
 VERSIONS = sorted(path.name for path in CORPUS.iterdir() if path.is_dir())
 
 

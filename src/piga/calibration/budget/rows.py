@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.budget.uncertainty import Source, contributions
+from piga.calibration.budget.uncertainty import SharedSource, Source, contributions
 from piga.calibration.model.coefficients import name_coefficients
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import solve
@@ -22,7 +22,6 @@ from piga.records.terms import si_factor, unit_of
 
 if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
-    from piga.calibration.joint.joint_fit import Source as JointSource
 
 Array = NDArray[np.float64]
 
@@ -108,7 +107,7 @@ def make_budget(
 
 
 def budget_rows(
-    coefficients: tuple[Coefficient, ...], type_a: Array, found: Iterable[tuple[Source | JointSource, Array]]
+    coefficients: tuple[Coefficient, ...], type_a: Array, found: Iterable[tuple[Source | SharedSource, Array]]
 ) -> tuple[dict[str, Any], ...]:
     """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
     std = np.sqrt(np.diag(type_a))

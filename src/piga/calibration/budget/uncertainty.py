@@ -41,6 +41,23 @@ class Source:
     draw: Draw = "reference"
 
 
+@dataclass(frozen=True)
+class SharedSource:
+    """A source of Type B that runs can share: name with its runs, standard uncertainty, and which source of which run it moves.
+
+    ``segments``: how many draws it has in its run, 0 where it has one in all.
+    """
+
+    name: str
+    value: float
+    unit: str
+    moved: dict[int, int]
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
+    segments: int = 0
+    in_fit: bool = False
+
+
 def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
     """The sources named in the run file's ``[uncertainty]``, moved by ``size`` standard uncertainties.
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.whitening import innovation_weights
 from piga.calibration.choice.cross_validation import Prediction, fold_of, predict, row_edges
 from piga.calibration.choice.model_comparison import ModelComparison, TermSet
-from piga.calibration.fit.one_run import Fit, phase_groups
+from piga.calibration.fit.one_run import Fit, phase_groups, refine_counted
 from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
 from piga.calibration.joint.summary import prepare, run_name
 from piga.calibration.model.coefficients import name_parameters
@@ -28,7 +28,6 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.servo_columns import PHASELESS, ServoState, phaseless_columns
 from piga.calibration.model.solution import Estimate, Layout, merged, solve_parts
-from piga.calibration.noise.counted import refine_counted
 from piga.calibration.noise.weighting import weighted_blocks
 from piga.calibration.remarks.candidate_columns import CUBIC, constant_squares
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError

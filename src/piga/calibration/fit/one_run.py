@@ -26,7 +26,7 @@ from piga.calibration.model.identifiability import Examination, examine, refuse_
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Solution, solve
-from piga.calibration.noise.counted import Counted
+from piga.calibration.noise.counted import Counted, fit_counted
 from piga.calibration.noise.levels import Information, Noise, find_noise, starting_noise
 from piga.calibration.noise.weighting import (
     reduce_segments,
@@ -257,3 +257,18 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, gro
         jacobian = solution.jacobians[groups[block.segment]]
         meat += jacobian.T @ ((x * variance) @ x.T - cross - cross.T) @ jacobian
     return solution.covariance @ meat @ solution.covariance
+
+
+def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
+    """The same fit with the covariance of its coarse counts; unchanged where plain whitening is right."""
+    refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution, groups)
+    if refined is None:
+        return fit
+    return replace(
+        fit,
+        noise=refined.noise,
+        summaries=refined.summaries,
+        solution=refined.solution,
+        covariance=refined.solution.covariance,
+        counted=refined.counted,
+    )

@@ -22,10 +22,9 @@ from piga._kernels.estimation.whitening import LANES
 from piga.calibration.fit.one_run import SMALL, Fit
 from piga.calibration.intervals.whitened_rows import whitened_rows
 from piga.calibration.model.reduction import solve_upper
-from piga.calibration.model.solution import solve
+from piga.calibration.model.solution import KNOTS, solve
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
 from piga.calibration.noise.slow_bases import (
-    KNOTS,
     MOST_SEGMENTS,
     BesideStated,
     Columns,

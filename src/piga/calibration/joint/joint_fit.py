@@ -7,13 +7,13 @@ whose raw data are gone takes part like any other.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.budget.uncertainty import SharedSource
 from piga.calibration.fit.servo import at_state, find_state, mixture, refuse_if_servo_confounded
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
@@ -220,7 +220,7 @@ def _parts(
     shared: list[tuple[str, ...]],
     summaries: Sequence[RunSummary],
     state: ServoState | None,
-    source: Source | None = None,
+    source: SharedSource | None = None,
     segment: int | None = None,
 ) -> list[Reduction]:
     """Summaries of all phase groups, those that a source moves in their moved form; with a state, at it.
@@ -375,24 +375,7 @@ def _scale_factor(fit: JointFit) -> float:
     return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
 
 
-@dataclass(frozen=True)
-class Source:
-    """A source of Type B: name with its runs, standard uncertainty, and which source of which run it moves.
-
-    ``segments``: how many draws it has in its run, 0 where it has one in all.
-    """
-
-    name: str
-    value: float
-    unit: str
-    moved: dict[int, int]
-    distribution: str = "normal"
-    degrees_of_freedom: float = math.inf
-    segments: int = 0
-    in_fit: bool = False
-
-
-def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
+def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
     """Sources of all runs; one that runs share moves all of them at once.
 
     Runs share a source when it has the same name and value, on the same kind of stand, with the same
@@ -400,7 +383,7 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
     instrument's, for neither. What is drawn for each run or each of its
     segments is not shared.
     """
-    found: dict[tuple[str, str | None, str | None, float, int], Source] = {}
+    found: dict[tuple[str, str | None, str | None, float, int], SharedSource] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
             of_servo = source.name.startswith(SERVO_SOURCE)
@@ -409,20 +392,20 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[Source]:
             device = None if of_servo else summary.reference_id
             key = (source.name, None if of_site else summary.stand, device, source.value, own)
             shape = (source.distribution, source.degrees_of_freedom, len(source.segments), source.in_fit)
-            first = found.get(key, Source(source.name, source.value, source.unit, {}, *shape))
+            first = found.get(key, SharedSource(source.name, source.value, source.unit, {}, *shape))
             found[key] = replace(first, moved=first.moved | {index: number})
     for shared in found.values():
         names = ", ".join(summaries[index].name for index in shared.moved)
         yield replace(shared, name=f"{shared.name} ({names})")
 
 
-def joint_contributions(fit: JointFit) -> Iterator[tuple[Source, Array]]:
+def joint_contributions(fit: JointFit) -> Iterator[tuple[SharedSource, Array]]:
     """Changes of the coefficients (draws, n; file units) that each source makes by its standard uncertainty."""
     layout, shared = layout_and_columns(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
     turns = np.array([c.name == "phi" for c in fit.coefficients])
 
-    def change(source: Source, segment: int | None) -> Array:
+    def change(source: SharedSource, segment: int | None) -> Array:
         estimate = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo, source, segment))
         named, _ = _named(fit.wish, fit.summaries, layout, estimate)
         moved = np.array([c.value for c in named]) - base

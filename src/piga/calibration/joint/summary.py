@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
-from piga.calibration.fit.one_run import Fit, fit_run, phase_groups
+from piga.calibration.fit.one_run import Fit, fit_run, phase_groups, refine_counted
 from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.intervals.added_noise import AddedNoise, added_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
@@ -23,10 +23,8 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.servo_columns import given_servo
-from piga.calibration.model.solution import drift_columns, merged
-from piga.calibration.noise.counted import refine_counted
+from piga.calibration.model.solution import DRIFT_NAMES, drift_columns, merged
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import DRIFT_NAMES
 from piga.calibration.noise.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.reading.signal_checks import largest_size

@@ -14,10 +14,14 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
-from piga.calibration.noise.slow_bases import DRIFT_NAMES, KNOTS
 from piga.errors import CalibrationError
 
 Array = NDArray[np.float64]
+
+KNOTS = 32
+"""Steps in which the rate wanders over a record; it is linear in time between them."""
+DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
+"""Names of their columns in a summary."""
 
 ITERATIONS = 50
 SCAN = 72

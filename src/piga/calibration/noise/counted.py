@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +46,6 @@ from piga.calibration.noise.stretches import (
     white_covariance,
 )
 from piga.records.run import Run
-
-if TYPE_CHECKING:
-    from piga.calibration.fit.one_run import Fit
 
 Array = NDArray[np.float64]
 
@@ -215,18 +211,30 @@ def count_of(run: Run) -> float:
     return count if np.abs(turns - np.round(turns)).max() < 1e-3 else 0.0
 
 
-def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
-    """The same fit with the covariance of its coarse counts; unchanged where plain whitening is right."""
-    design, count = fit.design, count_of(fit.design.run)
+@dataclass(frozen=True)
+class CountedFit:
+    """A fit whose rows have the covariance of their coarse counts."""
+
+    counted: Counted
+    noise: Noise
+    summaries: list[Reduction]
+    solution: Solution
+
+
+def fit_counted(
+    design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]
+) -> CountedFit | None:
+    """Fit with the covariance of coarse counts; None where plain whitening with ``noise`` is right."""
+    count = count_of(design.run)
     step = design.run.median_step
-    dithered = fit.noise.white > WHITE * count**2 or fit.noise.walk * step > WALKS * count**2
-    if fit.mode != "increments" or count == 0.0 or dithered or design.request.angle_rms is not None:
-        return fit
+    dithered = noise.white > WHITE * count**2 or noise.walk * step > WALKS * count**2
+    if mode != "increments" or count == 0.0 or dithered or design.request.angle_rms is not None:
+        return None
     modes = modes_of(design)
-    if modes < 3 or (design.run.size > LONG and _is_white(fit, modes, count)):
-        return fit
+    if modes < 3 or (design.run.size > LONG and _is_white(design, solution, modes, count)):
+        return None
     stretches = Stretches.of(design, modes, count)
-    solution, noise = fit.solution, Noise(0.0, 0.0)
+    noise = Noise(0.0, 0.0)
     path = Path.of(stretches, solution)
     for index in range(PASSES):
         spread = SPREADS[index] if index < len(SPREADS) else 0.0
@@ -243,22 +251,16 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         solution = solve(design, summaries, groups)
         if index > TRUSTED and abs(noise.walk - before.walk) <= SETTLED * before.walk:
             break
-    return replace(
-        fit,
-        noise=Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk),
-        summaries=summaries,
-        solution=solution,
-        covariance=solution.covariance,
-        counted=counted,
-    )
+    levels = Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk)
+    return CountedFit(counted, levels, summaries, solution)
 
 
-def _is_white(fit: Fit, modes: int, count: float) -> bool:
+def _is_white(design: Design, solution: Solution, modes: int, count: float) -> bool:
     """True where the saw-tooth along the path of the plain fit is white."""
-    run = fit.design.run
+    run = design.run
     most = min(LOOKED // int(np.count_nonzero(run.begins)), most_modes(run))
     stretches = empty_stretches(run, max(modes, most), 0)
-    return looks_white(follow(fit.design, stretches, count, fit.solution.values))
+    return looks_white(follow(design, stretches, count, solution.values))
 
 
 def _rows(stretches: Stretches, values: Array | None) -> Array:

@@ -12,15 +12,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import Noise
 from piga.records.run import Run
 
 Array = NDArray[np.float64]
 
-KNOTS = 32
-"""Steps in which the rate wanders over a record; it is linear in time between them."""
-DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
-"""Names of their columns in a summary."""
 FEWEST, MOST_SEGMENTS = 4, 128
 """Segments from which on and up to which a scatter of their rates is looked for."""
 

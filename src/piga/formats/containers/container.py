@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from piga.errors import DataError
-from piga.formats.columns import RawTable
-from piga.formats.stream import CHUNK_ROWS, Chunk
+from piga.formats.columns import CHUNK_ROWS, Chunk, RawTable
 from piga.records.calibration import Event
 from piga.records.limits import CPU_BASE, CPU_PER_MIB, FULL, MEMORY_LIMIT
 from piga.records.spool import mapped, trim

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import RawTable
-from piga.formats.stream import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.columns import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, RawTable, nulls_of, numbers_of
 from piga.records.calibration import Event
 from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_regular
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.stream import Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.columns import Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
 from piga.formats.text.convention import INFINITE, MISSING, TextFormat, find_format
 from piga.formats.text.faults import Faults, Place, find_faults, split_cells
 from piga.formats.text.source import Bytes, TextSource

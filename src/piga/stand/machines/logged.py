@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, DataError
-from piga.formats.stream import numbers_of
+from piga.formats.columns import numbers_of
 from piga.records.limits import open_regular
 from piga.records.spool import Arrays, arrays_like, spans, steps, trim
 from piga.stand.imperfections import Imperfections

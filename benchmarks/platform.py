@@ -1,6 +1,6 @@
 """Speed of the platform chain against named baselines, in one run.
 
-Run: python benchmarks/stable_platform.py [--json]
+Run: python benchmarks/platform.py [--json]
 
 Baselines: a plain J2 leapfrog in inertial axes (compiled here, nothing but the motion), and pyins
 (PyPI ``python-ins``), a strapdown navigator: its job is harder (attitude from gyro increments with coning,
