@@ -180,6 +180,7 @@ def results(
         there = folder.is_dir()
         if there:
             settle(folder)
+            _check_places(path for name in names for path in folder.glob(name))
             marks = _read_marks(folder / _mark_name(command), key)
             check_outputs(
                 _matching(folder, names), inputs, force=force, ours=lambda path: _is_ours(path, marks)
@@ -199,6 +200,8 @@ def results(
                     sync_directory(folder.parent)
                     return
                 folder.mkdir(exist_ok=True)
+            staged = [path.relative_to(stage) for path in stage.rglob("*") if path.is_file()]
+            _check_places(folder / path for path in staged)
             whole = folder / f"{_STAGE}{secrets.token_hex(4)}{_WHOLE}"
             stage.rename(whole)
             sync_directory(folder)
@@ -208,6 +211,21 @@ def results(
             f"{option} {folder}: cannot be written ({error.strerror or error})",
             remedy="name a directory you may write to, with room",
         ) from None
+
+
+def _check_places(paths: Iterable[Path]) -> None:
+    """Refuse a folder where a result goes, before anything is in place: it could never be put there.
+
+    Raises
+    ------
+    ArgumentError
+        Naming the folder.
+    """
+    for path in paths:
+        if path.is_dir() and not path.is_symlink():
+            raise ArgumentError(
+                f"{path}: is a folder where a result goes", remedy="move it away, or choose another --out"
+            )
 
 
 def settle(folder: Path) -> None:

@@ -155,6 +155,20 @@ def test_results_of_the_same_command_and_inputs_are_replaced_unless_someone_chan
         pass
 
 
+@pytest.mark.parametrize("name", ["a.txt", "figures/c.txt", "late.txt"])
+def test_a_folder_in_place_of_a_result(tmp_path: Path, name: str) -> None:
+    """It is refused before anything is in place; ``late.txt`` is no pattern that the command names beforehand."""
+    (tmp_path / "out" / name).mkdir(parents=True)
+    for _ in range(2):
+        with pytest.raises(ArgumentError, match="is a folder where a result goes"):
+            fill(tmp_path / "out", "one", ("a.txt", "b.txt", "figures/c.txt", "late.txt"), force=True)
+        assert [path for path in (tmp_path / "out").rglob("*") if path.name != "figures"] == [
+            tmp_path / "out" / name
+        ]
+    (tmp_path / "out" / name).rmdir()
+    fill(tmp_path / "out", "one", force=True)
+
+
 def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     for there in (False, True):
