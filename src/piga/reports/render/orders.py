@@ -184,8 +184,9 @@ def _segment_power(segment: _Segment, step: float, orders: int, scale_factor: fl
         light[:skip] = 0.0
         plain += (fixed * light) @ fixed.T
         _add_moments(moments, carry, segment.t[rows], segment.psi[rows] - segment.psi[0], fixed, light, step)
-    moments[:, :4] *= scale_factor
-    moments[:, 4:] *= scale_factor**2
+    per_order = scale_factor / np.arange(1.0, orders + 1.0)[:, None, None]
+    moments[:, :4] *= per_order
+    moments[:, 4:] *= per_order**2
     return _fit_orders(moments, plain)
 
 
@@ -198,21 +199,21 @@ def _add_moments(
     weight: Array,
     step: float,
 ) -> None:
-    """Weighted sums of the integrals ``int exp(i n psi) dt`` with 1, t, the residuals, and themselves."""
+    """Weighted sums of the integrals ``n int exp(i n psi) dt`` with 1, t, the residuals, and themselves."""
     weighted = fixed * weight
     turn = np.exp(1j * step * psi)
     dt, dpsi = np.diff(t), np.diff(psi)
     standing = np.abs(dpsi) < _STANDING
-    rate = np.where(standing, 0.0, dt / np.where(standing, 1.0, dpsi))
+    rate = np.where(standing, 0.0, dt / np.where(standing, 1.0, dpsi)) / (1j * step)
     still = np.where(standing, dt, 0.0) if standing.any() else None
     root = np.sqrt(weight)
     phasor, integral = np.ones_like(turn), np.empty(t.size, dtype=complex)
     for row in range(moments.shape[0]):
         phasor *= turn
         pieces = np.diff(phasor)
-        pieces *= rate / (1j * step * (row + 1))
+        pieces *= rate
         if still is not None:
-            pieces += still * phasor[:-1]
+            pieces += (row + 1.0) * still * phasor[:-1]
         integral[0] = carry[row]
         np.cumsum(pieces, out=integral[1:])
         integral[1:] += carry[row]

@@ -227,7 +227,7 @@ class _Layout:
     def title_lines(self, index: int) -> list[str]:
         """Lines of the panel's title."""
         title = self.figure.panels[index].title
-        return wrapped(title, self.slot - 40.0, TITLE_FONT, bold=True) if title else []
+        return wrapped(title, self.slot - 22.0 + COLUMN_GAP, TITLE_FONT, bold=True) if title else []
 
     def x_label_lines(self, index: int, ticks: Ticks | None = None) -> list[str]:
         """Lines of the label of the x axis; those of the bare axis before its ticks are known."""

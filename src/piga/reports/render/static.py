@@ -79,7 +79,7 @@ def _svg(figure: Figure, scene: Scene, colours: Colours, size: str) -> str:
         f'<g style="fill:{colours("ink")}">{"".join(map(_words_svg, scene.words))}</g>',
         "</svg>",
     ]
-    return "".join(parts)
+    return ("\n" if size else "").join(filter(None, parts))
 
 
 def description(figure: Figure) -> str:
