@@ -162,7 +162,7 @@ KERNELS = {
     "_kernels/estimation/counting": COUNTED,
     "_kernels/estimation/published": FIT,
     "_kernels/arithmetic/double_double _kernels/estimation/regressors "
-    "_kernels/estimation/square_root _kernels/arithmetic/statistics "
+    "_kernels/estimation/square_root "
     "_kernels/estimation/whitening": SUMS,
     "_kernels/motion/function_motion": SAMPLES,
     "_kernels/motion/step _kernels/motion/blocks _kernels/motion/increments "

@@ -6,12 +6,13 @@ import mpmath as mp
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
 
-from piga._kernels.arithmetic.statistics import lagged_products
 from piga._kernels.estimation.regressors import CODES, coupling_columns, half_angle_moments, product_column
 from piga._kernels.estimation.square_root import absorb, absorb_rows
 from piga._kernels.estimation.whitening import LANES, innovation_weights, likelihoods, whiten
-from piga.calibration.noise.levels import Noise, find_noise
+from piga.calibration.fit.residuals import LAG_PART, add_lagged_products
+from piga.calibration.noise.levels import Noise, find_noise, natural_spline
 
 pytestmark = pytest.mark.compiled
 
@@ -228,7 +229,17 @@ def test_householder_and_rotations_give_one_factor() -> None:
 
 
 def test_lagged_products() -> None:
-    x = np.random.default_rng(9).standard_normal(5000)
+    x = np.random.default_rng(9).standard_normal(2 * LAG_PART + 2)
     out = np.zeros(4)
-    lagged_products(x, out)
+    add_lagged_products(x, out)
     np.testing.assert_allclose(out, [x[k:] @ x[: x.size - k] for k in range(4)], rtol=1e-12, atol=1e-10)
+
+
+def test_natural_spline() -> None:
+    rng = np.random.default_rng(3)
+    x, at = np.cumsum(rng.uniform(0.5, 2.0, 9)), np.linspace(-1.0, 14.0, 400)
+    y = rng.standard_normal(9)
+    expected = CubicSpline(x, y, bc_type="natural")(at)
+    np.testing.assert_allclose(
+        natural_spline(x, y)(at), expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max()
+    )

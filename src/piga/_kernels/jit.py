@@ -10,16 +10,28 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
 from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
+
+try:
+    import fcntl
+except ImportError:  # Windows: every process compiles for itself
+    fcntl = None  # type: ignore[assignment]
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+LOCK = "compiling.lock"
+"""File in the folder of the compiled kernels that the process which compiles holds."""
+PATIENCE = 60.0
+"""Longest wait for another process [s]: a stopped one holds nobody up for longer."""
 
 
 class _SoundCacheFile(IndexDataCacheFile):
@@ -57,11 +69,59 @@ class _SoundCacheFile(IndexDataCacheFile):
             Path(path).unlink()
 
 
+def _hold(folder: Path) -> IO[bytes] | None:
+    """Hold the lock of a folder until what is returned is closed; None where it cannot be had.
+
+    Of several processes one compiles, and the others take what it has kept. The system releases the lock when a process
+    ends, however it ends.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held = (folder / LOCK).open("ab")
+    except OSError:
+        return None
+    last = time.monotonic() + PATIENCE
+    while fcntl is not None and time.monotonic() < last:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.02)
+        except OSError:  # a file system without locks
+            break
+        else:
+            break
+    return held
+
+
+class _Turn:
+    """Compiles a kernel, and all that it calls, while no other process does."""
+
+    depth = 0
+
+    def __init__(self, compile_: Callable[[Any], Any], folder: Path) -> None:
+        self._compile, self._folder = compile_, folder
+
+    def __call__(self, signature: Any) -> Any:
+        with global_compiler_lock:
+            if _Turn.depth:
+                return self._compile(signature)
+            _Turn.depth += 1
+            held = _hold(self._folder)
+            try:
+                return self._compile(signature)
+            finally:
+                _Turn.depth -= 1
+                if held is not None:
+                    held.close()
+
+
 def _compiled(function: F, fastmath: bool | set[str]) -> F:
-    made = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    made = numba.njit(fastmath=fastmath, **options)(function)
     cache = getattr(made, "_cache", None)
     if isinstance(cache, FunctionCache):
         cache._cache_file.__class__ = _SoundCacheFile
+        made.compile = _Turn(made.compile, Path(cache.cache_path))
     return cast("F", made)
 
 

@@ -29,9 +29,9 @@ def limited(value: float, first: float, second: float) -> float:
 
 
 @exact
-def curvature(x: Array, h: Array) -> float:
-    """Second derivative by three samples ``x`` and the two intervals ``h`` between them."""
-    return 2.0 * ((x[2] - x[1]) / h[1] - (x[1] - x[0]) / h[0]) / (h[0] + h[1])
+def curvature(x: Array, h: Array, i: int) -> float:
+    """Second derivative by sample ``i`` of ``x`` and its neighbours; ``h[i]`` is the interval behind sample ``i``."""
+    return 2.0 * ((x[i + 1] - x[i]) / h[i] - (x[i] - x[i - 1]) / h[i - 1]) / (h[i - 1] + h[i])
 
 
 @inline

@@ -27,13 +27,14 @@ def add_waves(turned: Array, first: int, edges: NDArray[np.int64], cosines: Arra
     """
     harmonics = cosines.shape[0]
     c, s, re, im = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    at = np.searchsorted(edges, first, side="right") - 1
-    j = 0
+    at = j = 0
     while j < turned.size:
         if first + j >= edges[at + 1]:
             at += 1
             continue
-        lanes = min(LANES, turned.size - j, edges[at + 1] - first - j)
+        left = edges[at + 1] - first - j
+        lanes = LANES if left > LANES else left
+        lanes = lanes if lanes < turned.size - j else turned.size - j
         for k in range(lanes):
             fraction = turned[j + k] - math.floor(turned[j + k])
             s[k], c[k] = fast_sine_cosine(2.0 * math.pi * fraction)
@@ -73,7 +74,7 @@ def saw_tooth_covariance(
             damped = ratio
             for m in range(harmonics):
                 value = power[m] * damped * (cosine[m, a] * cosine[m, b] + sine[m, a] * sine[m, b])
-                at = min(m, last)
+                at = m if m < last else last
                 out[at, a, b] += value
                 if a != b:
                     out[at, b, a] += value

@@ -87,69 +87,50 @@ def coupling_columns(
         cosine[i] = h[i] * (yc + zs)
 
 
-@kernel
-def _odd_square_mean(a0: float, a1: float) -> float:
-    """Mean of ``a|a|`` while a goes linearly from a0 to a1."""
-    if a0 * a1 >= 0.0:
-        mean = (a0 * a0 + a0 * a1 + a1 * a1) / 3.0
-        return mean if a0 + a1 >= 0.0 else -mean
-    return (abs(a1) ** 3 - abs(a0) ** 3) / (3.0 * (a1 - a0))
+_ROWS = {"a_x": 0, "m_Y": 1, "m_Z": 2, "k0_T": 3, "k0_t": 4}
+"""Terms that are one of the inputs: which of x, y, z, temperature, time."""
+_PAIRS = {
+    "k2": (0, 0), "k_XY": (0, 1), "k_XZ": (0, 2), "k_YY": (1, 1), "k_ZZ": (2, 2), "k_YZ": (1, 2), "k1_T": (0, 3),
+}  # fmt: skip
+"""Terms that are a product of two inputs."""
+_ROW_OF = {CODES[name]: row for name, row in _ROWS.items()}
+_PAIR_OF = {CODES[name]: pair for name, pair in _PAIRS.items()}
 
 
-@kernel
-def product_column(  # noqa: C901, PLR0912 - a flat table of integrands, one line each
-    code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array
-) -> None:
+def product_column(code: int, t: Array, f: Array, temperature: Array, h: Array, out: Array) -> None:
     """Integral over each interval of the force-only term ``code`` (see ``CODES``), exact for linear input.
 
     ``f`` has shape (3, n + 1); ``t`` and ``temperature`` are already relative to their references.
     """
-    x, y, z = f[0], f[1], f[2]
-    n = h.size
-    if code == 0:
-        for i in range(n):
-            out[i] = h[i] * 0.5 * (x[i] + x[i + 1])
-    elif code == 3:
-        out[:n] = h
-    elif code == 4:
-        _mean_product(x, x, h, out)
-    elif code == 5:
-        for i in range(n):
-            out[i] = h[i] * 0.25 * (x[i] + x[i + 1]) * (x[i] * x[i] + x[i + 1] * x[i + 1])
-    elif code == 6:
-        for i in range(n):
-            out[i] = h[i] * _odd_square_mean(x[i], x[i + 1])
-    elif code == 7:
-        for i in range(n):
-            out[i] = h[i] * 0.5 * (y[i] + y[i + 1])
-    elif code == 8:
-        for i in range(n):
-            out[i] = h[i] * 0.5 * (z[i] + z[i + 1])
-    elif code == 9:
-        _mean_product(x, y, h, out)
-    elif code == 10:
-        _mean_product(x, z, h, out)
-    elif code == 11:
-        _mean_product(y, y, h, out)
-    elif code == 12:
-        _mean_product(z, z, h, out)
-    elif code == 13:
-        _mean_product(y, z, h, out)
-    elif code == 14:
-        for i in range(n):
-            out[i] = h[i] * 0.5 * (t[i] + t[i + 1])
-    elif code == 15:
-        for i in range(n):
-            out[i] = h[i] * 0.5 * (temperature[i] + temperature[i + 1])
-    elif code == 16:
-        _mean_product(x, temperature, h, out)
+    inputs = (*f, temperature, t)
+    if code in _ROW_OF:
+        a = inputs[_ROW_OF[code]]
+        np.add(a[:-1], a[1:], out=out)
+        out *= 0.5
+    elif code in _PAIR_OF:
+        a, b = (inputs[row] for row in _PAIR_OF[code])
+        np.multiply(a[:-1], 2.0 * b[:-1] + b[1:], out=out)
+        out += a[1:] * (2.0 * b[1:] + b[:-1])
+        out /= 6.0
+    elif code == CODES["k0"]:
+        out[:] = 1.0
+    else:
+        start, end = f[0, :-1], f[0, 1:]
+        out[:] = _cube_mean(start, end) if code == CODES["k3"] else _odd_square_mean(start, end)
+    out *= h
 
 
-@kernel
-def _mean_product(a: Array, b: Array, h: Array, out: Array) -> None:
-    """Integral of ``a b`` over each interval, both linear: ``h (2 a0 b0 + 2 a1 b1 + a0 b1 + a1 b0)/6``."""
-    for i in range(h.size):
-        out[i] = h[i] * (2.0 * (a[i] * b[i] + a[i + 1] * b[i + 1]) + a[i] * b[i + 1] + a[i + 1] * b[i]) / 6.0
+def _cube_mean(a: Array, b: Array) -> Array:
+    """Mean of ``x^3`` while x goes linearly from a to b."""
+    return np.asarray(0.25 * (a + b) * (a * a + b * b))
+
+
+def _odd_square_mean(a: Array, b: Array) -> Array:
+    """Mean of ``x|x|`` while x goes linearly from a to b."""
+    crossing = a * b < 0.0
+    length = np.where(crossing, b - a, 1.0)
+    across = (np.abs(b) ** 3 - np.abs(a) ** 3) / (3.0 * length)
+    return np.where(crossing, across, np.copysign((a * a + a * b + b * b) / 3.0, a + b))
 
 
 @kernel
@@ -193,7 +174,8 @@ def servo_columns(psi: Array, w: Array, y: Array, z: Array, h: Array, bend: Arra
     """
     for i in range(h.size):
         if h[i] == 0.0:
-            out[:, i] = 0.0
+            for k in range(5):
+                out[k, i] = 0.0
             continue
         wm, wd = 0.5 * (w[i] + w[i + 1]), 0.5 * (w[i + 1] - w[i])
         ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
@@ -263,17 +245,14 @@ def smooth_bows(x: Array, h: Array, out: Array) -> bool:
         left = i > 0 and h[i - 1] != 0.0
         right = i < n - 1 and h[i + 1] != 0.0
         if left and right:
-            first, second = curvature(x[i - 1 : i + 2], h[i - 1 : i + 1]), curvature(x[i : i + 3], h[i : i + 2])
+            first, second = curvature(x, h, i), curvature(x, h, i + 1)
             share = (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i - 1] + h[i] + h[i + 1]))
             value = first + share * (second - first)
         elif left and i > 1 and h[i - 2] != 0.0:
-            first, second = (
-                curvature(x[i - 1 : i + 2], h[i - 1 : i + 1]),
-                curvature(x[i - 2 : i + 1], h[i - 2 : i]),
-            )
+            first, second = curvature(x, h, i), curvature(x, h, i - 1)
             value = first + (first - second) * (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i] + h[i - 1] + h[i - 2]))
         elif right and i < n - 2 and h[i + 2] != 0.0:
-            first, second = curvature(x[i : i + 3], h[i : i + 2]), curvature(x[i + 1 : i + 4], h[i + 1 : i + 3])
+            first, second = curvature(x, h, i + 1), curvature(x, h, i + 2)
             value = first + (first - second) * (h[i] + 2.0 * h[i + 1]) / (2.0 * (h[i] + h[i + 1] + h[i + 2]))
         else:
             continue
@@ -282,38 +261,19 @@ def smooth_bows(x: Array, h: Array, out: Array) -> bool:
     return bent
 
 
-@kernel
 def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:
     """Add to a column of :func:`product_column` what the bows (3, n) of the force make of it, to first order."""
-    for i in range(h.size):
-        x, y, z = 0.5 * (f[0, i] + f[0, i + 1]), 0.5 * (f[1, i] + f[1, i + 1]), 0.5 * (f[2, i] + f[2, i + 1])
-        bx, by, bz = bows[0, i], bows[1, i], bows[2, i]
-        value = 0.0
-        if code == 0:
-            value = bx
-        elif code == 4:
-            value = 2.0 * x * bx
-        elif code == 5:
-            value = 3.0 * x * x * bx
-        elif code == 6:
-            value = 2.0 * abs(x) * bx
-        elif code == 7:
-            value = by
-        elif code == 8:
-            value = bz
-        elif code == 9:
-            value = x * by + y * bx
-        elif code == 10:
-            value = x * bz + z * bx
-        elif code == 11:
-            value = 2.0 * y * by
-        elif code == 12:
-            value = 2.0 * z * bz
-        elif code == 13:
-            value = y * bz + z * by
-        elif code == 16:
-            value = bx * 0.5 * (temperature[i] + temperature[i + 1])
-        out[i] += h[i] * value
+    inputs = (*f, temperature)
+    if _ROW_OF.get(code, len(bows)) < len(bows):
+        out += h * bows[_ROW_OF[code]]
+    elif code in _PAIR_OF:
+        for one, other in (_PAIR_OF[code], _PAIR_OF[code][::-1]):
+            if one < len(bows):
+                a = inputs[other]
+                out += h * bows[one] * (0.5 * (a[:-1] + a[1:]))
+    elif code in (CODES["k3"], CODES["k2o"]):
+        x = 0.5 * (f[0, :-1] + f[0, 1:])
+        out += h * bows[0] * (3.0 * x * x if code == CODES["k3"] else 2.0 * np.abs(x))
 
 
 @kernel

@@ -141,11 +141,12 @@ def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
 
 
 @exact
-def back_substitute(unit: Array, right: Array, solution: Array) -> None:
-    """Solve ``U x = right`` in double-double; ``unit`` (2, m, m) unit upper triangular, others (2, m)."""
-    for i in range(right.shape[1] - 1, -1, -1):
-        x = (right[0, i], right[1, i])
-        for k in range(i + 1, right.shape[1]):
+def back_substitute(unit: Array, solution: Array) -> None:
+    """Solve ``U x = y`` in double-double; ``unit`` (2, m + 1, m + 1) unit upper triangular, y its last column."""
+    m = solution.shape[1]
+    for i in range(m - 1, -1, -1):
+        x = (unit[0, i, m], unit[1, i, m])
+        for k in range(i + 1, m):
             product = dd.multiply((unit[0, i, k], unit[1, i, k]), (solution[0, k], solution[1, k]))
             x = dd.add(x, (-product[0], -product[1]))
         solution[0, i], solution[1, i] = x

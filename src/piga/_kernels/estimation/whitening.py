@@ -35,36 +35,25 @@ def innovation_weights(
     over the standard deviation. Rows with ``h = 0`` get zeros; those with ``h < 0`` (samples left out) pass
     the innovation on. Returns the last variance.
     """
-    last = _variances(h, white, walk, previous, carry, scale)
+    kappa = walk / white if white > 0.0 else 0.0
+    old, new = (1.0, previous / white) if previous > 0.0 and white > 0.0 else (0.0, 1.0)
+    for i in range(h.size):  # variance of every innovation, and that of the one before (0: none, -1: passed on)
+        if h[i] <= 0.0:
+            scale[i] = 0.0
+            carry[i] = -1.0 if h[i] < 0.0 else 0.0
+            if h[i] == 0.0:
+                old, new, previous = 0.0, 1.0, 0.0
+            continue
+        carry[i] = previous
+        old, new = new, (kappa * h[i] + 2.0) * new - old
+        previous = white * (new / old) if white > 0.0 else walk * h[i]
+        scale[i] = previous
+        if new > LARGE:
+            old, new = old * SMALL, new * SMALL
     for i in range(h.size):
         before = carry[i]
         carry[i] = white / before if before > 0.0 else -before
         scale[i] = 1.0 / math.sqrt(scale[i]) if scale[i] > 0.0 else 0.0
-    return last
-
-
-@kernel
-def _variances(h: Array, white: float, walk: float, previous: float, before: Array, variance: Array) -> float:
-    """Variance of every innovation, and that of the one before (0: none, -1: the innovation is passed on).
-
-    In units of r it is the ratio of neighbours of ``p_n = (kappa h_n + 2) p_(n-1) - p_(n-2)``: there no row waits for
-    the division of the row before.
-    """
-    kappa = walk / white if white > 0.0 else 0.0
-    old, new = (1.0, previous / white) if previous > 0.0 and white > 0.0 else (0.0, 1.0)
-    for i in range(h.size):
-        if h[i] <= 0.0:
-            variance[i] = 0.0
-            before[i] = -1.0 if h[i] < 0.0 else 0.0
-            if h[i] == 0.0:
-                old, new, previous = 0.0, 1.0, 0.0
-            continue
-        before[i] = previous
-        old, new = new, (kappa * h[i] + 2.0) * new - old
-        previous = white * (new / old) if white > 0.0 else walk * h[i]
-        variance[i] = previous
-        if new > LARGE:
-            old, new = old * SMALL, new * SMALL
     return previous
 
 
@@ -86,10 +75,10 @@ def likelihoods(d: Array, h: Array, kappas: Array, out_log: Array, out_square: A
 
     Logarithms are taken of products of 16 variances. Accumulates into ``out_log`` and ``out_square``.
     """
-    inverse = np.zeros(LANES)
-    last = np.zeros(LANES)
-    product = np.ones(LANES)
-    square = np.zeros(LANES)
+    inverse, last, product, square = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    for k in range(LANES):
+        inverse[k] = last[k] = square[k] = 0.0
+        product[k] = 1.0
     count = 0
     for i in range(d.size):
         if h[i] < 0.0:

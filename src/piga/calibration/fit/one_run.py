@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.counted import Counted, fit_counted
-from piga.calibration.noise.levels import Information, Noise, find_noise, starting_noise
+from piga.calibration.noise.levels import Information, Noise, find_noise, natural_spline, starting_noise
 from piga.calibration.noise.weighting import (
     reduce_segments,
     residual_increments,
@@ -200,13 +199,11 @@ def _information(design: Design, mode: str, groups: tuple[int, ...], step: float
     """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``, for records that are small enough to need it."""
     if mode != "increments" or design.rows > SMALL:
         return None
-    from scipy.interpolate import CubicSpline
-
     values = []
     for ratio in RATIOS:
         noise = Noise(1.0, 10.0**ratio / step)
         values.append(-log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
-    return cast("Information", CubicSpline(RATIOS, values, bc_type="natural"))
+    return natural_spline(RATIOS, np.array(values))
 
 
 def log_determinant(solution: Solution) -> float:

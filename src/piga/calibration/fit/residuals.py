@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.statistics import lagged_products
 from piga.calibration.model.design import Design
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, rate_share, residual_increments
@@ -20,6 +19,9 @@ from piga.units import G0
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+LAG_PART = 8192
+"""Samples whose lagged products are formed at a time: 64 KiB."""
 
 
 def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Residuals:
@@ -215,7 +217,7 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     variance = float(sums[0]) / n
     lags = min(20, n // 5)
     products = np.zeros(lags + 1)
-    lagged_products(x, products)
+    add_lagged_products(x, products)
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
@@ -232,6 +234,15 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
         if probability > 1e-3
         else "not white: the model or the noise description misses something",
     }
+
+
+def add_lagged_products(x: Array, out: Array) -> None:
+    """Add ``sum x[i] x[i + k]`` to ``out[k]``, k = 0 .. out.size - 1, in parts that stay in the cache."""
+    for start in range(0, x.size, LAG_PART):
+        for k in range(out.size):
+            stop = min(start + LAG_PART, x.size - k)
+            if stop > start:
+                out[k] += x[start:stop] @ x[start + k : stop + k]
 
 
 def _formed(innovation: Array) -> Array:

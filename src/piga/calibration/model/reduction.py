@@ -64,12 +64,13 @@ class Reduction:
         if columns.shape[0] != size:
             raise ArgumentError(f"columns: {columns.shape[0]} given, {size} needed")
         if columns.shape[1] <= SHORT:
-            rows = np.asarray(columns.T, dtype=float)
+            rows = np.zeros((2, columns.shape[1], size))
+            rows[0] = columns.T
         else:
-            rows = np.zeros((size, size))
+            rows = np.zeros((2, size, size))
             for start in range(0, columns.shape[1], BLOCK):
-                absorb(rows, np.array(columns[:, start : start + BLOCK], order="C"))
-        gather(self.weight, self.unit, np.stack([rows, np.zeros_like(rows)]), _ones(rows.shape[0]))
+                absorb(rows[0], np.array(columns[:, start : start + BLOCK], order="C"))
+        gather(self.weight, self.unit, rows, _ones(rows.shape[1]))
         self.count += columns.shape[1] if count is None else count
 
     def add(self, x: ArrayLike, y: ArrayLike) -> None:
@@ -157,7 +158,7 @@ class Reduction:
         scaled = factor[:m, :m] / scale
         inverse = solve_upper(scaled, np.eye(m))
         solution = np.zeros((2, m))
-        back_substitute(self.unit[:, :m, :m], self.unit[:, :m, m], solution)
+        back_substitute(self.unit, solution)
         estimate = solution[0]
         covariance = inverse @ inverse.T / np.outer(scale, scale)
         return estimate, covariance, float(self.weight[0, m])

@@ -163,6 +163,25 @@ def least_on_grid(grid: Array, objective: Array) -> float:
     return float(grid[at] + shift * (grid[1] - grid[0]))
 
 
+def natural_spline(x: Array, y: Array) -> Information:
+    """Cubic spline through points (n,), its second derivative 0 at both ends; beyond them the outer cubics go on."""
+    h, last = np.diff(x), x.size - 1
+    slope, inner = np.diff(y) / h, np.arange(1, last)
+    matrix, right = np.eye(x.size), np.zeros(x.size)
+    matrix[inner, inner - 1], matrix[inner, inner] = h[:-1], 2.0 * (h[:-1] + h[1:])
+    matrix[inner, inner + 1], right[inner] = h[1:], 6.0 * np.diff(slope)
+    bend = np.linalg.solve(matrix, right)
+    first = slope - h * (2.0 * bend[:-1] + bend[1:]) / 6.0
+    third = np.diff(bend) / (6.0 * h)
+
+    def value(at: Array) -> Array:
+        i = np.clip(np.searchsorted(x, at) - 1, 0, last - 1)
+        s = at - x[i]
+        return np.asarray(y[i] + s * (first[i] + s * (0.5 * bend[i] + s * third[i])))
+
+    return value
+
+
 def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     """Sums of the likelihood over the record, two halves on two threads."""
     middle = d.size // 2
