@@ -65,6 +65,7 @@ from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, without_slow
 from piga.calibration.remarks.left_out import left_out_terms, odd_square
 from piga.calibration.remarks.left_out_runs import left_out_of_runs
+from piga.calibration.remarks.warm_positions import in_step
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
@@ -167,7 +168,8 @@ def _calibration(
         scatter = segment_scatter(fit.design, residuals, fit.noise)
         notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
         result = _assemble(run, request, fit, coefficients, covariance, budget.rows, residuals, notes, history)
-    result = replace(result, remarks=remarks_in_words(coefficients, request.phase))
+    warm = in_step(without_slow(fit, groups), groups, coefficients)
+    result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phase)))
     result = with_remarks(result, fit, remarks.result(), doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
