@@ -20,6 +20,7 @@ from piga.stand import (
     read_run,
     simulate_test,
 )
+from piga.stand.truth import coefficients
 
 from .simulated import COUNTS, INST, SITE, written
 
@@ -47,7 +48,12 @@ def test_page_shows_stand_output_servo_and_truth():
     html = page_html(simulation_page(test, "S-1"))
     for words in ("Simulated test of S-1", "pendulosity", "gravity", "tan_beta"):
         assert words in html
-    assert "servo twin" in simulation_text(test)
+    text = simulation_text(test)
+    assert "servo twin" in text
+    shown = next(line.split() for line in text.splitlines() if line.startswith("  k0 "))
+    k0 = next(value.value for value in coefficients(test) if value.name == "k0")
+    assert float(shown[1]) == pytest.approx(1e6 * k0, rel=1e-6)
+    assert shown[2] == "ug", "the unit of a calibration"
 
 
 def test_command_writes_all_files_and_json(tmp_path):

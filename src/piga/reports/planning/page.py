@@ -9,7 +9,7 @@ from piga._version import __version__
 from piga.planning.mounting import Mounting
 from piga.planning.plan import Plan
 from piga.planning.prediction import Prediction
-from piga.records.terms import meaning_of, unit_of
+from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.planning.figures import planning_figures
 from piga.reports.render.numbers import pretty_unit, printed, short, significant
 from piga.reports.render.page import (
@@ -120,11 +120,12 @@ def _uncertainty_table(plan: Plan) -> Table:
     columns += [Column(p.name, "u / planned") for p in plan.standard]
     rows = []
     for name in plan.names:
+        scale, unit = shown_unit(name, unit_of(name))
         cells: list[str | Cell] = [
             f"{name}: {meaning_of(name)}",
-            pretty_unit(unit_of(name)) or "1",
-            printed(significant(plan.best.std(name), 3)),
-            printed(significant(plan.best.combined(name), 3)),
+            pretty_unit(unit) or "1",
+            printed(significant(plan.best.std(name) * scale, 3)),
+            printed(significant(plan.best.combined(name) * scale, 3)),
         ]
         for prediction in plan.standard:
             ratio = prediction.std(name) / plan.best.std(name)
@@ -152,7 +153,8 @@ def _cheapest_blocks(plan: Plan) -> tuple[Block, ...]:
     cheapest = plan.cheapest
     if cheapest is None:
         return ()
-    wanted = ", ".join(f"u({n}) = {short(w)} {pretty_unit(unit_of(n))}" for n, w in plan.request.wanted.items())
+    shown = ((name, u, *shown_unit(name, unit_of(name))) for name, u in plan.request.wanted.items())
+    wanted = ", ".join(f"u({name}) = {short(u * scale)} {pretty_unit(unit)}" for name, u, scale, unit in shown)
     if cheapest.plan is None:
         return (Notice("problem", f"Wanted {wanted}: {cheapest.refusal}."),)
     visits = ", ".join(f"{v.candidate.label} {short(v.dwell)} s" for v in cheapest.plan.visits)
@@ -202,7 +204,8 @@ def plan_text(plan: Plan, mounting: Mounting | None) -> str:
     lines.append(f"  {'coefficient':<14}{'u (Type A)':>12} {'unit':<10}{heads}   (times the plan's u)")
     for name in plan.names:
         ratios = "".join(f"{short(p.std(name) / plan.best.std(name)):>12}" for p in plan.standard)
-        lines.append(f"  {name:<14}{significant(plan.best.std(name), 3):>12} {unit_of(name):<10}{ratios}")
+        scale, unit = shown_unit(name, unit_of(name))
+        lines.append(f"  {name:<14}{significant(plan.best.std(name) * scale, 3):>12} {unit:<10}{ratios}")
     lines += [f"  {p.name}: {p.refusal}" for p in plan.standard if p.refusal]
     lines.append(
         f"  efficiency {100.0 * plan.efficiency:.1f} % of the bound; {len(plan.excluded)} candidates left out"

@@ -8,6 +8,7 @@ from pathlib import Path
 from piga._version import __version__
 from piga.instrument.twin.linear import analyse_loop
 from piga.instrument.twin.parameters import TwinParameters, parameter_table
+from piga.records.terms import shown_unit
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
 from piga.reports.render.page import (
@@ -166,11 +167,11 @@ def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
     rows = [
         (
             _name(value),
-            printed(significant(value.value, 8)),
-            pretty_unit(value.unit),
+            printed(significant(value.value * scale, 8)),
+            pretty_unit(unit),
             value.note,
         )
-        for value in values
+        for value, (scale, unit) in ((value, shown_unit(value.name, value.unit)) for value in values)
     ]
     return Table(columns, tuple(rows), caption)
 
@@ -179,7 +180,9 @@ def simulation_text(test: SimulatedTest) -> str:
     """A few lines for the terminal: what was simulated, and the truth."""
     log = test.log
     lines = [f"{test.stand.kind}, {_MODELS[test.model]}: {count(log.t.size)} rows, {len(log.labels)} segments"]
-    lines += [f"  {_name(v):<16}{significant(v.value, 8):>16} {v.unit}" for v in coefficients(test)]
+    for value in coefficients(test):
+        scale, unit = shown_unit(value.name, value.unit)
+        lines.append(f"  {_name(value):<16}{significant(value.value * scale, 8):>16} {unit}")
     if test.motion is not None:
         changes = test.motion.lock_changes()
         lines.append(
