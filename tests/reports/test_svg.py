@@ -298,3 +298,15 @@ def test_equal_panels_have_one_scale() -> None:
         assert (up.start - up.end) / (up.high - up.low) == pytest.approx(unit, rel=1e-12)
         if x.limits:
             assert (across.low, across.high, up.low, up.high) == (-4.0, 4.0, -2.0, 2.0)
+
+
+def test_a_series_without_points_leaves_an_empty_frame(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    none = np.zeros(0)
+    series = tuple(
+        Series(none, none, mark, mark=mark, upper=none if mark == "band" else None) for mark in MARKS
+    )  # type: ignore[arg-type]
+    figure = Figure("none", "None.", (Panel(Axis("t", "s"), Axis("y", "1"), series),))
+    root = read(figure)
+    assert min(map(len, labels(root))) >= 2
+    assert all(node.get("d") == "" for group in root.iter(f"{SVG}g") if group.get("id") for node in group)
+    assert write_figure(figure, tmp_path / "a.png", dpi=40).stat().st_size > 500

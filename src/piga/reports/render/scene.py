@@ -32,6 +32,8 @@ TICK, GAP = 3.0, 3.0
 COLUMN_GAP, ROW_GAP, EDGE = 14.0, 8.0, 4.0
 HANDLE, ENTRY_GAP = 20.0, 14.0
 """Length of the sample beside a legend entry, and the space between two entries."""
+PASSES = 4
+"""Largest number of rounds in which heights and left margins are fitted to each other."""
 MOST_LINES, LONGEST = 3, 400
 """Lines and letters that a label, a title or a name keeps at most."""
 FARTHEST = 1e6
@@ -195,39 +197,47 @@ class _Layout:
         self.shared = shares_x(figure)
         self.slot = (scene.width - 2.0 * EDGE - COLUMN_GAP * (self.columns - 1)) / self.columns
         self.ranges = _ranges(figure, shared=self.shared)
-        self.above = [self._above(row) for row in range(self.rows)]
-        self.below = [self._below(row) for row in range(self.rows)]
-        free = scene.height - top - sum(self.above) - sum(self.below) - EDGE
+        self.lefts, before = [0.0] * self.columns, [-1.0]
+        for _ in range(PASSES):
+            if self.lefts == before:
+                break
+            before = self.lefts
+            self._set_heights(top)
+            self.lefts = [max(map(self._left_margin, self._column(column))) for column in range(self.columns)]
+        scene.height = max(scene.height, self.tops[-1] + self.plot_height + self.below[-1] + EDGE)
+
+    def _set_heights(self, top: float) -> None:
+        """Share the height between plots and the words around them."""
+        above, self.below = map(list, zip(*(self._around(row) for row in range(self.rows)), strict=True))
+        free = self.scene.height - top - sum(above) - sum(self.below) - EDGE
         self.plot_height = max(free / self.rows, 30.0)
         self.tops = [
-            top + sum(self.above[: row + 1]) + sum(self.below[:row]) + row * self.plot_height
+            top + sum(above[: row + 1]) + sum(self.below[:row]) + row * self.plot_height
             for row in range(self.rows)
         ]
-        scene.height = max(scene.height, self.tops[-1] + self.plot_height + self.below[-1] + EDGE)
 
     def draw(self) -> None:
         """All panels of all columns."""
         for column in range(self.columns):
-            indices = list(range(column, len(self.figure.panels), self.columns))
-            y_ticks = {index: self._y_ticks(index) for index in indices}
-            label_lines = {index: self._y_label(index, y_ticks[index]) for index in indices}
-            left = max(_left_margin(y_ticks[index], label_lines[index]) for index in indices)
+            indices, left = self._column(column), self.lefts[column]
             start = EDGE + column * (self.slot + COLUMN_GAP)
             right = start + self.slot
             over = max(self._overhang(index, start + left, right) for index in indices)
             for index in indices:
                 top = self.tops[index // self.columns]
                 box = Box(start + left, top, right - over, top + self.plot_height)
-                _Drawing(self, index, box, start).draw(label_lines[index])
+                _Drawing(self, index, box, start).draw(self._y_words(index)[1])
 
     def has_x_words(self, index: int) -> bool:
         """Whether ticks and label stand below this panel."""
         return not self.shared or index == len(self.figure.panels) - 1
 
     def title_lines(self, index: int) -> list[str]:
-        """Lines of the panel's title."""
-        title = self.figure.panels[index].title
-        return wrapped(title, self.slot - 22.0 + COLUMN_GAP, TITLE_FONT, bold=True) if title else []
+        """Lines of the panel's title; it may reach over the words left of the next panel, which begin below it."""
+        title, column = self.figure.panels[index].title, index % self.columns
+        over = EDGE if column == self.columns - 1 else COLUMN_GAP + TITLE_FONT
+        room = self.slot - self.lefts[column] + over
+        return wrapped(title, room, TITLE_FONT, bold=True) if title else []
 
     def x_label_lines(self, index: int, ticks: Ticks | None = None) -> list[str]:
         """Lines of the label of the x axis; those of the bare axis before its ticks are known."""
@@ -235,23 +245,27 @@ class _Layout:
         label = panel.x.label if ticks is None else axis_label(panel.x, ticks)
         return wrapped(label, self.slot - 40.0)
 
-    def _row(self, row: int) -> range:
-        return range(row * self.columns, min((row + 1) * self.columns, len(self.figure.panels)))
+    def _column(self, column: int) -> range:
+        return range(column, len(self.figure.panels), self.columns)
 
-    def _above(self, row: int) -> float:
-        lines = max((len(self.title_lines(index)) for index in self._row(row)), default=0)
-        return lines * LINE * TITLE_FONT + ROW_GAP
+    def _around(self, row: int) -> tuple[float, float]:
+        """Height of the words above and below the plots of a row."""
+        indices = range(row * self.columns, min((row + 1) * self.columns, len(self.figure.panels)))
+        titles = max(len(self.title_lines(index)) for index in indices)
+        labels = [len(self.x_label_lines(index)) for index in indices if self.has_x_words(index)]
+        below = TICK + GAP + TICK_FONT + max(labels) * LINE * FONT + GAP if labels else 0.0
+        return titles * LINE * TITLE_FONT + ROW_GAP, below
 
-    def _below(self, row: int) -> float:
-        lines = [len(self.x_label_lines(index)) for index in self._row(row) if self.has_x_words(index)]
-        return TICK + GAP + TICK_FONT + max(lines) * LINE * FONT + GAP if lines else 0.0
-
-    def _y_ticks(self, index: int) -> Ticks:
+    def _y_words(self, index: int) -> tuple[Ticks, list[str]]:
+        """Ticks of the y axis and the lines of its label."""
         panel, up = self.figure.panels[index], self.ranges[index][1]
-        return _y_ticks(panel, Scale(*up, self.plot_height, 0.0, panel.y.log))
+        ticks = _y_ticks(panel, Scale(*up, self.plot_height, 0.0, panel.y.log))
+        return ticks, wrapped(axis_label(panel.y, ticks), self.plot_height + GAP)
 
-    def _y_label(self, index: int, ticks: Ticks) -> list[str]:
-        return wrapped(axis_label(self.figure.panels[index].y, ticks), self.plot_height + 2.0 * ROW_GAP)
+    def _left_margin(self, index: int) -> float:
+        ticks, label = self._y_words(index)
+        widest = max((text_width(word, TICK_FONT) for word in ticks.words), default=0.0)
+        return len(label) * LINE * FONT + GAP + widest + GAP + TICK
 
     def _overhang(self, index: int, left: float, right: float) -> float:
         """Space that the last label of the x axis needs beyond the end of the axis."""
@@ -272,11 +286,6 @@ def _y_ticks(panel: Panel, scale: Scale) -> Ticks:
     most = min(max(2, round(abs(scale.end - scale.start) / (2.2 * TICK_FONT))), 10)
     whole = _is_whole(series.arrays()[1] for series in panel.series)
     return axis_ticks(panel.y, scale, most, whole=whole)
-
-
-def _left_margin(ticks: Ticks, label: list[str]) -> float:
-    words = max((text_width(word, TICK_FONT) for word in ticks.words), default=0.0)
-    return len(label) * LINE * FONT + GAP + words + GAP + TICK
 
 
 def _is_whole(values: Iterable[Array]) -> bool:
