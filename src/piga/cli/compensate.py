@@ -240,7 +240,6 @@ def _single(
     )
     from piga.compensation.files.parts import Parts, key_of
     from piga.compensation.validity import age_flag
-    from piga.compensation.warm_up import compile_apart
     from piga.compensation.writers import format_of
     from piga.records import read_run_file
     from piga.records.spool import give_back
@@ -248,7 +247,6 @@ def _single(
 
     _spare_memory()
     kind, data = format_of(out), read_run_file(run).data
-    compile_apart("rate" if data.output.kind == "rate" else "angle")
     with progress("reading"):
         record = read_run(run, held=HELD_ROWS)
     give_back()
@@ -308,12 +306,9 @@ def _together(
 ) -> dict[str, Any]:  # fmt: skip
     from piga.compensation.sets.set_files import compensate_set_files
     from piga.compensation.sets.triad_file import calibration_files, orthogonal_triad, read_triad
-    from piga.compensation.warm_up import compile_apart
     from piga.compensation.writers import format_of
 
     _spare_memory()
-    if options.method != "published":
-        compile_apart("set")
     kind = format_of(out)
     if len(runs) == 1:
         paths, mounted = read_triad(runs[0])
