@@ -24,6 +24,7 @@ from piga.stand import (
     read_scenario,
     simulate_test,
 )
+from piga.stand.simulate import straightened
 from piga.stand.truth import predicted_angle_error
 
 from .simulated import INST, SCENARIO, SITE, saved, truth_of
@@ -96,6 +97,61 @@ def scores(cal, test):
     size, phase = cal["tan_beta"], cal["phi"]
     error = size.value * np.exp(1j * phase.value) - truth["tan_beta", None] * np.exp(1j * truth["phi", None])
     return result | {"coupling": (error, math.hypot(size.std, size.value * phase.std))}
+
+
+@pytest.mark.only_compiled
+def test_a_simulated_sine_has_the_integrals_of_a_sine():
+    """Truth: SciPy's integral of the equation of motion under the sine itself, between samples too."""
+    from scipy.integrate import solve_ivp
+
+    drive = Drive("sine", 4.0, 20.0, amplitude=30.0)
+    table = VibrationTable(SITE, (drive,), axis="X0", up="X0")
+    e = Electronics(sample_rate=1000.0, kind="angle")
+    test = simulate_test(table, Specimen(INST, ErrorModel(k0="3e-4 g")), e)
+    t, K = test.profile.t, INST.scale_factor
+    rest = test.profile.force[0]
+    bias = K * ErrorModel(k0="3e-4 g").specific_force(np.zeros(1), np.zeros((1, 3)), None)[0]
+
+    def rate(time, alpha):
+        force = rest[:, None] + np.outer([1.0, 0.0, 0.0], drive.acceleration(np.atleast_1d(time - start))[0])
+        u = K * force[:, 0] - test.profile.base_rate[0]
+        return u[0] + bias + INST.tan_beta * (u[1] * np.sin(alpha) - u[2] * np.cos(alpha))
+
+    start = next(s.start for s in test.profile.segments if s.label)
+    rows = (t >= start) & (t <= start + drive.duration)
+    integrated = solve_ivp(
+        rate,
+        (t[rows][0], t[rows][-1]),
+        [test.alpha[rows][0]],
+        t_eval=t[rows],
+        rtol=1e-12,
+        atol=1e-12,
+        max_step=2e-3,
+    )
+    assert np.abs(test.alpha[rows] - integrated.y[0]).max() < 1e-8  # straight lines: 3e-5
+    true_rates = [rate(time, alpha)[()] for time, alpha in zip(t[rows], integrated.y[0], strict=True)]
+    assert np.abs(test.rate[rows] - np.ravel(true_rates)).max() < 1e-9
+
+
+@pytest.mark.only_compiled
+def test_calibration_finds_the_scale_factor_of_a_fast_vibration(tmp_path):
+    drives = (Drive("rest", 10.0), Drive("sine", 20.0, 8.0, amplitude=30.0))
+    table = VibrationTable(SITE, drives, axis="X0", up="X0")
+    e = Electronics(sample_rate=1000.0, kind="angle", zero=0.5, angle_noise=1e-6, angle_random_walk=1e-6)
+    test = simulate_test(table, Specimen(INST, ErrorModel(k0="3e-4 g")), e, seed=11)
+    cal = calibrate(run_record(test, tmp_path, ["scale_factor", "k0", "k2"]))
+    truth = truth_of(test)
+    for c in cal.coefficients:
+        assert abs(c.value - truth.get((c.name, None), 0.0)) < 4.0 * c.std, c.name
+    assert cal["scale_factor"].std < 1e-5 * cal["scale_factor"].value
+
+
+def test_straight_lines_stay_by_a_step_or_a_kink():
+    t = np.arange(0.0, 1.0, 0.01)[:, None]
+    for values in (np.where(t > 0.5, 3.0, 0.0), np.abs(t - 0.5), np.ones_like(t), t):
+        np.testing.assert_array_equal(straightened(values), values)
+    wave = np.sin(8.0 * t)
+    assert np.abs(straightened(wave) - wave * np.tan(0.04) / 0.04)[4:-4].max() < 1e-9
 
 
 @pytest.mark.only_compiled

@@ -37,6 +37,8 @@ Harmonics = Mapping[int, tuple[float, float]]
 _WAVE_STEP = 0.05
 """Largest turn of the gimbal in a step where the servo's waves are simulated [rad]: straight between samples,
 they are short by a share of this squared over 12."""
+_SMOOTH = 0.25
+"""A motion is smooth where its fourth differences are below this share of its second ones: 12 steps a period."""
 
 
 @dataclass(frozen=True)
@@ -215,10 +217,12 @@ def _quasi_steady(
     """Exact motion; random walk exactly, by turning the transverse inputs back by the walked angle."""
     density = 0.0 if e.kind == "rate" else e.angle_random_walk
     walk = random_walk(streams[0], profile.t.size, grid, density)
-    force = profile.force.copy()
-    force[:, 0] += random_walk(streams[1], profile.t.size, grid, e.bias_random_walk)
-    base_rate = profile.base_rate
+    force, base_rate = straightened(profile.force), straightened(profile.base_rate)
+    wander = random_walk(streams[1], profile.t.size, grid, e.bias_random_walk)
+    force[:, 0] += wander
     felt = (force, base_rate)
+    true_force = profile.force.copy()
+    true_force[:, 0] += wander
     if density:
         force, base_rate = _walked(force, walk), _walked(base_rate, walk)
     harmonic_rate = np.zeros(profile.t.size)
@@ -237,11 +241,41 @@ def _quasi_steady(
         alpha = alpha + walk
         new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)
         if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
-            return alpha, rate
+            inst, model = specimen.instrument, specimen.error_model
+            more = inst.scale_factor * (true_force - felt[0]) - (profile.base_rate - felt[1])
+            polynomial = model.specific_force(profile.t, true_force, kelvin) - model.specific_force(
+                profile.t, felt[0], kelvin
+            )
+            return alpha, rate + more[:, 0] + inst.scale_factor * polynomial + inst.tan_beta * (
+                more[:, 1] * np.sin(alpha) - more[:, 2] * np.cos(alpha)
+            )
         harmonic_rate = new_rate
     raise ArgumentError(
         "harmonics or servo terms: too large to be simulated", remedy="they are small corrections, e.g. 1e-5 g"
     )
+
+
+def straightened(values: Array) -> Array:
+    """Samples (n, k) whose straight lines have the integrals of the smooth curves through ``values``.
+
+    A wave of ``theta`` radian a step, drawn as straight lines, keeps ``(theta/2) cot(theta/2)`` of its integral. The
+    samples are divided by that, to fourth differences. A sample by a step or a kink of the motion stays as it is: there
+    the straight lines are the motion.
+    """
+    straight = values.copy()
+    if len(values) < 5:
+        return straight
+    second = np.zeros_like(values)
+    second[1:-1] = values[2:] - 2.0 * values[1:-1] + values[:-2]
+    fourth = np.zeros_like(values)
+    fourth[2:-2] = second[3:-1] - 2.0 * second[2:-2] + second[1:-3]
+    near = [
+        np.lib.stride_tricks.sliding_window_view(np.abs(x), 5, axis=0).max(axis=-1) for x in (second, fourth)
+    ]
+    inner = slice(2, -2)
+    change = -second[inner] / 12.0 + 11.0 / 720.0 * fourth[inner]
+    straight[inner] += np.where(near[1] <= _SMOOTH * near[0], change, 0.0)
+    return straight
 
 
 def _forces_of_angle(specimen: Specimen, alpha: Array, force: Array, base_rate: Array) -> Array:
@@ -297,6 +331,7 @@ def _twin_motion(
     size = profile.t.size
     felt = profile.force.copy()
     felt[:, 0] += own.specific_force(profile.t, profile.force, kelvin)
+    felt = straightened(felt)
     felt[:, 0] += random_walk(streams[1], size, grid, e.bias_random_walk)
     noise = np.zeros((size, 3))
     noise[:, 0] = held_noise(streams[2], size, grid, p.torque_noise)
@@ -305,7 +340,12 @@ def _twin_motion(
         noise[:-1, 1] = -p.angular_momentum * np.diff(walk) / grid
     noise[:, 2] = held_noise(streams[2], size, grid, p.pick_off_noise)
     return run_twin(
-        p, profile.t, felt, profile.base_rate, noise=noise, start=specimen.start if stable else "transient"
+        p,
+        profile.t,
+        felt,
+        straightened(profile.base_rate),
+        noise=noise,
+        start=specimen.start if stable else "transient",
     )
 
 
