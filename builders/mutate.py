@@ -58,8 +58,11 @@ FIT = tests_of("calibration", "interpreted", "small_parts", "calibrate", "small_
 JOINT = tests_of("calibration", "small_joint", "joint")
 UNCERTAINTY = tests_of("calibration", "small_parts", "uncertainty", "calibrate", "small_joint")
 COUNTED = tests_of("calibration", "stretches", "small_parts", "uncertainty", "shipped_record")
-PLANS = tests_of("calibration", "small_parts", "small_plans", "small_requests", "planning")
-TREND = tests_of("calibration", "small_parts", "trend_line", "trend")
+PLANS = [
+    *tests_of("calibration", "small_parts", "small_requests"),
+    *tests_of("planning", "small_plans", "plan"),
+]
+TREND = [*tests_of("calibration", "small_parts"), *tests_of("trend", "trend_line", "history")]
 CHOICE = tests_of("calibration", "small_parts", "model_choice")
 REVOLUTIONS = [*tests_of("calibration", "revolutions"), *JOINT]
 SIGNATURES = tests_of("calibration", "missing_terms", "alarms")
@@ -82,39 +85,34 @@ IDENTIFIED = tests_of("platform", "identification", "alignment", "intervals")
 TRIADS = tests_of("platform", "triad", "simulate")
 GROUND = ["tests/foundations"]
 CALIBRATION = {
-    "calibration/remarks/advice calibration/remarks/advice_sample "
-    "calibration/remarks/advice_words calibration/remarks/thinning": tests_of("calibration", "advice"),
+    "calibration/remarks/advice calibration/remarks/advice_sample": tests_of("calibration", "advice"),
     "calibration/allan": tests_of("calibration", "allan", "drift"),
-    "calibration/calibrate calibration/model/coefficients calibration/model/design "
+    "calibration/calibrate calibration/model/design "
     "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "
     "calibration/model/solution calibration/noise/weighting "
     "calibration/model/identifiability": FIT,
     "calibration/budget/rows calibration/intervals/degrees_of_freedom "
-    "calibration/budget/monte_carlo calibration/budget/propagation "
-    "calibration/budget/uncertainty": UNCERTAINTY,
-    "calibration/remarks/candidate_columns calibration/remarks/missing_terms": SIGNATURES,
+    "calibration/budget/monte_carlo calibration/budget/uncertainty": UNCERTAINTY,
+    "calibration/remarks/missing_terms calibration/remarks/all_remarks": SIGNATURES,
     "planning/candidates planning/criterion planning/mounting planning/plan "
-    "planning/prediction planning/visits planning/plan_file planning/plan_export": PLANS,
+    "planning/prediction planning/plan_file": PLANS,
     "calibration/fit/cleaning calibration/fit/outliers": tests_of("calibration", "small_parts", "outliers"),
-    "trend/control_chart trend/history trend/trend_line trend/trend_words": TREND,
+    "trend/history trend/trend_line": TREND,
     "calibration/noise/counted calibration/noise/stretches": COUNTED,
-    "calibration/choice/cross_validation calibration/choice/model_choice "
-    "calibration/choice/model_comparison": CHOICE,
+    "calibration/choice/cross_validation calibration/choice/model_choice": CHOICE,
     "calibration/intervals/added_noise": tests_of("calibration", "small_parts", "added_noise"),
     "calibration/intervals/faint_walk": tests_of("calibration", "small_parts", "faint_walk"),
-    "calibration/noise/saw_tooth": COUNTED,
-    "calibration/fit/servo calibration/model/servo_columns": tests_of("calibration", "servo"),
-    "calibration/remarks/left_out calibration/remarks/left_out_runs": tests_of("calibration", "servo"),
+    "calibration/fit/servo": tests_of("calibration", "servo"),
+    "calibration/remarks/left_out": tests_of("calibration", "servo", "left_out_runs"),
     "calibration/noise/slow_bases calibration/intervals/slow_noise": tests_of(
         "calibration", "small_parts", "drift", "segment_scatter"
     ),
-    "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary "
-    "calibration/joint/summary_json": JOINT,
-    "calibration/remarks/leverage calibration/model/segment_parts": [
+    "calibration/joint/joint_fit calibration/joint/joint_result calibration/joint/summary": JOINT,
+    "calibration/remarks/leverage": [
         *tests_of("calibration", "leverage"),
         *SIGNATURES,
     ],
-    "calibration/classical/published calibration/classical/recursive calibration/model/request": FIT,
+    "calibration/classical/recursive calibration/model/request": FIT,
     "calibration/model/reduction": [*tests_of("calibration", "reduction"), *FIT],
     "calibration/classical/revolutions": REVOLUTIONS,
 }

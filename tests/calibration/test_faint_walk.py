@@ -12,9 +12,8 @@ from piga.calibration.fit.one_run import Fit, fit_run, phase_groups
 from piga.calibration.intervals import faint_walk
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.faint_walk import include_faint_walk, slowest
-from piga.calibration.model.coefficients import name_coefficients
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import solve
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments, residual_increments
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble

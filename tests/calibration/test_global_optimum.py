@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 import piga
-from piga.calibration.classical.published import run_published
+from piga.calibration.classical.recursive import run_published
 from piga.calibration.model.request import make_request
 from piga.records.run_file import EstimationTable
 from piga.units import G0

@@ -16,9 +16,9 @@ from piga.calibration.joint.summary import RunSummary
 from piga.errors import CalibrationError, RunFileError
 from piga.planning.plan import plan_test
 from piga.records.run_file import EstimationTable, UncertaintyTable
-from tests.calibration.planning_cases import request
 from tests.calibration.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.scenarios import SCENARIOS, Array, Scenario
+from tests.planning.cases import request
 
 pytestmark = pytest.mark.compiled
 ROW = "angle_repeatability"

@@ -14,10 +14,9 @@ from piga.calibration.fit.one_run import Fit, fit_run, phase_groups, refine_coun
 from piga.calibration.intervals import slow_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, likely_level, quick_look, slow_factor
-from piga.calibration.model.coefficients import name_coefficients
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import solve
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.slow_bases import MOST_SEGMENTS, SegmentBasis, slow_bases
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble

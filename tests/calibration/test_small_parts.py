@@ -16,10 +16,9 @@ from piga.calibration.budget.monte_carlo import standard_draws
 from piga.calibration.choice.cross_validation import predict
 from piga.calibration.intervals import degrees_of_freedom
 from piga.calibration.intervals.slow_noise import _whitened_means, quick_look
-from piga.calibration.model.coefficients import name_parameters
 from piga.calibration.model.identifiability import _aligned, notes_in_words, refuse_useless, remarks_in_words
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import KNOTS, Estimate, Layout
+from piga.calibration.model.solution import KNOTS, Estimate, Layout, name_parameters
 from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.slow_bases import DriftBasis
@@ -30,9 +29,9 @@ from piga.planning.mounting import plan_mounting
 from piga.records.calibration import Coefficient
 from piga.trend.history import Forecast
 from piga.units import G0
-from tests.calibration.planning_cases import request
 from tests.calibration.synthetic import BETA, SCALE, TERMS, record
-from tests.calibration.test_planning import mounting_request
+from tests.planning.cases import request
+from tests.planning.test_plan import mounting_request
 
 ARCSECOND = math.pi / 648000.0
 

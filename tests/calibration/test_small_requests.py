@@ -15,9 +15,9 @@ from piga.errors import RunFileError
 from piga.planning.plan_file import read_plan
 from piga.records.run_file import EstimationTable, UncertaintyTable
 from piga.units import G0
-from tests.calibration.planning_cases import request
 from tests.calibration.scenarios_joint import joint_test
 from tests.calibration.synthetic import TERMS, record
+from tests.planning.cases import request
 
 pytestmark = pytest.mark.compiled
 

@@ -13,8 +13,7 @@ from piga.calibration.fit.one_run import fit_run, refine_counted
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
-from piga.calibration.noise.saw_tooth import SawTooth, follow, looks_white
-from piga.calibration.noise.stretches import empty_stretches, find_stretches
+from piga.calibration.noise.stretches import SawTooth, empty_stretches, find_stretches, follow, looks_white
 from piga.records.run import Run
 from tests.calibration.scenarios import SCENARIOS
 

@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from piga.calibration.budget import monte_carlo
-from piga.calibration.budget.propagation import size_limits
+from piga.calibration.budget.monte_carlo import size_limits
 from tests.calibration.independent import Bench
 
 TERMS = ("scale_factor", "tan_beta", "k0")

@@ -14,8 +14,8 @@ import pytest
 from piga.cli.trend import stored_history, trend
 from piga.errors import PigaError
 from piga.records.calibration_json import calibration_to_bytes
-from tests.calibration.history import history
 from tests.cli.test_commands import piga
+from tests.trend.history import history
 
 
 @pytest.fixture(scope="module")

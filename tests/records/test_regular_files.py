@@ -14,7 +14,7 @@ import pytest
 from pyarrow import parquet
 
 import piga
-from piga.calibration.joint.summary_json import read_summary
+from piga.calibration.joint.summary import read_summary
 from piga.certificate.certificate_file import read_certificate_file
 from piga.certificate.dcc.xml_file import read_xml
 from piga.certificate.dcc.xml_signature import load_certificate

@@ -15,7 +15,7 @@ from piga.reports.render.static import figure_svg
 from piga.reports.trend.figures import scale_of, trend_figure
 from piga.reports.trend.page import trend_document, trend_page, trend_text
 from piga.trend.history import find_trend
-from tests.calibration.history import START, history, record
+from tests.trend.history import START, history, record
 
 AT = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 

@@ -7,16 +7,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from piga.calibration.choice.model_choice import compare_models
-    from piga.calibration.choice.model_comparison import ModelComparison, TermSet
+    from piga.calibration.choice.model_choice import ModelComparison, TermSet, compare_models
     from piga.calibration.joint.summary import RunSummary
     from piga.calibration.model.reduction import Reduction
 
 _LAZY = {
-    "ModelComparison": "choice.model_comparison",
+    "ModelComparison": "choice.model_choice",
     "Reduction": "model.reduction",
     "RunSummary": "joint.summary",
-    "TermSet": "choice.model_comparison",
+    "TermSet": "choice.model_choice",
     "compare_models": "choice.model_choice",
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.budget.propagation import put_to_the_test
+from piga.calibration.budget.monte_carlo import put_to_the_test
 from piga.calibration.budget.rows import (
     Budget,
     budget_row,
@@ -23,8 +23,7 @@ from piga.calibration.budget.rows import (
 )
 from piga.calibration.budget.uncertainty import contributions, sources, stated_scatter
 from piga.calibration.choice.model_choice import compared_models
-from piga.calibration.classical.published import run_published
-from piga.calibration.classical.recursive import recursive_history
+from piga.calibration.classical.recursive import recursive_history, run_published
 from piga.calibration.classical.revolutions import (
     clean_record,
     estimate_again,
@@ -33,7 +32,7 @@ from piga.calibration.classical.revolutions import (
     revolutions_degrees,
     revolutions_result,
 )
-from piga.calibration.fit.one_run import Fit, fit_run, noise_of, phase_groups, refine_counted
+from piga.calibration.fit.one_run import Fit, fit_run, noise_of, phase_groups, refine_counted, without_slow
 from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.faint_walk import include_faint_walk
@@ -47,8 +46,7 @@ from piga.calibration.joint.joint_fit import (
 )
 from piga.calibration.joint.joint_result import joint_result
 from piga.calibration.joint.summary import RunSummary, now, residual_figures, validity_ranges
-from piga.calibration.model.coefficients import name_coefficients
-from piga.calibration.model.design import Design
+from piga.calibration.model.design import Design, given_servo
 from piga.calibration.model.identifiability import (
     Examination,
     examine,
@@ -57,15 +55,12 @@ from piga.calibration.model.identifiability import (
     remarks_in_words,
 )
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.servo_columns import given_servo
-from piga.calibration.model.solution import Solution, solve
+from piga.calibration.model.solution import Solution, name_coefficients, solve
 from piga.calibration.model.workers import beside
 from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.all_remarks import find_remarks, with_remarks, without_slow
-from piga.calibration.remarks.left_out import left_out_terms, odd_square
-from piga.calibration.remarks.left_out_runs import left_out_of_runs
-from piga.calibration.remarks.warm_positions import in_step
+from piga.calibration.remarks.all_remarks import find_remarks, in_step, with_remarks
+from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals

@@ -31,8 +31,7 @@ def plan(
     import json
 
     from piga.planning.mounting import plan_mounting
-    from piga.planning.plan import plan_test
-    from piga.planning.plan_export import plan_document, scenario_text
+    from piga.planning.plan import plan_document, plan_test, scenario_text
     from piga.planning.plan_file import read_plan
     from piga.reports.planning.page import plan_text, write_plan_report
 

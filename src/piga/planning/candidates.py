@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit.servo import with_mean_servo
-from piga.calibration.model.design import Design
+from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.request import Request
-from piga.calibration.model.servo_columns import ServoState
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import weighted_blocks, weighting_mode
 from piga.errors import CalibrationError

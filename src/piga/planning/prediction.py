@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from piga.calibration.budget.uncertainty import contributions
 from piga.calibration.fit.servo import settled_design
-from piga.calibration.model.coefficients import name_coefficients
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import examine, refuse_if_confounded
-from piga.calibration.model.solution import solve
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.weighting import reduce_segments, weighting_mode
 from piga.errors import IdentifiabilityError
 from piga.planning.candidates import Candidate, model_request, noise_of, run_of

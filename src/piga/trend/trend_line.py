@@ -1,6 +1,6 @@
-"""A straight line through values whose uncertainties are known, with an excess variance, and its forecasts.
+"""A straight line through values whose uncertainties are known, with an excess variance, its forecasts and control chart.
 
-Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i`` with ``var(e_i) = v_i`` stated and ``var(d_i) = tau^2`` found
+Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i`` with ``var(e_i) = v_i`` stated and ``var(d_i) = tau^2`` estimated
 from the scatter (Paule and Mandel's condition: the weighted residual sum equals its expectation). Intervals
 use the weighted residual sum and Student's t with ``n - 2`` degrees of freedom (Hartung and Knapp), so that
 with equal ``v_i`` they are those of ordinary least squares, unless the values scatter far less than the stated
@@ -289,3 +289,27 @@ def _line(figures: Array, known: Array) -> Line:
 def _not_exact(values: Array, variances: Array) -> Array:
     """The variances, none so small that its value would have infinite weight."""
     return np.maximum(variances, (TINY * float(np.abs(values).max() or 1.0)) ** 2)
+
+
+SMOOTHING = 0.2
+"""Weight of the newest score in the moving average of the control chart."""
+LIMIT = 3.0
+"""Control limit of scores and of their moving average, in its standard deviations."""
+
+
+def moving_average(scores: Array, weight: float = SMOOTHING) -> tuple[Array, Array]:
+    """Exponentially weighted moving average of the scores, and its control limit.
+
+    For independent standard normal scores the variance after ``n`` of them is
+    ``w/(2 - w) (1 - (1 - w)^(2 n))``.
+    """
+    averages, limits = np.full(scores.size, np.nan), np.full(scores.size, np.nan)
+    average, seen = 0.0, 0
+    for i, score in enumerate(scores):
+        if math.isnan(score):
+            continue
+        seen += 1
+        average = weight * float(np.clip(score, -LIMIT, LIMIT)) + (1.0 - weight) * average
+        averages[i] = average
+        limits[i] = LIMIT * math.sqrt(weight / (2.0 - weight) * (1.0 - (1.0 - weight) ** (2 * seen)))
+    return averages, limits

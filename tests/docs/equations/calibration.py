@@ -15,8 +15,8 @@ from piga._kernels.estimation.whitening import innovation_weights, whiten
 from piga.calibration.classical.revolutions import _amplification
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import projected
+from piga.calibration.model.design import ServoState
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.servo_columns import ServoState
 from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import find_noise
 from piga.calibration.noise.slow_bases import DriftBasis

@@ -17,8 +17,8 @@ from piga.ledger.store.export import Export
 from piga.ledger.store.transfer import export_records, import_records
 from piga.ledger.store.verify import verify
 from piga.records.calibration_json import calibration_to_bytes
-from tests.calibration.history import record
 from tests.ledger.store.drafts import draft, filled
+from tests.trend.history import record
 
 
 def calibrated(serial: str = "T-1", data: bytes | None = None) -> Draft:

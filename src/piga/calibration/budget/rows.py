@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.budget.uncertainty import SharedSource, Source, contributions
-from piga.calibration.model.coefficients import name_coefficients
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import solve
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.weighting import reduce_segments
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.coverage import welch_satterthwaite

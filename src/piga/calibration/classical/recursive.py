@@ -1,17 +1,27 @@
-"""Recursive estimation: the same whitened rows one at a time, with the history of the estimate."""
+"""Recursive estimation: the history of the whitened estimate, and the published recursion for comparison.
+
+The published recursion [Wei2024, eq. 12-18, 22-24] works on rates, predicts the phase from the input instead of reading
+it, takes ``a_t`` along the direction of the first transverse force, and needs a first guess. It can converge to a wrong
+solution; nothing here hides that.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga._kernels.estimation.published import published_recursion
 from piga._kernels.estimation.square_root import absorb_rows
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.request import Request
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import weighted_blocks
+from piga.records.run import Run
+from piga.units import G0
 
 Array = NDArray[np.float64]
 
@@ -50,3 +60,77 @@ def _summary(design: Design, factor: Array) -> Reduction:
     summary = Reduction.empty(design.names)
     summary.absorb(factor.T)
     return summary
+
+
+X0 = (4.5e-3, 0.4)
+"""First guess of the published run: tan_beta, phi [rad]."""
+P0 = 1e10
+"""Diagonal of the first covariance of the published run."""
+
+
+@dataclass(frozen=True)
+class PublishedResult:
+    """States ``[tan_beta, phi, k0, k1, k2]`` (g units; first two or all), covariance, history, residual [g]."""
+
+    names: tuple[str, ...]
+    state: Array
+    covariance: Array
+    samples: NDArray[np.int64]
+    history: Array
+    rms: float
+    count: int
+
+
+def run_published(run: Run, request: Request) -> PublishedResult:
+    """Run the recursion over a record.
+
+    The indicated acceleration is the increment (or rate) of the output, base rotation about X0 added,
+    over the nominal K; the phase is ``s = int K a_x`` from the start; ``gamma`` is the constant direction
+    of the transverse force, taken into the phase as ``phi - gamma``, and given back afterwards.
+    """
+    indicated, force, s = _series(run)
+    gamma = _direction(force)
+    a_t = (force[1] * np.cos(gamma) + force[2] * np.sin(gamma)) / G0
+    names = ("tan_beta", "phi") if len(request.terms) == 1 else ("tan_beta", "phi", "k0", "k1", "k2")
+    state = np.zeros(len(names))
+    state[:2] = X0
+    if request.x0 is not None:
+        state[:] = request.x0
+    state[1] -= gamma
+    covariance = np.eye(state.size) * (request.P0 if request.P0 is not None else P0)
+    marks = np.unique(np.linspace(1, s.size, min(HISTORY, s.size)).astype(np.int64))
+    history = np.empty((marks.size, state.size))
+    total = published_recursion(indicated / G0, force[0] / G0, a_t, s, state, covariance, marks, history)
+    state[1] += gamma
+    history[:, 1] += gamma
+    count = s.size - state.size
+    return PublishedResult(
+        names,
+        state,
+        0.5 * (covariance + covariance.T) * total / count,
+        marks,
+        history,
+        float(np.sqrt(total / s.size)),
+        count,
+    )
+
+
+def _series(run: Run) -> tuple[Array, Array, Array]:
+    """Indicated acceleration [m/s^2], force (3, n) and predicted phase, per sample or mid-interval."""
+    omega = np.zeros(run.size) if run.base_rate is None else run.base_rate[:, 0]
+    h = np.diff(run.t)
+    h[run.begins[1:]] = 0.0
+    step = run.scale_factor * h * 0.5 * (run.f[1:, 0] + run.f[:-1, 0])
+    s = np.concatenate(([0.0], np.cumsum(step)))
+    if run.kind == "rate":
+        return (run.output + omega) / run.scale_factor, run.f.T, s
+    formed = h > 0.0
+    rate = np.diff(run.output)[formed] / h[formed] + 0.5 * (omega[1:] + omega[:-1])[formed]
+    force = 0.5 * (run.f[1:] + run.f[:-1])[formed].T
+    return rate / run.scale_factor, force, 0.5 * (s[1:] + s[:-1])[formed]
+
+
+def _direction(force: Array) -> float:
+    """Direction of the transverse force with the largest size [rad]."""
+    at = int(np.argmax(force[1] ** 2 + force[2] ** 2))
+    return float(np.arctan2(force[2, at], force[1, at]))

@@ -18,12 +18,11 @@ from piga._version import __version__
 from piga.calibration.fit.one_run import fit_run, phase_groups
 from piga.calibration.fit.servo import with_mean_servo
 from piga.calibration.joint.summary import now, residual_figures, validity_ranges
-from piga.calibration.model.coefficients import name_parameters
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
-from piga.calibration.model.solution import Estimate, Layout
+from piga.calibration.model.solution import Estimate, Layout, name_parameters
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import Calibration, Coefficient, Event, Provenance, Residuals, SegmentSummary
 from piga.records.run import Run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.counted import Counted, fit_counted
 from piga.calibration.noise.levels import Information, Noise, find_noise, natural_spline, starting_noise
+from piga.calibration.noise.slow_bases import Columns
 from piga.calibration.noise.weighting import (
     reduce_segments,
     residual_increments,
@@ -269,3 +271,27 @@ def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
         covariance=refined.solution.covariance,
         counted=refined.counted,
     )
+
+
+def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: Columns) -> Iterator[tuple[int, Array]]:
+    """Segment and whitened columns (m + size + 1, n) of model, slow noise and observation, piece by piece.
+
+    ``noise`` is what increments are whitened with; coarse counts have the covariance that was found for them.
+    """
+    if fit.counted is not None:
+        yield from fit.counted.whitened(design, basis)
+        return
+    for block, columns in weighted_blocks(design, fit.mode, noise, basis):
+        yield block.segment, columns
+
+
+def without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
+    """The fit by the weights of white noise and random walk, one summary per segment."""
+    if fit.noise.slow == 0.0:
+        return fit
+    noise = fit.noise.without_slow()
+    if fit.slow_part is not None:
+        return replace(fit, noise=noise, covariance=fit.solution.covariance)
+    summaries = reduce_segments(fit.design, fit.mode, noise)
+    solution = solve(fit.design, summaries, groups)
+    return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)

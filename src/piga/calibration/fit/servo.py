@@ -15,10 +15,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.model.design import Design
+from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, Names, ServoState
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.servo_columns import PHASELESS, STIFFNESS_COLUMNS, Names, ServoState
 from piga.calibration.model.solution import Estimate, Layout, merged, solve_parts
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Fit
-from piga.calibration.intervals.whitened_rows import whitened_rows
+from piga.calibration.fit.one_run import Fit, whitened_rows
 from piga.calibration.model.design import Design
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.slow_bases import BesideStated, Columns, DriftBasis, SegmentBasis, SlowBasis

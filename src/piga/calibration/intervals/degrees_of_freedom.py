@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.model.coefficients import name_coefficients
-from piga.calibration.model.solution import solve
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments
 from piga.records.spool import spans

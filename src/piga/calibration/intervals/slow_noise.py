@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation.whitening import LANES
-from piga.calibration.fit.one_run import SMALL, Fit
-from piga.calibration.intervals.whitened_rows import whitened_rows
+from piga.calibration.fit.one_run import SMALL, Fit, whitened_rows
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import KNOTS, solve
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid

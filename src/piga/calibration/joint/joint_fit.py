@@ -17,12 +17,11 @@ from piga.calibration.budget.uncertainty import SharedSource
 from piga.calibration.fit.servo import at_state, find_state, mixture, refuse_if_servo_confounded
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.joint.summary import LiveRun, RunSummary, prepare, run_name, summarise
-from piga.calibration.model.coefficients import Owner, name_parameters
+from piga.calibration.model.design import ServoState, phaseless_columns
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import check_per_run, make_request
-from piga.calibration.model.servo_columns import ServoState, phaseless_columns
-from piga.calibration.model.solution import Estimate, Layout, solve_parts
+from piga.calibration.model.solution import Estimate, Layout, Owner, name_parameters, solve_parts
 from piga.errors import ArgumentError, CalibrationError
 from piga.records.calibration import Coefficient
 from piga.records.run import Run

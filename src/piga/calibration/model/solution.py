@@ -1,8 +1,8 @@
-"""Solve the summaries: linear estimate, one phase for all or one per phase group, covariance.
+"""Solve the summaries: linear estimate, one phase for all or one per phase group, covariance, named coefficients.
 
 The vector of linear parameters is ``[local of group 0, local of group 1, ..., shared]`` before the
-phase is used; for several groups the constraint that they share tan_beta and the harmonics is brought
-in by Gauss-Newton on the stacked triangular factors, from the linear solution.
+phase is used. Several groups share tan_beta and the harmonics: Gauss-Newton on the stacked triangular factors, from the
+linear solution, brings that in. The results get names and file units last.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
+from piga.records.calibration import Coefficient
+from piga.records.terms import si_factor, unit_of
 
 Array = NDArray[np.float64]
 
@@ -357,3 +359,120 @@ def _inverse_information(R: Array) -> Array:
         return np.linalg.pinv(r.T @ r, rcond=1e-13) / np.outer(scale, scale)
     inverse = solve_upper(r, np.eye(r.shape[0]))
     return inverse @ inverse.T / np.outer(scale, scale)
+
+
+Owner = tuple[str | None, str | None]
+"""Segment and run that a phase belongs to; None where it serves all of them."""
+
+
+def name_coefficients(
+    design: Design, solution: Estimate, covariance: Array, per_segment: bool
+) -> tuple[tuple[Coefficient, ...], Array]:
+    """Coefficients of one run in file units and their covariance in the same units and order."""
+    count = solution.phases.size
+    owners: list[Owner] = [(label if per_segment else None, None) for label in design.run.labels[:count]]
+    layout = layout_of(design, max(count, 1))
+    return name_parameters(layout, solution, covariance, design.run.scale_factor, design.request.terms, owners)
+
+
+def name_parameters(
+    layout: Layout,
+    estimate: Estimate,
+    covariance: Array,
+    scale_factor: float,
+    terms: tuple[str, ...],
+    owners: list[Owner],
+) -> tuple[tuple[Coefficient, ...], Array]:
+    """Coefficients in file units and their covariance in the same units and order.
+
+    Internal amplitudes are multiples of K (``K tan_beta``, ``K k0``, ...); division by K, estimated or
+    nominal (``scale_factor``), and the change of units are carried through the covariance to first order
+    (JCGM 100, 5.1). ``terms`` give the order, ``owners`` say whose the phases are.
+    """
+    keys = layout.amplitude_keys
+    total = np.concatenate([estimate.amplitudes, estimate.phases])
+    at_scale = keys.index(("scale_factor", None)) if ("scale_factor", None) in keys else None
+    if at_scale is not None:
+        scale_factor = float(total[at_scale])
+    values, jacobian = total.copy(), np.eye(total.size)
+    for i in range(len(keys)):
+        if i == at_scale:
+            continue
+        values[i] /= scale_factor
+        jacobian[i, i] = 1.0 / scale_factor
+        if at_scale is not None:
+            jacobian[i, at_scale] = -values[i] / scale_factor
+    _make_tangent_positive(layout, values, jacobian)
+    named: list[tuple[str, str | None, str | None]] = [(name, None, run) for name, run in keys]
+    named += [("phi", segment, run) for segment, run in owners]
+    units = np.array([1.0 / si_factor(name) for name, _, _ in named])
+    values, jacobian = values * units, jacobian * units[:, None]
+    result = jacobian @ covariance @ jacobian.T
+    std = np.sqrt(np.maximum(np.diag(result), 0.0))
+    coefficients = tuple(
+        Coefficient(name, float(value), float(s), unit_of(name), segment, run)
+        for (name, segment, run), value, s in zip(named, values, std, strict=True)
+    )
+    return _in_asked_order(terms, coefficients, result)
+
+
+def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> None:
+    """Report tan_beta >= 0: its sign goes into the phase; phases into (-pi, pi]."""
+    if not layout.coupled:
+        return
+    if values[0] < 0.0:
+        values[0], jacobian[0] = -values[0], -jacobian[0]
+        values[layout.size :] += np.pi
+        at = 1
+        for order in layout.orders:
+            if order % 2:
+                values[at : at + 2], jacobian[at : at + 2] = -values[at : at + 2], -jacobian[at : at + 2]
+            at += 2
+        for index, (name, _) in enumerate(layout.keys, start=layout.head):
+            if name == "servo_damping":
+                values[index], jacobian[index] = -values[index], -jacobian[index]
+    values[layout.size :] = np.pi - np.mod(np.pi - values[layout.size :], 2.0 * np.pi)
+
+
+def _in_asked_order(
+    terms: tuple[str, ...], coefficients: tuple[Coefficient, ...], covariance: Array
+) -> tuple[tuple[Coefficient, ...], Array]:
+    """Coefficients in the order of the request, phi behind tan_beta."""
+    rank = {name: i for i, name in enumerate(terms)}
+    rank["phi"] = rank.get("tan_beta", 0)
+    order = sorted(range(len(coefficients)), key=lambda i: (rank[coefficients[i].name], i))
+    return tuple(coefficients[i] for i in order), covariance[np.ix_(order, order)]
+
+
+def has_phases(layout: Layout, groups: tuple[int, ...]) -> bool:
+    """True when the segments have phases of their own."""
+    return layout.local > 0 and len(set(groups)) > 1
+
+
+def parameter_rows(
+    layout: Layout, solution: Solution, groups: tuple[int, ...], segment: int, rows: Array
+) -> Array:
+    """Rows of a segment, reduced to a factor ``[parameters | rest]``.
+
+    Parameters
+    ----------
+    layout, solution, groups:
+        Of the fit, with the phase group of each segment.
+    segment:
+        Index of the segment.
+    rows:
+        (k, m + r): weighted columns of the model in the order of ``layout.columns``, then any others.
+
+    Returns
+    -------
+    ndarray
+        At most (n + r, n + r): n column coefficients with one phase, n amplitudes with several.
+    """
+    m = len(layout.columns)
+    if not has_phases(layout, groups):
+        return np.asarray(np.linalg.qr(rows, mode="r"))
+    derivative = rows[:, :m] @ solution.jacobians[segment]
+    phase = derivative[:, layout.size + groups[segment]]
+    both = np.column_stack([phase, derivative[:, : layout.size], rows[:, m:]])
+    factor = np.asarray(np.linalg.qr(both, mode="r"))
+    return factor[1:, 1:] if phase.any() else factor[:, 1:]

@@ -27,19 +27,17 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.saw_tooth import (
+from piga.calibration.noise.slow_bases import Columns
+from piga.calibration.noise.stretches import (
     HARMONICS,
     LOOKED,
     SawTooth,
-    counting_covariances,
-    follow,
-    looks_white,
-)
-from piga.calibration.noise.slow_bases import Columns
-from piga.calibration.noise.stretches import (
     Stretch,
+    counting_covariances,
     empty_stretches,
     find_stretches,
+    follow,
+    looks_white,
     modes_of,
     most_modes,
     walk_covariance,

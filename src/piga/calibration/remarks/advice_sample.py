@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
-from piga.calibration.remarks.thinning import smooth_step
+from piga.calibration.remarks.missing_terms import smooth_step
 from piga.records.run import Run
 from piga.records.spool import gathered
 

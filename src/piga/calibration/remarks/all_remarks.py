@@ -1,8 +1,8 @@
-"""What a finished calibration says about model and data: leverage, missing terms, data read wrongly.
+"""What a finished calibration says about model and data: leverage, missing terms, data read wrongly, warm positions.
 
 One cause gets one remark: data that fit far better when read otherwise look as if terms were missing, and a
 missing term moves single segments. So advice on the data holds back the suggestions of terms, and both hold
-back the remarks on segments that move a coefficient. Nothing is ever applied. All are found without a slow noise,
+back the remarks on segments that move a coefficient. Nothing is ever applied. All are looked for without a slow noise,
 which joins the segments or takes up what a missing term leaves; a suggestion then says so.
 """
 
@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Fit
-from piga.calibration.model.coefficients import name_coefficients
-from piga.calibration.model.solution import solve
-from piga.calibration.noise.weighting import reduce_segments
+from piga.calibration.fit.one_run import Fit, without_slow
+from piga.calibration.model.solution import has_phases, layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
-from piga.calibration.remarks.missing_terms import suggest_terms, suggestions_in_words
+from piga.calibration.remarks.missing_terms import CONFOUNDED, pieces_of, suggest_terms, suggestions_in_words
 from piga.records.calibration import Calibration, Coefficient
+from piga.records.spool import extent
+from piga.records.terms import si_factor
 
 
 @dataclass(frozen=True)
@@ -95,18 +96,6 @@ def with_remarks(
     )
 
 
-def without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
-    """The fit by the weights of white noise and random walk, one summary per segment."""
-    if fit.noise.slow == 0.0:
-        return fit
-    noise = fit.noise.without_slow()
-    if fit.slow_part is not None:
-        return replace(fit, noise=noise, covariance=fit.solution.covariance)
-    summaries = reduce_segments(fit.design, fit.mode, noise)
-    solution = solve(fit.design, summaries, groups)
-    return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)
-
-
 def _known_without_slow(
     fit: Fit, plain: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...]
 ) -> tuple[Coefficient, ...]:
@@ -119,3 +108,76 @@ def _known_without_slow(
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
         for c, noisy, quiet in zip(coefficients, *named, strict=True)
     )
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """When it is worth a remark.
+
+    Attributes
+    ----------
+    growth:
+        Ratio [1] of the standard uncertainties of the scale factor with ``k0_T`` and without it, by the fit alone.
+    bias:
+        Change of the bias with temperature [g/K] that an instrument may have: it must move the scale factor by more than
+        its standard uncertainty.
+    """
+
+    growth: float = 1.5
+    bias: float = 1e-5
+
+
+SETTINGS = Settings()
+
+
+def in_step(plain: Fit, groups: tuple[int, ...], coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
+    """The remark on ``k0_T`` and ``scale_factor``; none where the record tells them apart.
+
+    Parameters
+    ----------
+    plain, groups:
+        The fit without a slow noise, and its phases.
+    coefficients:
+        Those of the result, with combined standard uncertainties.
+    """
+    design, run = plain.design, plain.design.run
+    scale = next((c for c in coefficients if c.name == "scale_factor"), None)
+    thermal = {"k0_T", "k1_T"} & set(design.request.terms)
+    if scale is None or run.temperature is None or thermal or design.request.phase_source != "output":
+        return ()
+    low, high = extent(run.temperature)
+    if low == high:
+        return ()
+    layout = layout_of(design, len(set(groups)))
+    names = layout.columns
+    if has_phases(layout, groups):
+        names = tuple(name for name, _ in layout.amplitude_keys)
+    pieces, _ = pieces_of(plain, groups, ["k0_T"])
+    rows = np.vstack(pieces)[:, :-1]
+    size = np.linalg.norm(rows, axis=0)
+    if not size.all():
+        return ()
+    factor: Array = np.asarray(np.linalg.qr(rows / size, mode="r"))
+    m, at = len(names), names.index("scale_factor")
+    if np.abs(np.diag(factor)[:m]).min() == 0.0:
+        return ()
+    inverse = np.linalg.inv(factor[:m, :m])
+    share = inverse @ factor[:m, m]
+    left = abs(float(factor[m, m]))
+    own = float(np.sum(inverse[at] ** 2))
+    growth = math.inf if left < CONFOUNDED else math.sqrt(1.0 + (float(share[at]) / left) ** 2 / own)
+    moved = abs(float(share[at]) * size[m] / size[at]) * SETTINGS.bias * si_factor("k0_T") * scale.value
+    if growth < SETTINGS.growth or moved < scale.std:
+        return ()
+    much = "without limit" if math.isinf(growth) else f"{growth:.2g} times as large"
+    words = (
+        f"the temperature moves in step with the positions: scale_factor and k0_T, a bias that follows the temperature, "
+        f"cannot be told apart here. With k0_T the fit's standard uncertainty of scale_factor is {much}; a bias of "
+        f"{1e6 * SETTINGS.bias:g} ug/K that is not in the model moves scale_factor by {moved / scale.std:.2g} standard "
+        "uncertainties. Take the positions in another order, or twice at different temperatures, or hold the temperature; "
+        "or add 'k0_T' to [model] terms"
+    )
+    return (words,)

@@ -13,13 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Fit
-from piga.calibration.intervals.whitened_rows import whitened_rows
-from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.fit.one_run import Fit, whitened_rows
 from piga.calibration.model.identifiability import RANK, SHARE, term_of
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.segment_parts import has_phases, parameter_rows
-from piga.calibration.model.solution import Estimate, Layout, layout_of, solve_parts
+from piga.calibration.model.solution import (
+    Estimate,
+    Layout,
+    has_phases,
+    layout_of,
+    name_coefficients,
+    parameter_rows,
+    solve_parts,
+)
 from piga.calibration.noise.slow_bases import SegmentBasis
 from piga.records.calibration import Coefficient
 

@@ -4,7 +4,8 @@ All candidates are reduced together with the model in one square-root reduction.
 columns, what a candidate would take from the sum of squares and its estimate follow from the factor:
 ``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``, x and e being candidate and residual less their part in the
 model (own derivation, docs/theory). A candidate must pass twice: against the noise, and against the
-scatter between segments, so that errors of single positions are not taken for a term.
+scatter between segments, so that errors of single positions are not taken for a term. The columns of candidates are
+integrated by the trapezoid over the samples, where the record is smooth over a few of them.
 """
 
 from __future__ import annotations
@@ -18,18 +19,179 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit
-from piga.calibration.model.coefficients import name_coefficients
+from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import solve_upper
-from piga.calibration.model.segment_parts import has_phases, parameter_rows
-from piga.calibration.model.solution import layout_of
+from piga.calibration.model.solution import has_phases, layout_of, name_coefficients, parameter_rows
 from piga.calibration.noise.weighting import Whitener, rate_share
-from piga.calibration.remarks.candidate_columns import CUBIC, candidate_sums, candidate_terms, constant_squares
-from piga.calibration.remarks.thinning import smooth_step
 from piga.records.calibration import Coefficient
-from piga.records.spool import gathered
-from piga.records.terms import si_factor, unit_of
+from piga.records.run import Run
+from piga.records.spool import extent, gathered
+from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
+
+WINDOWS, WINDOW_SAMPLES = 8, 1024
+"""Windows spread over the record, and their samples."""
+MOST = 64
+"""Samples that a step spans at most."""
+STRAIGHT = 1e-3
+"""Distance of the force from a straight line between, over the largest force, that is taken as none."""
+
+
+def smooth_step(run: Run, turn: float) -> int:
+    """Step in samples over which the output turns by less than ``turn`` [rad] and the force is a straight line."""
+    starts = np.unique(np.linspace(0, max(run.size - WINDOW_SAMPLES, 0), WINDOWS).astype(np.int64))
+    return min(_step(run, slice(int(start), int(start) + WINDOW_SAMPLES), turn) for start in starts)
+
+
+def _step(run: Run, window: slice, turn: float) -> int:
+    inside = ~run.begins[window][1:]
+    turned = np.abs(np.diff(run.output[window]))[inside]
+    largest = float(np.quantile(turned, 0.95)) if turned.size else 0.0
+    step = int(min(turn / largest, MOST)) if largest > 0.0 else 1
+    f = run.f[window]
+    limit = STRAIGHT * max(float(np.abs(f).max()), 1e-300)
+    while step > 1:
+        ends = f[: f.shape[0] - f.shape[0] % step : step]
+        middle = f[step // 2 :: step][: ends.shape[0] - 1]
+        line = ends[:-1] + (ends[1:] - ends[:-1]) * ((step // 2) / step)
+        if middle.size and np.quantile(np.abs(middle - line), 0.9) < limit:
+            break
+        step //= 2
+    return max(step, 1)
+
 
 Array = NDArray[np.float64]
+
+SINGLE = (
+    "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
+    *SERVO_TERMS,
+)  # fmt: skip
+CUBIC = ("servo", "k3", "k2o")
+"""Terms that take an odd signature of a_x; the one to think of first comes first."""
+CONSTANT = 1e-3
+"""Relative change of a squared force that counts as none."""
+LOOKED = 4096
+"""Samples that are looked at for that."""
+PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
+"""Candidates that turn with the output: term that stands for them, and their columns."""
+
+
+def candidate_terms(design: Design) -> list[tuple[str, ...]]:
+    """Columns of every candidate that the model lacks and the record can hold.
+
+    What turns with the output is left out where the zero of its angle is not known in all segments.
+    """
+    terms, run = design.request.terms, design.run
+    low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
+    left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
+    left_out |= {"k0_T", "k1_T"} if low == high else set()
+    left_out |= servo_out_of_reach(design)
+    found: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
+    if design.request.phase == "shared" or "tan_beta" in terms:
+        found += [columns for name, columns in PAIRS if name not in terms]
+    return found
+
+
+def servo_out_of_reach(design: Design) -> set[str]:
+    """Terms that a record cannot tell from others because of the servo, or the servo because of them."""
+    total, across = constant_squares(design.run)
+    terms = design.request.terms
+    scaled = "scale_factor" in terms or "k1" in terms
+    found = set(design.turning_servo) if "tan_beta" in terms else set(SERVO_TERMS)
+    if scaled and total is not None:
+        found |= {"k3"} if "servo" in terms else set()
+        found |= {"servo"} if "k3" in terms else set()
+    if scaled and across is not None:
+        found |= {"servo"}
+    return found
+
+
+def constant_squares(run: Run) -> tuple[float | None, float | None]:
+    """``a_x^2 + a_t^2`` and ``a_t^2`` [m^2/s^4] of a record; None for one that changes."""
+    f = gathered(run.f, np.unique(np.linspace(0, run.size - 1, LOOKED).astype(np.int64)))
+    across = f[:, 1] ** 2 + f[:, 2] ** 2
+    found: list[float | None] = []
+    for square in (across + f[:, 0] ** 2, across):
+        low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
+        found.append(float(middle) if high - low <= CONSTANT * middle else None)
+    return found[0], found[1]
+
+
+def candidate_sums(
+    fit: Fit, block: Block, names: list[str], starts: NDArray[np.int64], step: int
+) -> list[Array]:
+    """Integrals of the candidates over joined intervals of a block (sums of their values, for a log of rates).
+
+    Parameters
+    ----------
+    fit, block, names:
+        The fit, a block of its design and the columns wanted.
+    starts:
+        Rows of the block at which the joined intervals begin, the first 0.
+    step:
+        Samples between those that are looked at, where the record is smooth; a log of rates is looked at in full.
+    """
+    design, run = fit.design, fit.design.run
+    size, first = block.h.size, block.start if design.point else block.start - 1
+    at = np.arange(size)
+    if not design.point:
+        looked = np.zeros(size + 1, dtype=bool)
+        looked[::step] = looked[starts] = looked[size] = True
+        at = np.flatnonzero(looked)
+    rows = first + at
+    phase = fit.solution.phases
+    group = block.segment if phase.size > 1 else 0
+    alpha = design.phase_angle[rows] + (phase[group] if phase.size else 0.0)
+    a = np.ascontiguousarray(run.f[rows].T)
+    t = run.t[rows] - design.time_reference
+    warm = t if run.temperature is None else run.temperature[rows] - design.request.temperature_reference
+    turning = a if run.base_rate is None else a - run.base_rate[rows].T / design.scale_factor
+    values = (term_values(name, a, t, warm, turning, alpha) for name in names)
+    if design.point:
+        return [np.add.reduceat(value, starts) for value in values]
+    half = 0.5 * np.where(run.begins[first + 1 + at[:-1]], 0.0, np.diff(t))
+    edges = np.searchsorted(at, starts)
+    return [np.add.reduceat(half * (value[1:] + value[:-1]), edges) for value in values]
+
+
+def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:
+    """What the column of a term holds at the samples, its integrand.
+
+    Parameters
+    ----------
+    name:
+        Term, or ``p``, ``q`` of the coupling.
+    a:
+        (3, n) specific force [m/s^2].
+    t, warm:
+        (n,) time [s] and temperature [K] from their references.
+    turning:
+        (3, n) specific force less base rate over K [m/s^2].
+    alpha:
+        (n,) angle that the column turns with [rad].
+    """
+    order = harmonic(name)
+    if order:
+        return np.sin(order[1] * alpha) if order[0] == "s" else np.cos(order[1] * alpha)
+    x, y, z = a
+    if name in ("p", "q", *SERVO_TERMS):
+        sine, cosine = np.sin(alpha), np.cos(alpha)
+        if name in ("p", "servo"):
+            across = turning[1] * sine - turning[2] * cosine
+            return across if name == "p" else -2.0 * turning[0] * across**2
+        along = turning[1] * cosine + turning[2] * sine
+        return along if name == "q" else -(turning[0] ** 2) * along
+    if name in ("k0_t", "k0_T", "k1_T"):
+        return {"k0_t": t, "k0_T": warm, "k1_T": x * warm}[name]
+    factors = {
+        "k0": (), "k1": (x,), "k2": (x, x), "k3": (x, x, x), "k2o": (x, np.abs(x)), "m_Y": (y,), "m_Z": (z,),
+        "k_XY": (x, y), "k_XZ": (x, z), "k_YY": (y, y), "k_ZZ": (z, z), "k_YZ": (y, z),
+    }[name]  # fmt: skip
+    result = np.ones_like(x)
+    for factor in factors:
+        result = result * factor
+    return result
+
+
 Names = tuple[str, ...]
 
 FALSE_ALARMS = 0.002

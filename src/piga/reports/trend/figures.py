@@ -10,9 +10,8 @@ import numpy as np
 
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import fixed, pretty_unit
-from piga.trend.control_chart import LIMIT
 from piga.trend.history import YEAR, CoefficientTrend, Trend
-from piga.trend.trend_line import Forecast
+from piga.trend.trend_line import LIMIT, Forecast
 
 _GRID = 80
 

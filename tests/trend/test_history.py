@@ -11,9 +11,9 @@ from scipy import stats
 
 from piga.errors import ArgumentError
 from piga.records.coverage import TYPE_A_ONLY
-from piga.trend.control_chart import moving_average
 from piga.trend.history import YEAR, find_trend
-from tests.calibration.history import START, history, record
+from piga.trend.trend_line import moving_average
+from tests.trend.history import START, history, record
 
 
 def test_drift_is_least_squares_with_student():

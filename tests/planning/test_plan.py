@@ -17,14 +17,13 @@ from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFi
 from piga.planning.candidates import coefficient_names, find_candidates, information_tables
 from piga.planning.criterion import Criterion, best_mixture
 from piga.planning.mounting import plan_mounting
-from piga.planning.plan import plan_test
-from piga.planning.plan_export import plan_document, scenario_text
+from piga.planning.plan import plan_document, plan_test, scenario_text
 from piga.planning.plan_file import read_plan
 from piga.planning.prediction import Visit, noiseless_run, predict
 from piga.reports.planning.page import plan_page, plan_text
 from piga.reports.render.page import page_html
 from piga.stand import read_scenario, run_scenario
-from tests.calibration.planning_cases import request
+from tests.planning.cases import request
 
 pytestmark = pytest.mark.compiled
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plan-dividing-head.toml"

@@ -10,11 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from piga.cli.main import app
-from piga.planning.plan import Plan, plan_test
-from piga.planning.plan_export import plan_document, scenario_text
+from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
 from piga.reports.planning.page import plan_text
 from piga.stand import read_scenario
-from tests.calibration.planning_cases import request
+from tests.planning.cases import request
 
 pytestmark = pytest.mark.compiled
 WALK = 1e-5
