@@ -23,7 +23,7 @@ from piga.ledger.store import Draft, DraftFile
 from piga.ledger.store.documents import encode, sha256
 from piga.ledger.store.transfer import export_records, import_records
 
-CORPUS = Path(__file__).parent.parent / "tests" / "records" / "corpus"
+CORPUS = Path(__file__).parent.parent / "tests" / "ledger" / "store" / "corpus"
 
 RUN = """\
 [instrument]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import piga
+import piga.calibration.calibrate as estimator
 from piga.errors import PigaError
 from piga.ledger import compare_calibrations, prepare_results, prepare_run, reproduce
 from piga.ledger import reproduce as reproduce_function
@@ -173,18 +174,15 @@ def test_comparison_knows_bits_rounding_and_difference(calibration: piga.Calibra
 
 def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One unit in the last place: different here, within tolerance where the software is another."""
-    import piga.calibration
-    from piga.ledger import reproduce as module_function  # noqa: F401 - the module is patched by name
-
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
         prepare_run(small_run(tmp_path), "A", "test", report=False).keep(store)
-        original = piga.calibration.calibrate
+        original = estimator.calibrate
 
         def nearly(*arguments, **options):  # type: ignore[no-untyped-def]
             found = original(*arguments, **options)
             return _with(found, 0, value=float(np.nextafter(found.coefficients[0].value, 1.0)))
 
-        monkeypatch.setattr(piga.calibration, "calibrate", nearly)
+        monkeypatch.setattr(estimator, "calibrate", nearly)
         assert reproduce_function(store, 1).verdict == "different"
         import sys
 

@@ -11,7 +11,7 @@ from piga._kernels.platform.triad import solve_triad
 from piga.errors import ArgumentError
 from piga.platform.model.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.model.triad import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
-from piga.platform.runs import capstone
+from piga.platform.runs.capstone import capstone
 
 from .conftest import DEG, only_compiled, published
 
