@@ -43,6 +43,7 @@ with open("/proc/self/status") as status:
 """
 
 pytestmark = [
+    pytest.mark.usefixtures("compiled"),
     pytest.mark.slow,
     pytest.mark.only_compiled,
     pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc"),

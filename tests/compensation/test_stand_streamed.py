@@ -199,13 +199,14 @@ def test_pandas_stays_out(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.only_compiled
+@pytest.mark.usefixtures("compiled")
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize(
     ("stand", "kind"),
     [*itertools.product(("centrifuge", "profile"), ("parquet", "csv")), ("composite", "h5")],
 )
 def test_memory_is_bounded(tmp_path: Path, stand: str, kind: str) -> None:
-    """Of the process, and of those that compile or unpack for it; mapped pages of a profile come and go."""
+    """Of the process, and of those that unpack for it; mapped pages of a profile come and go."""
     rows = 4_000_000
     t = 0.001 * np.arange(rows)
     columns = {"t": t, "psi": 0.9 * t, "part": np.repeat(["b", "a", "c", "a"], rows // 4)}
