@@ -1,8 +1,8 @@
 """Set up and run: ``python3 dev.py demo`` or ``python3 dev.py test``. Needs nothing but Python 3.11 or later.
 
 Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs. Further tasks:
-slow (long statistical tests), docs (the site, in site/), coverage (by room, JIT off), mutation (of the numerics), package
-(wheel and sdist, installed and run on every Python there is).
+compiled (all tests of compiled kernels), slow (long statistical tests), docs (the site, in site/), coverage (by room, JIT
+off), mutation (of the numerics), package (wheel and sdist, installed and run on every Python there is).
 """
 
 from __future__ import annotations
@@ -56,18 +56,27 @@ def demo(arguments: list[str]) -> None:
 
 
 def test(arguments: list[str]) -> None:
-    """Lint, types, import contract; all tests with the JIT off, those of the kernels compiled; the docs."""
+    """Lint, types, import contract; all tests with the JIT off; the smoke tests of the compiled kernels."""
     programs = environment(".venv-test", "requirements-dev.txt")
     python = str(programs / "python")
     if not arguments:
+        print("lint, types and import contract (half a minute)", flush=True)
         call([python, "-m", "ruff", "check"])
         call([python, "-m", "ruff", "format", "--check"])
         call([python, "-m", "mypy"])
         call([str(programs / "lint-imports")])
+        print("all tests with the JIT off (three minutes on two cores)", flush=True)
     call([python, "-m", "pytest", "-n", "2", "-m", "not slow", *arguments], NUMBA_DISABLE_JIT="1")
-    call([python, "-m", "pytest", "-m", "(compiled or only_compiled) and not slow", *arguments])
     if not arguments:
-        docs([])
+        print("smoke tests of the compiled kernels (a minute, most of it compilation)", flush=True)
+        call([python, "-m", "pytest", "-n", "2", "-m", "smoke"])
+
+
+def compiled(arguments: list[str]) -> None:
+    """All tests of the compiled kernels, and those that are too long for interpreted ones."""
+    programs = environment(".venv-test", "requirements-dev.txt")
+    selected = "(compiled or only_compiled) and not slow"
+    call([str(programs / "python"), "-m", "pytest", "-n", "2", "-m", selected, *arguments])
 
 
 def slow(arguments: list[str]) -> None:
@@ -155,6 +164,7 @@ def main() -> None:
     tasks = {
         "demo": demo,
         "test": test,
+        "compiled": compiled,
         "slow": slow,
         "docs": docs,
         "coverage": coverage,

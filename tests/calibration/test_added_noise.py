@@ -148,7 +148,7 @@ def test_a_drift_with_a_phase_per_segment_is_in_joint_calibrations() -> None:
     assert found["scale_factor"].degrees_of_freedom < 0.7 * still["scale_factor"].degrees_of_freedom
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 def test_summaries_without_it_are_read_and_damaged_ones_refused(tmp_path: Path) -> None:
     path = tmp_path / "s.json"
     small = replace(WHITE, forces=tumble(6, (0.5, 1.0)), seconds=8.0, rate=5.0)

@@ -123,7 +123,7 @@ def test_degrees_of_freedom_are_those_of_the_variances() -> None:
     assert said[1] > 1.5 * said[0]
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 def test_a_calibration_has_it() -> None:
     """Standard uncertainties and degrees of freedom of the whole calibration are those of the fit with it."""
     run = SMALL.record(np.random.default_rng([3, 78]))

@@ -40,6 +40,7 @@ def half_width(found, source, key="scale_factor"):
     return abs(rows[0]["contributions"][key]) * np.sqrt(3.0)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("stored", [False, True], ids=["records", "summary"])
 def test_two_heads_hold_both_meanings_of_a_cube(stored):
     runs = two_heads(d=0.0)
@@ -64,6 +65,7 @@ def test_two_heads_without_a_servo_have_no_such_row():
     assert not any("cube" in note or "servo" in note for note in found.notes)
 
 
+@pytest.mark.only_compiled
 def test_two_heads_whose_damping_turns_the_phase():
     found = calibrate(two_heads(), [*PLAIN, "servo"])
     phases = [c for c in found.coefficients if c.name == "phi"]
@@ -73,6 +75,7 @@ def test_two_heads_whose_damping_turns_the_phase():
     assert any("Add 'servo_damping'" in note for note in found.notes)
 
 
+@pytest.mark.only_compiled
 def test_an_asked_k3_holds_the_servo_as_well():
     found = calibrate(two_heads(d=0.0), [*PLAIN, "k3"])
     scale = found["scale_factor"]
@@ -82,6 +85,7 @@ def test_an_asked_k3_holds_the_servo_as_well():
     assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.0)
 
 
+@pytest.mark.only_compiled
 def test_head_and_centrifuge_tell_what_the_model_lacks():
     runs = [
         noisy(head(8), "head", seconds=8.0),

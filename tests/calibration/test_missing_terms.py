@@ -43,7 +43,7 @@ def test_the_bias_is_missed_too():
     assert first["estimate"][0] == pytest.approx(1.6e-3, abs=5.0 * first["standard_uncertainty"][0])
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 def test_the_coupling_is_missed_too():
     run = replace(EVERYWHERE, forces=around(6), seconds=6.0).record(np.random.default_rng(6))
     first = piga.calibrate(run, ("scale_factor", "k0")).diagnostics["missing_terms"][0]

@@ -52,6 +52,7 @@ def fitted(x, y):
     return np.linalg.lstsq(x / size, y, rcond=None)[0] / size
 
 
+@pytest.mark.only_compiled
 def test_figures_as_brute_force(run, compared):
     """BIC by a dense covariance matrix and a refit of each set alone; differences to 1e-6."""
     noise = Noise(compared.angle_rms**2, compared.angle_random_walk**2)
@@ -90,6 +91,7 @@ def test_prediction_as_refits(run, compared):
         assert found.prediction.force_error == pytest.approx(np.sqrt(np.mean(np.square(forces))), rel=1e-3)
 
 
+@pytest.mark.only_compiled
 def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
     estimation = msgspec.structs.replace(
         run.estimation,
@@ -115,6 +117,7 @@ def test_truth_is_best_and_ranked(compared):
     assert dict(compared.sets[2].changes)["k0"] == 0.0
 
 
+@pytest.mark.only_compiled
 def test_confounded_set_stays_with_its_reason(run):
     still = ("scale_factor", "tan_beta", "k0", "k0_T")
     with pytest.raises(piga.CalibrationError, match="temperature"):
@@ -127,6 +130,7 @@ def test_confounded_set_stays_with_its_reason(run):
     assert found.ranking == (0, 1)
 
 
+@pytest.mark.only_compiled
 def test_k1_and_sets_without_scale_factor(run):
     """k1 beside another set's scale_factor is the same model; without either the nominal one is fixed."""
     others = tuple(term for term in TRUE if term != "scale_factor")
@@ -153,6 +157,7 @@ def test_blocks_when_there_is_one_segment():
     assert found.sets[0].prediction is not None
 
 
+@pytest.mark.only_compiled
 def test_own_phases_predict_nothing():
     found = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phase="per-segment")
     assert found.sets[found.best].terms == TRUE
@@ -167,6 +172,7 @@ def test_folds():
     assert set(np.bincount(fold_of(1000))) == {20}
 
 
+@pytest.mark.only_compiled
 def test_asked_for_by_the_run_file(run, compared):
     wish = msgspec.structs.replace(run.model, terms=SMALLER, compare=tuple(SETS))
     calibration = piga.calibrate(replace(run, model=wish))

@@ -293,6 +293,7 @@ def test_an_asked_k3_beside_a_given_servo_means_itself():
     assert MEANING not in [row["source"] for row in found.budget]
 
 
+@pytest.mark.only_compiled
 def test_phi_holds_the_damping_that_the_model_lacks():
     terms = [*TERMS[:5], "servo"]
     run = recorded(head(), seconds=8.0, noise=2e-6)

@@ -12,7 +12,7 @@ import pytest
 import piga
 from piga.cli.demo import copy_example
 
-pytestmark = pytest.mark.only_compiled
+pytestmark = [pytest.mark.only_compiled, pytest.mark.smoke]
 
 SERVO = 0.5 * 0.888506608**2 * 0.1 / 3000.0
 """``K ml/(2 k_i)`` [g/g^3] with H = 0.1 kg m^2/s and k_i = 3000 N m/(rad s); ``c K^2/k_i`` with c = 0.05 is the same."""

@@ -20,7 +20,7 @@ EXACT = ("static", "centrifuge", "near-critical", "walk")
 """Scenarios whose noise levels are known so well that NEES is that of the normal distribution."""
 
 
-@pytest.mark.compiled
+@pytest.mark.only_compiled
 def test_intervals_hold_in_two_hundred_tests() -> None:
     """Coverage and NEES inside their 99.9 % bands; a covariance 1.2 times too large falls out of its band."""
     errors, half, nees, _ = run_tests("static", FEW)

@@ -195,6 +195,7 @@ def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
         assert found.validated[0]
 
 
+@pytest.mark.only_compiled
 def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     """tan_beta at twice its noise: the first order is refuted, the shortest interval stays above zero."""
     scenario = replace(SCENARIOS["static"], tan_beta=4e-7, seconds=10.0)

@@ -99,6 +99,7 @@ def test_the_correction_is_the_cross_coupling(kind):
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
 
 
+@pytest.mark.only_compiled
 def test_changes_of_attitude_do_not_drown_the_orders():
     """Four attitudes in one segment, turning back in one of them: a line at order 1, a hundredth of it above 3."""
     t = np.arange(0.0, 4000.0, 0.05)

@@ -91,6 +91,7 @@ def test_outline_holds_misfits_corrections_and_flags(pieces):
     assert np.abs(found.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
 
 
+@pytest.mark.only_compiled
 def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
     """Order 1 with the amplitude ``tan(beta)`` times the force across that instrument."""
     axes = orthogonal()

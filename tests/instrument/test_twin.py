@@ -87,6 +87,7 @@ def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
 # -- integration ----------------------------------------------------------------------------------
 
 
+@pytest.mark.smoke
 def test_motion_agrees_with_the_independent_rigid_body():
     t = np.linspace(0.0, 0.05, 51)
     force, omega = ramp_inputs(t)

@@ -27,7 +27,7 @@ from piga.platform.navigation.navigator import true_start
 
 from .conftest import INTERPRETED, only_compiled, published
 
-pytestmark = pytest.mark.compiled
+pytestmark = [pytest.mark.compiled, pytest.mark.smoke]
 
 
 def _navigated(s, model="none", **options):

@@ -47,6 +47,7 @@ def test_twin_refuses_what_it_cannot_do():
         simulate_test(HEAD, Specimen(INST, ErrorModel(s1=1e-3), twin=PRESETS["example"]), COUNTS, model="twin")
 
 
+@pytest.mark.only_compiled
 def test_unstable_design_runs_when_forced():
     unstable = Specimen(INST, twin=replace(PRESETS["example"], proportional_gain=120.0))
     stand = DividingHead(SITE, (0.0,), dwell=0.1, move=1.0)
@@ -54,6 +55,7 @@ def test_unstable_design_runs_when_forced():
     assert np.all(np.isfinite(test.alpha))
 
 
+@pytest.mark.only_compiled
 def test_random_walk_of_the_twin_has_the_stated_level():
     stand = DividingHead(SITE, (0.0,), dwell=2.0, move=1.0)
     specimen = Specimen(Instrument("0.8884 rad/s/g"), twin=PRESETS["example-stiff"])

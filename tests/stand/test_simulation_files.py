@@ -99,6 +99,7 @@ def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
     assert str(path) in str(refused.value)
 
 
+@pytest.mark.only_compiled
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
     scenario = read_scenario(path)
@@ -147,6 +148,7 @@ def test_harmonics_are_true_in_the_zero_of_the_output(tmp_path):
     assert math.hypot(truth["s1", None], truth["c1", None]) == pytest.approx(1e-4)
 
 
+@pytest.mark.only_compiled
 def test_negative_beta_turns_the_phase(tmp_path):
     path = written(tmp_path, beta=('beta = "74 arcsec"', 'beta = "-74 arcsec"'))
     scenario = read_scenario(path)

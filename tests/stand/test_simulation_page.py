@@ -27,6 +27,7 @@ from .simulated import COUNTS, INST, SITE, written
 pytestmark = pytest.mark.compiled
 
 
+@pytest.mark.only_compiled
 def test_page_shows_stand_output_servo_and_truth():
     stand = DividingHead(SITE, (0.0, 1.0), dwell=1.0, move=1.0)
     specimen = Specimen(INST, twin=replace(PRESETS["example"], torque_limit=0.01))
@@ -56,6 +57,7 @@ def test_page_shows_stand_output_servo_and_truth():
     assert shown[2] == "ug", "the unit of a calibration"
 
 
+@pytest.mark.only_compiled
 def test_command_writes_all_files_and_json(tmp_path):
     path = written(tmp_path)
     result = CliRunner().invoke(app, ["simulate", str(path), "--out", str(tmp_path / "out"), "--json"])

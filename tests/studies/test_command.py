@@ -69,6 +69,7 @@ def test_unknown_id_names_the_known_ones():
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.only_compiled
 def test_out_writes_page_and_pictures(tmp_path):
     done = piga("--only", "mounting", "--out", tmp_path / "new")
     assert done.returncode == 0, done.stderr
