@@ -36,7 +36,7 @@ def never_clear(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(
             sys.modules[f"piga.calibration.{room}"],
             "include_slow_noise",
-            lambda fit, groups, **_: include_slow_noise(fit, groups, math.inf),
+            lambda fit, **_: include_slow_noise(fit, math.inf),
         )
 
 

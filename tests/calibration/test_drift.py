@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
-from piga.calibration.fit.one_run import Fit, fit_run, phase_groups, refine_counted
+from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, quick_look
 from piga.calibration.joint.summary import RunSummary
@@ -31,11 +31,10 @@ COUNTED = replace(SCENARIOS["coarse"], drift=3e-6)
 assert isinstance(COUNTED, Scenario)
 
 
-def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> tuple[Fit, tuple[int, ...]]:
+def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
     run = scenario.record(np.random.default_rng([seed, 77]))
     request = make_request(run, scenario.terms, None, phase, None)
-    groups, per_segment = phase_groups(run, request)
-    return fit_run(run, request, groups, per_segment), groups
+    return fit_run(run, request)
 
 
 def looked(scenario: Scenario, seed: int) -> float:
@@ -52,8 +51,8 @@ def test_known_drift_is_found_on_average(phase: str) -> None:
     """
     found = []
     for seed in range(12):
-        fit, groups = fitted(DRIFT, seed, phase)
-        noise = include_slow_noise(fit, groups).noise
+        fit = fitted(DRIFT, seed, phase)
+        noise = include_slow_noise(fit).noise
         found.append([noise.drift / DRIFT.drift**2, noise.walk / DRIFT.walk**2])
     drift, walk = np.mean(found, axis=0)
     assert drift == pytest.approx(1.0, abs=0.55)
@@ -63,10 +62,10 @@ def test_known_drift_is_found_on_average(phase: str) -> None:
 
 def test_covariance_is_that_of_the_dense_matrix() -> None:
     """With the true levels: variances of the whole, dense covariance of all increments (Cramer-Rao bound)."""
-    fit, groups = fitted(DRIFT, 3)
+    fit = fitted(DRIFT, 3)
     noise = Noise(DRIFT.white**2, DRIFT.walk**2, DRIFT.drift**2)
-    solution = solve(fit.design, reduce_segments(fit.design, fit.mode, noise), groups)
-    without = solve(fit.design, reduce_segments(fit.design, fit.mode, replace(noise, drift=0.0)), groups)
+    solution = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
+    without = solve(fit.design, reduce_segments(fit.design, fit.mode, replace(noise, drift=0.0)))
     bound = DRIFT.bound(fit.design.run)
     at = fit.design.names.index("scale_factor")
     unit = to_si("1 rad/s/g", "rad/s/g")
@@ -84,8 +83,8 @@ def test_phases_of_segments_cost_little_beside_a_drift() -> None:
     noise = Noise(DRIFT.white**2, DRIFT.walk**2, DRIFT.drift**2)
     found = {}
     for phase in ("shared", "per-segment"):
-        fit, groups = fitted(DRIFT, 3, phase)
-        found[phase] = solve(fit.design, reduce_segments(fit.design, fit.mode, noise), groups)
+        fit = fitted(DRIFT, 3, phase)
+        found[phase] = solve(fit.design, reduce_segments(fit.design, fit.mode, noise))
     count = found["shared"].amplitudes.size
     std = [np.sqrt(np.diag(found[phase].covariance)[:count]) for phase in ("shared", "per-segment")]
     assert (std[1] >= 0.999 * std[0]).all()
@@ -96,8 +95,8 @@ def test_phases_of_segments_cost_little_beside_a_drift() -> None:
 
 def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     """Weights of the other noise: the dense covariance of that estimate with the drift, for the levels found."""
-    fit, groups = fitted(DRIFT, 3)
-    found = include_slow_noise(fit, groups, clear=np.inf)
+    fit = fitted(DRIFT, 3)
+    found = include_slow_noise(fit, clear=np.inf)
     noise, steps, h = found.noise, round(DRIFT.seconds * DRIFT.rate), 1.0 / DRIFT.rate
     V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
     V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
@@ -110,16 +109,14 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     t = DRIFT._times().ravel()
     together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
     dense = gain @ (np.kron(np.eye(count), V) + noise.drift * h**2 * together) @ gain.T
-    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance, False)[1]))
+    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance)[1]))
     assert noise.drift > 0.0
     assert found.weights == replace(noise, drift=0.0)
     assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
-    plain = np.sqrt(
-        np.diag(name_coefficients(found.design, found.solution, found.solution.covariance, False)[1])
-    )
+    plain = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.solution.covariance)[1]))
     assert std[0] > 1.2 * plain[0]
-    assert type_a_degrees(found, groups, False)[0] < 40.0
-    assert type_a_degrees(replace(found, slow_deviation=0.0), groups, False)[0] > 40.0
+    assert type_a_degrees(found)[0] < 40.0
+    assert type_a_degrees(replace(found, slow_deviation=0.0))[0] > 40.0
 
 
 def test_a_drift_beside_coarse_counts_is_in_the_covariance() -> None:
@@ -138,8 +135,8 @@ def test_a_drift_beside_coarse_counts_is_in_the_covariance() -> None:
 
 def test_what_a_drift_adds_beside_coarse_counts_is_that_of_records_moved_by_its_steps() -> None:
     """With the weights as they are: the changes of the estimate by every step, one record each."""
-    plain, groups = fitted(COUNTED, 1)
-    fit = include_slow_noise(refine_counted(plain, groups), groups)
+    plain = fitted(COUNTED, 1)
+    fit = include_slow_noise(refine_counted(plain))
     assert fit.counted is not None
     assert fit.slow_part is not None
     run, basis = fit.design.run, DriftBasis.of(fit.design.run)
@@ -148,7 +145,7 @@ def test_what_a_drift_adds_beside_coarse_counts_is_that_of_records_moved_by_its_
     def estimate(turned: np.ndarray) -> np.ndarray:
         design = Design(replace(run, output=run.output + turned), fit.design.request, scale)
         design.phase_angle = fit.design.phase_angle
-        solution = solve(design, fit.counted.reduce(design), groups)
+        solution = solve(design, fit.counted.reduce(design))
         return np.append(solution.amplitudes, solution.phases)
 
     start, size = estimate(np.zeros(run.size)), 1e-9
@@ -161,7 +158,7 @@ def test_what_a_drift_adds_beside_coarse_counts_is_that_of_records_moved_by_its_
 def test_intervals_are_wider_and_the_result_says_so(tmp_path: Path) -> None:
     run = DRIFT.record(np.random.default_rng(4))
     found = DRIFT.calibrate(run)
-    fit, _ = fitted(DRIFT, 4)
+    fit = fitted(DRIFT, 4)
     levels = [DRIFT.calibrate(DRIFT.record(np.random.default_rng([s, 5]))).bias_drift for s in range(8)]
     assert np.sqrt(np.mean(np.square(levels))) == pytest.approx(
         DRIFT.drift, rel=0.3
@@ -184,8 +181,8 @@ def test_no_drift_is_seen_where_there_is_none() -> None:
     still = replace(DRIFT, drift=0.0)
     seen = 0
     for seed in range(60):
-        fit, groups = fitted(still, seed)
-        seen += include_slow_noise(fit, groups).noise.drift > 0.0
+        fit = fitted(still, seed)
+        seen += include_slow_noise(fit).noise.drift > 0.0
     assert seen <= 9
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.one_run import Fit, fit_run, phase_groups, refine_counted
+from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
 from piga.calibration.intervals import slow_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, likely_level, quick_look, slow_factor
@@ -29,11 +29,10 @@ COUNTED = replace(SCENARIOS["coarse"], scatter=5e-5)
 assert isinstance(COUNTED, Scenario)
 
 
-def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> tuple[Fit, tuple[int, ...]]:
+def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
     run = scenario.record(np.random.default_rng([seed, 78]))
     request = make_request(run, scenario.terms, None, phase, None)
-    groups, per_segment = phase_groups(run, request)
-    return fit_run(run, request, groups, per_segment), groups
+    return fit_run(run, request)
 
 
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
@@ -41,8 +40,8 @@ def test_known_scatter_is_found_on_average_and_not_taken_for_a_drift(phase: str)
     """Twelve records of some eleven degrees of freedom: the mean of the variances within four deviations."""
     found = []
     for seed in range(12):
-        fit, groups = fitted(SCATTER, seed, phase)
-        noise = include_slow_noise(fit, groups).noise
+        fit = fitted(SCATTER, seed, phase)
+        noise = include_slow_noise(fit).noise
         found.append([noise.scatter / SCATTER.scatter**2, noise.walk / SCATTER.walk**2])
     scatter, walk = np.mean(found, axis=0)
     assert scatter == pytest.approx(1.0, abs=0.5)
@@ -53,8 +52,8 @@ def test_known_scatter_is_found_on_average_and_not_taken_for_a_drift(phase: str)
 def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights of white noise and random walk: the dense covariance of that estimate with the scatter, levels as found."""
     monkeypatch.setattr(slow_noise, "CLEAR", math.inf)
-    fit, groups = fitted(SCATTER, 3)
-    found = include_slow_noise(fit, groups)
+    fit = fitted(SCATTER, 3)
+    found = include_slow_noise(fit)
     noise, steps, h = found.noise, round(SCATTER.seconds * SCATTER.rate), 1.0 / SCATTER.rate
     V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
     V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
@@ -64,24 +63,24 @@ def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.Monkey
     inverse = np.linalg.inv(sum(a.T @ b for a, b in zip(columns, white, strict=True)))
     meat = sum(part.T @ (V + noise.scatter * h**2) @ part for part in white)
     dense = inverse @ meat @ inverse
-    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance, False)[1]))
+    std = np.sqrt(np.diag(name_coefficients(found.design, found.solution, found.covariance)[1]))
     assert noise.scatter > 0.0
     assert found.weights == noise.without_slow()
     assert std == pytest.approx(np.sqrt(np.diag(dense)), rel=0.06)
-    assert 5.0 < type_a_degrees(found, groups, False)[0] < 25.0
-    assert type_a_degrees(replace(found, slow_deviation=0.0), groups, False)[0] > 25.0
+    assert 5.0 < type_a_degrees(found)[0] < 25.0
+    assert type_a_degrees(replace(found, slow_deviation=0.0))[0] > 25.0
 
 
 def test_a_clear_scatter_is_weighted_by() -> None:
     """The estimate and covariance of generalised least squares with the dense covariance, levels as found."""
-    fit, groups = fitted(replace(SCATTER, scatter=3e-5), 3)
-    found = include_slow_noise(fit, groups)
+    fit = fitted(replace(SCATTER, scatter=3e-5), 3)
+    found = include_slow_noise(fit)
     noise = found.noise
     exact = replace(
         SCATTER, scatter=noise.segment_scatter, white=noise.angle_rms, walk=noise.angle_random_walk
     ).bound(fit.design.run)
-    coefficients, covariance = name_coefficients(found.design, found.solution, found.covariance, False)
-    plain = name_coefficients(fit.design, fit.solution, fit.covariance, False)[0]
+    coefficients, covariance = name_coefficients(found.design, found.solution, found.covariance)
+    plain = name_coefficients(fit.design, fit.solution, fit.covariance)[0]
     assert found.slow_part is None
     assert found.weights == noise
     assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(exact)), rel=0.03)
@@ -90,8 +89,8 @@ def test_a_clear_scatter_is_weighted_by() -> None:
 
 def test_what_it_adds_beside_coarse_counts_is_that_of_records_whose_segments_turn() -> None:
     """With the weights as they are: the changes of the estimate by the rate of every segment, one record each."""
-    plain, groups = fitted(COUNTED, 1)
-    fit = include_slow_noise(refine_counted(plain, groups), groups)
+    plain = fitted(COUNTED, 1)
+    fit = include_slow_noise(refine_counted(plain))
     assert fit.counted is not None
     assert fit.noise.scatter > 0.0
     run, scale = fit.design.run, fit.design.scale_factor
@@ -100,7 +99,7 @@ def test_what_it_adds_beside_coarse_counts_is_that_of_records_whose_segments_tur
     def estimate(turned: np.ndarray) -> np.ndarray:
         design = Design(replace(run, output=run.output + turned), fit.design.request, scale)
         design.phase_angle = fit.design.phase_angle
-        solution = solve(design, fit.counted.reduce(design), groups)
+        solution = solve(design, fit.counted.reduce(design))
         return np.append(solution.amplitudes, solution.phases)
 
     start, size = estimate(np.zeros(run.size)), 1e-9
@@ -160,11 +159,11 @@ def test_few_and_very_many_segments_have_none() -> None:
 def test_none_is_looked_for_where_coefficients_take_it_up() -> None:
     """Five positions and as many coefficients of mean rates: whatever they scatter, nothing shows it."""
     scenario = replace(SCATTER, forces=tumble(5), scatter=1e-4, terms=("scale_factor", "k0", "k2", "m_Y", "k3"))
-    fit, groups = fitted(scenario, 1)
-    assert include_slow_noise(fit, groups).noise.scatter == 0.0
+    fit = fitted(scenario, 1)
+    assert include_slow_noise(fit).noise.scatter == 0.0
     assert (
         likely_level(
-            slow_factor(fit, groups, fit.noise, SegmentBasis.of(fit.design.run)),
+            slow_factor(fit, fit.noise, SegmentBasis.of(fit.design.run)),
             SegmentBasis.of(fit.design.run),
         ).gain
         == 0.0

@@ -32,7 +32,7 @@ from piga.calibration.classical.revolutions import (
     revolutions_degrees,
     revolutions_result,
 )
-from piga.calibration.fit.one_run import Fit, fit_run, noise_of, phase_groups, refine_counted, without_slow
+from piga.calibration.fit.one_run import Fit, fit_run, noise_of, refine_counted, without_slow
 from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.faint_walk import include_faint_walk
@@ -136,34 +136,33 @@ def _calibration(
         return _published_calibration(run, request)
     if request.method == "revolutions":
         return _revolutions_calibration(run, request)
-    groups, per_segment = phase_groups(run, request)
     stated = stated_scatter(run)
     try:
-        fit = refine_counted(fit_run(run, request, groups, per_segment), groups)
-        fit = include_stated_scatter(fit, groups, stated)
-        fit = include_faint_walk(include_slow_noise(fit, groups), groups)
-        coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)
+        fit = refine_counted(fit_run(run, request))
+        fit = include_stated_scatter(fit, stated)
+        fit = include_faint_walk(include_slow_noise(fit))
+        coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance)
         spread = 0.0 if run.temperature is None else _range(run.temperature)
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
-    budget = make_budget(fit, groups, per_segment, coefficients, covariance)
-    doubts = left_out_terms(without_slow(fit, groups), groups, per_segment, coefficients)
+    budget = make_budget(fit, coefficients, covariance)
+    doubts = left_out_terms(without_slow(fit), coefficients)
     for doubt in doubts:
         budget = budget.with_row(doubt.row(coefficients))
     type_a, whole = budget.covariances(covariance)
-    degrees = type_a_degrees(fit, groups, per_segment) * share_of_type_a(type_a, covariance)
+    degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
     covariance = whole
     coefficients = combined(coefficients, covariance, budget.rows, degrees)
     coefficients, tested = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
     with beside(run.size) as other:
-        remarks = other.submit(find_remarks, fit, groups, per_segment, coefficients)
+        remarks = other.submit(find_remarks, fit, coefficients)
         residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
-        history = _history(fit, groups) if request.method == "recursive" else None
+        history = _history(fit) if request.method == "recursive" else None
         scatter = segment_scatter(fit.design, residuals, fit.noise)
         notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
         result = _assemble(run, request, fit, coefficients, covariance, budget.rows, residuals, notes, history)
-    warm = in_step(without_slow(fit, groups), groups, coefficients)
+    warm = in_step(without_slow(fit), coefficients)
     result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phase)))
     result = with_remarks(result, fit, remarks.result(), doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
@@ -185,17 +184,17 @@ def _range(values: Array) -> float:
     return high - low
 
 
-def _history(fit: Fit, groups: tuple[int, ...]) -> dict[str, Array]:
+def _history(fit: Fit) -> dict[str, Array]:
     """Estimate and standard uncertainty after 2 m .. n samples, for the convergence plot (file units)."""
     rows, samples = [], []
     keys: tuple[str, ...] = ()
-    for mark, summaries, seen in recursive_history(fit.design, fit.mode, fit.noise, groups):
-        if examine(fit.design, summaries, max(groups) > 0).null_terms:
+    for mark, summaries in recursive_history(fit.design, fit.mode, fit.noise):
+        if examine(fit.design, summaries).null_terms:
             continue
-        solution = solve(fit.design, summaries, seen)
-        named, covariance = name_coefficients(fit.design, solution, solution.covariance, per_segment=False)
-        plain = [i for i, c in enumerate(named) if c.name != "phi" or max(groups) == 0]
-        keys = tuple(named[i].key for i in plain)
+        solution = solve(fit.design, summaries)
+        named, covariance = name_coefficients(fit.design, solution, solution.covariance)
+        plain = [i for i, c in enumerate(named) if c.name != "phi" or not fit.design.has_phases]
+        keys = tuple(named[i].name for i in plain)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         rows.append([*(named[i].value for i in plain), *std[plain]])
         samples.append(mark)

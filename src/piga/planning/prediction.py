@@ -88,21 +88,18 @@ def predict(
     noise, wish = noise_of(request), model_request(request)
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
-    coupled = "tan_beta" in wish.terms or bool(wish.harmonics)
-    per_segment = wish.phase == "per-segment" and coupled
-    groups = tuple(range(len(run.labels))) if per_segment else (0,) * len(run.labels)
     try:
-        design = settled_design(design, mode, noise, groups)
+        design = settled_design(design, mode, noise)
         summaries = reduce_segments(design, mode, noise)
-        refuse_if_confounded(examine(design, summaries, per_segment))
+        refuse_if_confounded(examine(design, summaries))
     except IdentifiabilityError as error:
         if refuse:
             raise IdentifiabilityError(
                 error.message.replace("record", "plan", 1), remedy=error.remedy
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
-    solution = solve(design, summaries, groups)
-    coefficients, covariance = name_coefficients(design, solution, solution.covariance, per_segment)
+    solution = solve(design, summaries)
+    coefficients, covariance = name_coefficients(design, solution, solution.covariance)
     if design.point:
         covariance = covariance * (noise.walk / request.scenario.electronics.interval)
         std = np.sqrt(np.diag(covariance))
@@ -110,9 +107,9 @@ def predict(
     base = np.array([c.value for c in coefficients])
 
     def estimate(moved: Run) -> Array:
-        again = settled_design(Design(moved, wish, run.scale_factor), mode, noise, groups)
-        found = solve(again, reduce_segments(again, mode, noise), groups)
-        named, _ = name_coefficients(again, found, found.covariance, per_segment)
+        again = settled_design(Design(moved, wish, run.scale_factor), mode, noise)
+        found = solve(again, reduce_segments(again, mode, noise))
+        named, _ = name_coefficients(again, found, found.covariance)
         values = np.array([c.value for c in named])
         turns = np.array([c.name == "phi" for c in named])
         return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)

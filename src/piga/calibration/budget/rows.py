@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from piga.calibration.budget.uncertainty import SharedSource, Source, contributions
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
-from piga.calibration.noise.weighting import reduce_segments
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.coverage import welch_satterthwaite
 from piga.records.run import Run
@@ -72,8 +71,6 @@ def share_of_type_a(type_a: Array, covariance: Array) -> Array:
 
 def make_budget(
     fit: Fit,
-    groups: tuple[int, ...],
-    per_segment: bool,
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
 ) -> Budget:
@@ -82,12 +79,11 @@ def make_budget(
     turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
 
     def reduced(run: Run) -> list[Reduction]:
-        design = fit.design.of(run)
-        return fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
+        return fit.reduce(fit.design.of(run))
 
     def solved(summaries: list[Reduction]) -> Array:
-        solution = solve(fit.design, summaries, groups)
-        named, _ = name_coefficients(fit.design, solution, solution.covariance, per_segment)
+        solution = solve(fit.design, summaries)
+        named, _ = name_coefficients(fit.design, solution, solution.covariance)
         values = np.array([coefficient.value for coefficient in named])
         return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)
 

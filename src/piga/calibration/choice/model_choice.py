@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.estimation.whitening import innovation_weights
 from piga.calibration.choice.cross_validation import Prediction, fold_of, predict, row_edges
-from piga.calibration.fit.one_run import Fit, phase_groups, refine_counted
+from piga.calibration.fit.one_run import Fit, refine_counted
 from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
 from piga.calibration.joint.summary import prepare, run_name
 from piga.calibration.model.design import PHASELESS, Design, ServoState, phaseless_columns
@@ -283,11 +283,10 @@ class _Weighed:
     @classmethod
     def of(cls, run: Run, request: Request) -> _Weighed:
         """Find the noise with what the record separates of the union; reduce the whole union once."""
-        fit = prepare(run, request, run_name(run, 0)).fit
-        fit = refine_counted(fit, phase_groups(run, fit.design.request)[0])
+        fit = refine_counted(prepare(run, request, run_name(run, 0)).fit)
         columns = tuple(dict.fromkeys((*request.terms, PROBE)))
         design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
-        groups, per_segment = phase_groups(run, request)
+        groups, per_segment = design.groups, design.per_segment
         if fit.counted is not None:
             return cls(
                 fit, design, fit.counted.reduce(design), groups, per_segment, "segment", _log_counted(fit)

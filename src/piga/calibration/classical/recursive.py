@@ -29,16 +29,14 @@ HISTORY = 400
 """Points of the stored history; a tenth of it when every segment has its own phase."""
 
 
-def recursive_history(
-    design: Design, mode: str, noise: Noise, groups: tuple[int, ...]
-) -> Iterator[tuple[int, list[Reduction], tuple[int, ...]]]:
+def recursive_history(design: Design, mode: str, noise: Noise) -> Iterator[tuple[int, list[Reduction]]]:
     """Summaries of the rows seen so far, at ``HISTORY`` samples spread over the record.
 
-    Yields the number of samples, one summary per segment begun, and their phase groups. The last one holds
+    Yields the number of samples and one summary per segment begun. The last one holds
     the whole record: the recursive estimate is the batch estimate.
     """
     total = design.run.size
-    points = HISTORY if max(groups) == 0 else HISTORY // 10
+    points = HISTORY if not design.has_phases else HISTORY // 10
     marks = np.unique(np.linspace(min(total, 2 * len(design.names)), total, points).astype(np.int64))
     size = len(design.names) + 1
     summaries: list[Reduction] = []
@@ -52,7 +50,7 @@ def recursive_history(
         snapshots = np.empty((inside.size, size, size))
         absorb_rows(factor, columns, inside - block.start, snapshots)
         for mark, snapshot in zip(inside, snapshots, strict=True):
-            yield int(mark), [*summaries[:-1], _summary(design, snapshot)], groups[: len(summaries)]
+            yield int(mark), [*summaries[:-1], _summary(design, snapshot)]
         summaries[-1] = _summary(design, factor)
 
 

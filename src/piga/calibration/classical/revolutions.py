@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.fit.one_run import fit_run, phase_groups
+from piga.calibration.fit.one_run import fit_run
 from piga.calibration.fit.servo import with_mean_servo
 from piga.calibration.joint.summary import now, residual_figures, validity_ranges
 from piga.calibration.model.design import Design
@@ -242,7 +242,7 @@ def clean_record(run: Run, request: Request) -> tuple[Run, tuple]:
     """The record without gross errors of the output, found as for method 'information', and what they were."""
     wish = replace(request, method="information", phase="per-segment", phase_source="output")
     try:
-        fit = fit_run(run, wish, *phase_groups(run, wish))
+        fit = fit_run(run, wish)
     except (CalibrationError, IdentifiabilityError):
         return run, ()
     return fit.design.run, fit.outliers
@@ -273,7 +273,7 @@ def fit_revolutions(run: Run, request: Request) -> RevolutionFit:
     weighted = columns / positions.std
     summary = Reduction.empty(design.names)
     summary.absorb(weighted)
-    examination = examine(design, [summary], per_segment=False)
+    examination = examine(design, [summary])
     refuse_if_confounded(examination)
     pulled = "tan_beta" in request.terms
     if columns.shape[1] < len(linear_terms) + pulled:

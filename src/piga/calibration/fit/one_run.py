@@ -95,6 +95,12 @@ class Fit:
         """The noise that the rows are weighted by."""
         return self.noise if self.slow_part is None else self.noise.without_slow()
 
+    def reduce(self, design: Design) -> list[Reduction]:
+        """One summary per segment of a record of the same sampling, weighted as the fit is."""
+        if self.counted is not None:
+            return self.counted.reduce(design)
+        return reduce_segments(design, self.mode, self.weights)
+
     @property
     def levels(self) -> Noise:
         """The noise that the covariance is of."""
@@ -106,13 +112,10 @@ class Fit:
         return self.noise.walk / self.design.run.median_step
 
 
-def phase_groups(run: Run, request: Request) -> tuple[tuple[int, ...], bool]:
-    """Phase group of every segment, and whether each segment has its own."""
-    per_segment = request.phase == "per-segment" and ("tan_beta" in request.terms or bool(request.harmonics))
-    return (tuple(range(len(run.labels))) if per_segment else (0,) * len(run.labels)), per_segment
-
-
-def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool) -> Fit:
+def fit_run(
+    run: Run,
+    request: Request,
+) -> Fit:
     """Fit a run; samples that do not lie on the path of the output are found and left out first.
 
     Raises
@@ -120,13 +123,13 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
     DataError
         If more than ``outliers.MOST`` of the samples are such.
     """
-    fit = plain = _fit(run, request, groups, per_segment)
+    fit = plain = _fit(run, request)
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
         return fit
     plain.design.forget()
     raw = Design(run, request, run.scale_factor, plain.design.servo)
     resolution = resolution_of(run)
-    misses = misses_of(raw, robust_values(raw, groups))
+    misses = misses_of(raw, robust_values(raw))
     raw.forget()
     noise = first_noise(misses)
     flags = find_flags(misses, noise, resolution)
@@ -136,7 +139,7 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
         refuse_if_too_many(flags)
         cleaned, found = leave_out(run, misses, flags, raw, noise)
         fit.design.forget()
-        fit = replace(_fit(cleaned, request, groups, per_segment), outliers=found)
+        fit = replace(_fit(cleaned, request), outliers=found)
         raw = raw.with_phase_of(fit.design)
         misses = misses_of(raw, fit.solution.values)
         raw.forget()
@@ -148,11 +151,14 @@ def fit_run(run: Run, request: Request, groups: tuple[int, ...], per_segment: bo
     return fit
 
 
-def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool) -> Fit:
+def _fit(
+    run: Run,
+    request: Request,
+) -> Fit:
     """Alternate between the linear fit and the noise levels until they agree."""
     design = Design(run, request, run.scale_factor)
     mode = weighting_mode(design, request.method)
-    if design.rows <= len(design.names) + len(set(groups)):
+    if design.rows <= len(design.names) + len(set(design.groups)):
         raise CalibrationError(
             f"the record has {design.rows} increments for {len(design.names)} parameters",
             remedy="record longer",
@@ -162,14 +168,14 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
     noise = given or starting_noise(run.resolution, step)
     information = None
     for refit in range(MAX_REFITS):
-        design = settled_design(design, mode, noise, groups)
+        design = settled_design(design, mode, noise)
         summaries = reduce_segments(design, mode, noise)
-        examination = examine(design, summaries, per_segment)
+        examination = examine(design, summaries)
         refuse_if_confounded(examination)
-        solution = solve(design, summaries, groups)
+        solution = solve(design, summaries)
         refined = design.with_scale_factor(_scale_factor(design, solution))
         if refit == 0 and given is None:
-            information = _information(design, mode, groups, step)
+            information = _information(design, mode, step)
         d, h = residual_increments(design, solution.values)
         found = given or _levels(
             design, d, h, _parameters(solution), mode, noise if refit else None, information
@@ -179,7 +185,7 @@ def _fit(run: Run, request: Request, groups: tuple[int, ...], per_segment: bool)
             noise = noise if mode == "increments" else found
             break
         noise, design = found, refined
-    covariance = _covariance(design, mode, noise, solution, groups)
+    covariance = _covariance(design, mode, noise, solution)
     return Fit(design, mode, noise, summaries, solution, covariance, examination, d, h)
 
 
@@ -197,14 +203,14 @@ def _scale_factor(design: Design, solution: Solution) -> float:
     return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
 
 
-def _information(design: Design, mode: str, groups: tuple[int, ...], step: float) -> Information | None:
+def _information(design: Design, mode: str, step: float) -> Information | None:
     """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``, for records that are small enough to need it."""
     if mode != "increments" or design.rows > SMALL:
         return None
     values = []
     for ratio in RATIOS:
         noise = Noise(1.0, 10.0**ratio / step)
-        values.append(-log_determinant(solve(design, reduce_segments(design, mode, noise), groups)))
+        values.append(-log_determinant(solve(design, reduce_segments(design, mode, noise))))
     return natural_spline(RATIOS, np.array(values))
 
 
@@ -240,7 +246,7 @@ def _levels(
     return find_noise(d, h, parameters, 4.0 * np.finfo(float).eps * max(scale, 1e-3), near, information)
 
 
-def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]) -> Array:
+def _covariance(design: Design, mode: str, noise: Noise, solution: Solution) -> Array:
     """Covariance of the internal parameters; the rate method accounts for the colour of its noise."""
     if mode == "increments":
         return solution.covariance
@@ -253,14 +259,14 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution, gro
         inverse = np.divide(1.0, block.h, out=np.zeros_like(block.h), where=block.h > 0.0)
         variance = (noise.walk * block.h + 2.0 * noise.white) * inverse**2
         cross = (x[:, :-1] * inverse[:-1]) @ (x[:, 1:] * inverse[1:]).T * noise.white
-        jacobian = solution.jacobians[groups[block.segment]]
+        jacobian = solution.jacobians[design.groups[block.segment]]
         meat += jacobian.T @ ((x * variance) @ x.T - cross - cross.T) @ jacobian
     return solution.covariance @ meat @ solution.covariance
 
 
-def refine_counted(fit: Fit, groups: tuple[int, ...]) -> Fit:
+def refine_counted(fit: Fit) -> Fit:
     """The same fit with the covariance of its coarse counts; unchanged where plain whitening is right."""
-    refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution, groups)
+    refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution)
     if refined is None:
         return fit
     return replace(
@@ -285,7 +291,7 @@ def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: Columns) -> Ite
         yield block.segment, columns
 
 
-def without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
+def without_slow(fit: Fit) -> Fit:
     """The fit by the weights of white noise and random walk, one summary per segment."""
     if fit.noise.slow == 0.0:
         return fit
@@ -293,5 +299,5 @@ def without_slow(fit: Fit, groups: tuple[int, ...]) -> Fit:
     if fit.slow_part is not None:
         return replace(fit, noise=noise, covariance=fit.solution.covariance)
     summaries = reduce_segments(fit.design, fit.mode, noise)
-    solution = solve(fit.design, summaries, groups)
+    solution = solve(fit.design, summaries)
     return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)

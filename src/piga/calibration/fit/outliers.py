@@ -111,7 +111,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
     return largest / unit > limit(d.size) * min(max(core, 0.5), 1.0)
 
 
-def robust_values(design: Design, groups: tuple[int, ...]) -> Array:
+def robust_values(design: Design) -> Array:
     """Column coefficients (segments, m) of a fit that bad samples do not move.
 
     Least absolute residuals by reweighting: a spike spoils two increments by opposite amounts, so that bad
@@ -120,9 +120,9 @@ def robust_values(design: Design, groups: tuple[int, ...]) -> Array:
     parts = _thinned(design)
     every = np.concatenate([columns[-1] for _, columns in parts])
     scale = float(np.median(np.abs(every - np.median(every)))) or 1.0
-    values = _weighted(design, parts, groups, None, scale)
+    values = _weighted(design, parts, None, scale)
     for _ in range(40):
-        values = _weighted(design, parts, groups, values, scale)
+        values = _weighted(design, parts, values, scale)
         size = np.concatenate([np.abs(_miss(columns, values[s])) for s, columns in parts])
         smaller = float(np.quantile(size, 0.25)) / 3.0
         if smaller <= 0.0 or smaller > 0.98 * scale:
@@ -130,7 +130,7 @@ def robust_values(design: Design, groups: tuple[int, ...]) -> Array:
         scale = smaller
     for _ in range(3):
         bound = float(np.quantile(np.concatenate([np.abs(_miss(c, values[s])) for s, c in parts]), 0.4))
-        values = _trimmed(design, parts, groups, values, max(bound, 1e-300))
+        values = _trimmed(design, parts, values, max(bound, 1e-300))
     return values
 
 
@@ -170,9 +170,7 @@ def _miss(columns: Array, values: Array) -> Array:
     return columns[-1] - values @ columns[:-1]
 
 
-def _weighted(
-    design: Design, parts: list[tuple[int, Array]], groups: tuple[int, ...], values: Array | None, scale: float
-) -> Array:
+def _weighted(design: Design, parts: list[tuple[int, Array]], values: Array | None, scale: float) -> Array:
     """One step towards the least absolute residuals; from the nominal instrument when there is none before."""
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
     for segment, columns in parts:
@@ -180,19 +178,17 @@ def _weighted(
         if values is not None:
             weight = 1.0 / np.sqrt(np.maximum(np.abs(_miss(columns, values[segment])), scale))
         summaries[segment].absorb(columns * weight)
-    return solve(design, summaries, groups).values
+    return solve(design, summaries).values
 
 
-def _trimmed(
-    design: Design, parts: list[tuple[int, Array]], groups: tuple[int, ...], values: Array, bound: float
-) -> Array:
+def _trimmed(design: Design, parts: list[tuple[int, Array]], values: Array, bound: float) -> Array:
     """Least squares of the increments that missed by no more than ``bound``."""
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
     for segment, columns in parts:
         near = np.abs(_miss(columns, values[segment])) <= bound
         summaries[segment].absorb(np.ascontiguousarray(columns[:, near]))
     try:
-        return solve(design, summaries, groups).values
+        return solve(design, summaries).values
     except np.linalg.LinAlgError:
         return values
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, Names, ServoState
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Estimate, Layout, merged, solve_parts
+from piga.calibration.model.solution import Estimate, Layout, merged_groups, solve_parts
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import reduce_segments
 from piga.errors import IdentifiabilityError
@@ -170,7 +170,7 @@ def without_servo(layout: Layout) -> Layout:
     return replace(layout, keys=tuple(layout.keys[i] for i in kept), tails=tails)
 
 
-def settled_design(design: Design, mode: str, noise: Noise, groups: tuple[int, ...]) -> Design:
+def settled_design(design: Design, mode: str, noise: Noise) -> Design:
     """The design with the columns of the servo combined at the phases that the record tells; itself without such terms.
 
     Raises
@@ -183,8 +183,8 @@ def settled_design(design: Design, mode: str, noise: Noise, groups: tuple[int, .
     if "tan_beta" not in design.request.terms:
         return with_mean_servo(design)
     summaries = reduce_segments(design.with_servo(None), mode, noise)
-    count = max(groups) + 1
-    parts = [merged(summaries, [s for s, g in enumerate(groups) if g == group]) for group in range(count)]
+    parts = merged_groups(summaries, design.groups)
+    count = len(parts)
     terms = design.request.shared_terms
     layout = Layout(
         True, design.request.harmonics, tuple((n, None) for n in terms), (np.arange(len(terms)),) * count
@@ -192,7 +192,7 @@ def settled_design(design: Design, mode: str, noise: Noise, groups: tuple[int, .
     wanted = (design.local_names + terms,) * count
     refuse_if_servo_confounded(layout, parts, wanted, per_segment=count > 1)
     state = find_state(layout, parts, wanted, design.known_servo)
-    return design.with_servo(replace(state, phases=tuple(state.phases[group] for group in groups)))
+    return design.with_servo(replace(state, phases=tuple(state.phases[group] for group in design.groups)))
 
 
 def with_mean_servo(design: Design) -> Design:

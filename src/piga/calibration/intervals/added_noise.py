@@ -60,18 +60,18 @@ class AddedNoise:
         return found
 
 
-def added_noise(fit: Fit, design: Design, groups: tuple[int, ...]) -> tuple[AddedNoise, ...]:
+def added_noise(fit: Fit, design: Design) -> tuple[AddedNoise, ...]:
     """What a fit has in its covariance and not in its weights, with the columns of ``design``."""
     found = []
     if fit.slow_part is not None:
         drifting = fit.noise.drift > 0.0
         basis = DriftBasis.of(design.run) if drifting else SegmentBasis.of(design.run)
-        scores = _grouped(_slow_scores(fit, design, basis), groups)
+        scores = _grouped(_slow_scores(fit, design, basis), design.groups)
         name = "drift" if drifting else "scatter"
         found.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
     if fit.faint is not None:
         deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
-        scores = _walk_scores(design, fit.mode, fit.weights, groups, PROBE * deviation)
+        scores = _walk_scores(design, fit.mode, fit.weights, PROBE * deviation)
         found.append(AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores))
     return tuple(found)
 
@@ -105,13 +105,11 @@ def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
     return found
 
 
-def _walk_scores(
-    design: Design, mode: str, noise: Noise, groups: tuple[int, ...], probe: float
-) -> tuple[Array, ...]:
+def _walk_scores(design: Design, mode: str, noise: Noise, probe: float) -> tuple[Array, ...]:
     """A root of ``X'W H W X`` (m, m), H the covariance of a unit of walk, of every group: minus the derivative of ``X'W X``."""
     m = len(design.names)
     near = [
-        _grouped([part.factor[:, :m].T @ part.factor[:, :m] for part in parts], groups)
+        _grouped([part.factor[:, :m].T @ part.factor[:, :m] for part in parts], design.groups)
         for parts in (
             reduce_segments(design, mode, replace(noise, walk=noise.walk + moved)) for moved in (probe, -probe)
         )

@@ -60,18 +60,20 @@ def _information(gain: Array, noise: Noise) -> Array:
     return 0.5 * rows @ rows.T
 
 
-def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Array:
+def type_a_degrees(
+    fit: Fit,
+) -> Array:
     """Degrees of freedom of the Type A variance of every coefficient, in the order of the result."""
-    names = name_coefficients(fit.design, fit.solution, fit.covariance, per_segment)[0]
+    names = name_coefficients(fit.design, fit.solution, fit.covariance)[0]
     rest = float(fit.design.rows - len(names))
     if fit.mode != "increments":
         return np.full(len(names), rest)
     if fit.design.request.angle_rms is not None:
         return np.full(len(names), math.inf)
     if fit.counted is not None:
-        return _by_precision(fit, groups, per_segment, *fit.counted.walks, rest)
+        return _by_precision(fit, *fit.counted.walks, rest)
     if fit.faint is not None:
-        return _satterthwaite(fit, groups, per_segment, _directions(np.linalg.inv(fit.faint.information)), rest)
+        return _satterthwaite(fit, _directions(np.linalg.inv(fit.faint.information)), rest)
     starts = np.flatnonzero(fit.design.run.begins)
     lengths = np.diff(np.append(starts, fit.design.run.size))
     information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
@@ -79,13 +81,13 @@ def type_a_degrees(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Arra
     covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     unseen = fit.noise.walk <= SEEN * math.sqrt(float(covariance[1, 1]))
     if unseen and fit.noise.slow > 0.0:
-        return _satterthwaite(fit, groups, per_segment, (), rest)
+        return _satterthwaite(fit, (), rest)
     if unseen:
         return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
     if fit.design.rows > LARGE and fit.noise.slow == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))
-    return _satterthwaite(fit, groups, per_segment, _directions(covariance), rest)
+    return _satterthwaite(fit, _directions(covariance), rest)
 
 
 def _directions(covariance: NDArray[np.floating]) -> tuple[tuple[float, float], ...]:
@@ -96,13 +98,11 @@ def _directions(covariance: NDArray[np.floating]) -> tuple[tuple[float, float], 
 
 def _satterthwaite(
     fit: Fit,
-    groups: tuple[int, ...],
-    per_segment: bool,
     directions: tuple[tuple[float, float], ...],
     rest: float,
 ) -> Array:
     """``2 v^2/sum((dv/ds)^2)``: s are independent unit changes of (white, walk) along ``directions``."""
-    variances, levels = _variances(fit, groups, per_segment), fit.levels
+    variances, levels = _variances(fit), fit.levels
     now = variances(levels)
     spread = np.zeros(now.size)
     for white, walk in directions:
@@ -116,14 +116,12 @@ def _satterthwaite(
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
 
 
-def _by_precision(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, walks: Array, weights: Array, rest: float
-) -> Array:
+def _by_precision(fit: Fit, walks: Array, weights: Array, rest: float) -> Array:
     """``2 m^2/var`` of the precision 1/v, m its mean, over the random walks that the record allows.
 
     Exact, Student's t, where the variance is that of the random walk alone.
     """
-    variances = _variances(fit, groups, per_segment)
+    variances = _variances(fit)
     precision = np.array([1.0 / variances(replace(fit.noise, walk=walk)) for walk in walks])
     relative = precision / (weights @ precision) - 1.0
     spread = weights @ relative**2
@@ -134,7 +132,9 @@ def _by_precision(
     return np.minimum(rest, 2.0 / np.maximum(spread, 1e-300))
 
 
-def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable[[Noise], Array]:
+def _variances(
+    fit: Fit,
+) -> Callable[[Noise], Array]:
     """Type A variances of the coefficients as a function of the noise levels."""
 
     def variances(noise: Noise) -> Array:
@@ -144,14 +144,12 @@ def _variances(fit: Fit, groups: tuple[int, ...], per_segment: bool) -> Callable
             summaries = reduce_segments(fit.design, fit.mode, weights)
         else:
             summaries = fit.counted.with_walk(noise.walk).reduce(fit.design)
-        solution = solve(fit.design, summaries, groups)
+        solution = solve(fit.design, summaries)
         added = np.zeros_like(solution.covariance)
         if fit.slow_part is not None:
             added += noise.slow * fit.slow_part
         if fit.faint is not None:
             added += (noise.walk - fit.noise.walk) * fit.faint.part
-        return np.diag(
-            name_coefficients(fit.design, solution, solution.covariance + added, per_segment)[1]
-        ).copy()
+        return np.diag(name_coefficients(fit.design, solution, solution.covariance + added)[1]).copy()
 
     return variances

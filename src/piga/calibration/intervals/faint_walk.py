@@ -42,7 +42,7 @@ ENOUGH = 3.0
 """Slow values that the coefficients must leave; with fewer nothing is learnt of a walk, and none is assumed."""
 
 
-def include_faint_walk(fit: Fit, groups: tuple[int, ...]) -> Fit:
+def include_faint_walk(fit: Fit) -> Fit:
     """The same fit with a random walk that is not clear in its covariance; unchanged where it is clear.
 
     Left out beside a slow noise, with coarse counts, given noise levels and methods other than
@@ -56,11 +56,11 @@ def include_faint_walk(fit: Fit, groups: tuple[int, ...]) -> Fit:
     unit = slowest(fit)
     if noise.white == 0.0 or noise.walk > UNCLEAR * unit * noise.white:
         return fit
-    if 2.0 * _walk_information(fit, groups, 0.0)[1, 1] * unit**2 < ENOUGH:
+    if 2.0 * _walk_information(fit, 0.0)[1, 1] * unit**2 < ENOUGH:
         return fit
-    share = _likely_share(fit, groups)
-    part = _per_walk(fit, groups, PROBE * unit * noise.white)
-    faint = FaintWalk(share * unit * noise.white, part, _walk_information(fit, groups, share) / noise.white**2)
+    share = _likely_share(fit)
+    part = _per_walk(fit, PROBE * unit * noise.white)
+    faint = FaintWalk(share * unit * noise.white, part, _walk_information(fit, share) / noise.white**2)
     return replace(
         fit, faint=faint, covariance=fit.solution.covariance + (faint.walk - noise.walk) * faint.part
     )
@@ -77,13 +77,13 @@ def slowest(fit: Fit) -> float:
     return float(4.0 * np.sin(0.5 * np.pi / longest) ** 2 / fit.h.max())
 
 
-def _likely_share(fit: Fit, groups: tuple[int, ...]) -> float:
+def _likely_share(fit: Fit) -> float:
     """Walk of greatest restricted likelihood, in units of ``slowest`` times the white noise; negative down to -1."""
     from scipy.interpolate import CubicSpline
 
     unit, low, high = slowest(fit), math.log(LEAST), math.log(MOST)
     nodes = np.linspace(low, high, NODES)
-    information = CubicSpline(nodes, _logarithms(fit, groups, nodes))
+    information = CubicSpline(nodes, _logarithms(fit, nodes))
     best = 0.0
     for _ in range(PASSES):
         grid = np.linspace(low, high, LANES)
@@ -94,7 +94,7 @@ def _likely_share(fit: Fit, groups: tuple[int, ...]) -> float:
     return math.expm1(best)
 
 
-def _walk_information(fit: Fit, groups: tuple[int, ...], share: float) -> Array:
+def _walk_information(fit: Fit, share: float) -> Array:
     """Fisher information (2, 2) of white noise and walk for unit white noise, exact for this record.
 
     That of the restricted likelihood is minus half the second derivative of its logarithms alone, ``(n - m) log r + F(q/r)``,
@@ -103,7 +103,7 @@ def _walk_information(fit: Fit, groups: tuple[int, ...], share: float) -> Array:
     ratio, at = slowest(fit) * share, math.log1p(share)
     grid = at + TWIST * np.linspace(-1.0, 1.0, 3)
     log = _sums(fit, slowest(fit) * np.expm1(np.resize(grid, LANES)))[0][:3]
-    below, here, above = log + _logarithms(fit, groups, grid)
+    below, here, above = log + _logarithms(fit, grid)
     first, second = (above - below) / (2.0 * TWIST), (above - 2.0 * here + below) / TWIST**2
     scale = slowest(fit) * math.exp(at)
     slope, bend = first / scale, (second - first) / scale**2
@@ -111,12 +111,12 @@ def _walk_information(fit: Fit, groups: tuple[int, ...], share: float) -> Array:
     return 0.5 * np.array([[_freedom(fit) - 2.0 * ratio * slope - ratio**2 * bend, mixed], [mixed, -bend]])
 
 
-def _logarithms(fit: Fit, groups: tuple[int, ...], grid: Array) -> Array:
+def _logarithms(fit: Fit, grid: Array) -> Array:
     """``log|X' V^-1 X|`` for unit white noise at logarithms of the variance of the slowest value."""
     walks = slowest(fit) * np.expm1(grid)
     stated = tuple(variance / fit.noise.white for variance in fit.noise.stated)
     levels = [Noise(1.0, float(walk), stated=stated) for walk in walks]
-    return np.array([-log_determinant(_weighted(fit, groups, noise)) for noise in levels])
+    return np.array([-log_determinant(_weighted(fit, noise)) for noise in levels])
 
 
 def _sums(fit: Fit, walks: Array) -> tuple[Array, Array]:
@@ -143,10 +143,10 @@ def _freedom(fit: Fit) -> int:
     return fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
 
 
-def _per_walk(fit: Fit, groups: tuple[int, ...], probe: float) -> Array:
+def _per_walk(fit: Fit, probe: float) -> Array:
     """What a unit of walk adds to the covariance with the weights of the fit: to first order all weights agree."""
     above, below = (
-        _at_the_fit(fit, _weighted(fit, groups, replace(fit.noise, walk=fit.noise.walk + moved)))
+        _at_the_fit(fit, _weighted(fit, replace(fit.noise, walk=fit.noise.walk + moved)))
         for moved in (probe, -probe)
     )
     found: Array = (above - below) / (2.0 * probe)
@@ -162,5 +162,5 @@ def _at_the_fit(fit: Fit, solution: Solution) -> Array:
     return moved
 
 
-def _weighted(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Solution:
-    return solve(fit.design, reduce_segments(fit.design, fit.mode, noise), groups)
+def _weighted(fit: Fit, noise: Noise) -> Solution:
+    return solve(fit.design, reduce_segments(fit.design, fit.mode, noise))

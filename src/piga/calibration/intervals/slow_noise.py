@@ -77,7 +77,7 @@ class _Candidate:
     gain: float
 
 
-def include_stated_scatter(fit: Fit, groups: tuple[int, ...], variance: Array) -> Fit:
+def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
     """The same fit that knows the stated variance (m,) [rad^2/s^2] of the rate of each segment: in levels and weights.
 
     What is stated is then not taken for noise that the record shows. Unchanged where it is lost in the noise of the mean
@@ -88,7 +88,7 @@ def include_stated_scatter(fit: Fit, groups: tuple[int, ...], variance: Array) -
     if not able or not variance.any() or count > MOST_SEGMENTS:
         return fit
     basis = SegmentBasis.of(fit.design.run)
-    factor = slow_factor(fit, groups, fit.noise, basis)
+    factor = slow_factor(fit, fit.noise, basis)
     factor[:, : basis.count] *= np.sqrt(variance)
     values = projected(factor, basis)[0]
     if values.size == 0 or values[0] < LOST:
@@ -97,13 +97,13 @@ def include_stated_scatter(fit: Fit, groups: tuple[int, ...], variance: Array) -
     if fit.counted is not None:
         return replace(fit, noise=noise)
     for below in (LOWEST, BELOW):
-        noise = _levels_beside_stated(fit, groups, noise, below)
-    found = _solved(fit, groups, noise)
+        noise = _levels_beside_stated(fit, noise, below)
+    found = _solved(fit, noise)
     d, h = residual_increments(fit.design, found.solution.values)
     return replace(found, d=d, h=h)
 
 
-def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) -> Fit:
+def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
     """The same fit with a slow noise in its covariance, where the record shows one: the likelier of the two.
 
     It is weighted by from a gain of ``CLEAR`` on, a drift from ``clear``. Below, the weights stay those of the other
@@ -115,18 +115,18 @@ def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) 
     if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
         return fit
     looked = _beside_counts if fit.counted is not None else _looked_for
-    candidates = [found for basis in slow_bases(fit.design.run) if (found := looked(fit, groups, basis))]
+    candidates = [found for basis in slow_bases(fit.design.run) if (found := looked(fit, basis))]
     best = max(candidates, key=lambda found: found.gain, default=None)
     if best is None or best.gain < SIGNIFICANT:
         return fit
-    basis, plain = best.basis, _solved(fit, groups, best.noise)
-    factor = slow_factor(plain, groups, best.noise, basis)
+    basis, plain = best.basis, _solved(fit, best.noise)
+    factor = slow_factor(plain, best.noise, basis)
     level = likely_level(factor, basis)
     moved = _moved(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
     slow, deviation = basis.noise(best.noise, level.variance), level.deviation / basis.unit()
     limit = clear if isinstance(basis, DriftBasis) else CLEAR
     if fit.counted is None and (best.gain >= limit or moved is None):
-        return replace(_solved(fit, groups, slow), slow_deviation=deviation)
+        return replace(_solved(fit, slow), slow_deviation=deviation)
     if moved is None:
         return fit
     part = basis.unit() * moved @ moved.T
@@ -139,40 +139,40 @@ def include_slow_noise(fit: Fit, groups: tuple[int, ...], clear: float = CLEAR) 
     )
 
 
-def _solved(fit: Fit, groups: tuple[int, ...], noise: Noise) -> Fit:
+def _solved(fit: Fit, noise: Noise) -> Fit:
     """The fit with other levels and, but for coarse counts, weights."""
     if fit.counted is not None:
         return replace(fit, noise=noise)
     summaries = reduce_segments(fit.design, fit.mode, noise)
-    solution = solve(fit.design, summaries, groups)
+    solution = solve(fit.design, summaries)
     return replace(fit, noise=noise, summaries=summaries, solution=solution, covariance=solution.covariance)
 
 
-def _looked_for(fit: Fit, groups: tuple[int, ...], basis: SlowBasis) -> _Candidate | None:
+def _looked_for(fit: Fit, basis: SlowBasis) -> _Candidate | None:
     """A slow noise with the levels beside it; None where a quick look shows nothing of it."""
     if fit.design.rows > SMALL and quick_look(fit, basis).gain < SUSPECTED:
         return None
-    if likely_level(slow_factor(fit, groups, fit.noise, basis), basis).gain < SUSPECTED:
+    if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < SUSPECTED:
         return None
-    return _Candidate(basis, *_levels_together(fit, groups, basis))
+    return _Candidate(basis, *_levels_together(fit, basis))
 
 
-def _beside_counts(fit: Fit, groups: tuple[int, ...], basis: SlowBasis) -> _Candidate | None:
+def _beside_counts(fit: Fit, basis: SlowBasis) -> _Candidate | None:
     """Coarse counts keep their weights and the random walk found."""
-    gain = likely_level(slow_factor(fit, groups, fit.noise, basis), basis).gain
+    gain = likely_level(slow_factor(fit, fit.noise, basis), basis).gain
     return _Candidate(basis, fit.noise, gain)
 
 
-def slow_factor(fit: Fit, groups: tuple[int, ...], noise: Noise, basis: SlowBasis) -> Array:
+def slow_factor(fit: Fit, noise: Noise, basis: SlowBasis) -> Array:
     """Triangular factor of the weighted rows ``[slow noise | model | y]``, the noise left free.
 
     The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual. A stated
     scatter of the segments is in the weights.
     """
-    return _factor_and_size(fit, groups, noise, basis)[0]
+    return _factor_and_size(fit, noise, basis)[0]
 
 
-def _factor_and_size(fit: Fit, groups: tuple[int, ...], noise: Noise, basis: SlowBasis) -> tuple[Array, float]:
+def _factor_and_size(fit: Fit, noise: Noise, basis: SlowBasis) -> tuple[Array, float]:
     """The factor, and the logarithm of the determinant of what a stated scatter adds to the covariance of its rows."""
     solution, m = fit.solution, len(fit.design.names)
     segments = SegmentBasis.of(fit.design.run)
@@ -181,7 +181,7 @@ def _factor_and_size(fit: Fit, groups: tuple[int, ...], noise: Noise, basis: Slo
     for segment, columns in whitened_rows(fit, fit.design, noise, wide):
         model, slow = columns[:m], columns[m:-1]
         y = columns[-1] - solution.values[segment] @ model
-        turned = solution.jacobians[groups[segment]].T @ model
+        turned = solution.jacobians[fit.design.groups[segment]].T @ model
         parts.append(wide.placed(_triangle(np.vstack([slow, turned, y]).T), segment))
     factor, size = _triangle(np.vstack(parts)), 0.0
     if noise.stated:
@@ -210,18 +210,18 @@ def _moved(factor: Array, basis: SlowBasis, parameters: int) -> Array | None:
     return solve_upper(rows[:, :parameters], rows[:, parameters:]) / size[:, None]
 
 
-def _levels_together(fit: Fit, groups: tuple[int, ...], basis: SlowBasis) -> tuple[Noise, float]:
+def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
     """White noise and random walk beside a slow noise, and the gain by it: restricted likelihood of all three.
 
     On a grid of ``log10(q h/r)``, concentrated over the scale, the slow noise at its best for each.
     """
-    table = _deviances(fit, groups, basis, fit.noise, BELOW)
+    table = _deviances(fit, basis, fit.noise, BELOW)
     return table.levels(fit.noise, table.best), float(table.without.min() - table.best.min())
 
 
-def _levels_beside_stated(fit: Fit, groups: tuple[int, ...], noise: Noise, below: float) -> Noise:
+def _levels_beside_stated(fit: Fit, noise: Noise, below: float) -> Noise:
     """White noise and random walk beside a stated scatter alone, looked for ``below`` decades under ``noise``."""
-    table = _deviances(fit, groups, SegmentBasis.of(fit.design.run), noise, below)
+    table = _deviances(fit, SegmentBasis.of(fit.design.run), noise, below)
     return table.levels(noise, table.without)
 
 
@@ -246,7 +246,7 @@ class _Deviances:
         return Noise(white, white * 10.0**ratio / self.step, stated=noise.stated)
 
 
-def _deviances(fit: Fit, groups: tuple[int, ...], basis: SlowBasis, noise: Noise, below: float) -> _Deviances:
+def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Deviances:
     step = fit.design.run.median_step
     freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
     centre = math.log10(max(noise.walk * step / noise.white, 1e-9))
@@ -255,9 +255,7 @@ def _deviances(fit: Fit, groups: tuple[int, ...], basis: SlowBasis, noise: Noise
     stated = tuple(variance / noise.white for variance in noise.stated)
     table = []
     for ratio, logarithm in zip(grid, logarithms, strict=True):
-        factor, stated_size = _factor_and_size(
-            fit, groups, Noise(1.0, 10.0**ratio / step, stated=stated), basis
-        )
+        factor, stated_size = _factor_and_size(fit, Noise(1.0, 10.0**ratio / step, stated=stated), basis)
         values, square, rest, model = projected(factor, basis)
         levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / max(values[0], 1e-300))
         size = 1.0 + levels[:, None] * values

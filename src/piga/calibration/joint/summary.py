@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
-from piga.calibration.fit.one_run import Fit, fit_run, phase_groups, refine_counted
+from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
 from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.intervals.added_noise import AddedNoise, added_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
@@ -29,7 +29,6 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import DRIFT_NAMES, drift_columns, merged
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.weighting import reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
 from piga.reading.signal_checks import largest_size
@@ -229,16 +228,11 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
     terms, stated = request.terms, stated_scatter(run)
     while True:
         wish = replace(request, terms=terms)
-        groups, per_segment = phase_groups(run, wish)
         try:
-            fit = refine_counted(fit_run(run, wish, groups, per_segment), groups)
-            fit = include_stated_scatter(fit, groups, stated)
-            fit = (
-                include_slow_noise(fit, groups, clear=math.inf)
-                if per_segment
-                else include_slow_noise(fit, groups)
-            )
-            fit = include_faint_walk(fit, groups)
+            fit = refine_counted(fit_run(run, wish))
+            fit = include_stated_scatter(fit, stated)
+            fit = include_slow_noise(fit, clear=math.inf) if fit.design.per_segment else include_slow_noise(fit)
+            fit = include_faint_walk(fit)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -272,14 +266,8 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     run, fit = live.run, live.fit
     inner = scale_factor or fit.design.scale_factor
     wish = replace(live.request, terms=columns, per_run=())
-    groups, per_segment = phase_groups(run, wish)
-    uncertainty = run.uncertainty
-
-    plain = reduce_rows(Design(run, wish, inner), fit)
-
-    own_groups, own_per_segment = phase_groups(run, fit.design.request)
-    degrees = float(type_a_degrees(_as_weighted(fit), own_groups, own_per_segment).min())
-    described = _described(fit)
+    design = Design(run, wish, inner)
+    plain = fit.reduce(design)
     return RunSummary(
         name=live.name,
         serial=run.serial,
@@ -293,16 +281,16 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
         noise=fit.noise,
         inner_scale_factor=inner,
         turning=run.base_rate is not None,
-        labels=run.labels if per_segment else (None,),
-        parts=group_rows(plain, fit, groups),
-        sources=tuple(_source(s, plain, Design(s.moved, wish, inner), fit, groups) for s in sources(run)),
+        labels=run.labels if design.per_segment else (None,),
+        parts=group_rows(plain, fit, design.groups),
+        sources=tuple(_source(s, plain, Design(s.moved, wish, inner), fit) for s in sources(run)),
         stand=None if run.stand is None else str(run.stand.get("kind")),
-        reference_id=uncertainty.reference_id,
+        reference_id=run.uncertainty.reference_id,
         undetermined=live.undetermined,
-        degrees_of_freedom=degrees,
-        added=added_noise(fit, Design(run, wish, inner), groups),
+        degrees_of_freedom=float(type_a_degrees(_as_weighted(fit)).min()),
+        added=added_noise(fit, design),
         known_servo=tuple(given_servo(run).items()),
-        **described,
+        **_described(fit),
     )
 
 
@@ -322,9 +310,7 @@ def _as_weighted(fit: Fit) -> Fit:
     )
 
 
-def _source(
-    source: Source, plain: list[Reduction], moved: Design, fit: Fit, groups: tuple[int, ...]
-) -> SourceSummary:
+def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> SourceSummary:
     summary = SourceSummary(
         source.name,
         source.value,
@@ -335,17 +321,12 @@ def _source(
         tuple(given_servo(source.moved).items()),
         source.draw,
     )
-    rows = reduce_rows(moved, fit)
+    rows, groups = fit.reduce(moved), moved.groups
     if source.draw != "segment":
         return replace(summary, parts=group_rows(rows, fit, groups))
     alone = ([*plain[:s], rows[s], *plain[s + 1 :]] for s in range(len(plain)))
     segments = [(own, _group(mixed, fit, groups, own)) for own, mixed in zip(groups, alone, strict=True)]
     return replace(summary, segments=tuple(segments), in_fit=fit.counted is None and bool(fit.weights.stated))
-
-
-def reduce_rows(design: Design, fit: Fit) -> list[Reduction]:
-    """One summary per segment, weighted as the fit is."""
-    return fit.counted.reduce(design) if fit.counted else reduce_segments(design, fit.mode, fit.weights)
 
 
 def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:

@@ -150,6 +150,7 @@ class Design:
     """Regressor blocks of a run for one request.
 
     ``scale_factor`` is the K used inside regressors (base rate, sag): nominal at first, then estimated.
+    ``per_segment`` is True where every segment has a phase of its own, ``groups`` the phase group of every segment.
     ``servo`` is what the columns of the servo are combined at, a phase for each segment; without it a model with terms of
     the servo has the columns that need no phase, in place of those of the terms.
     """
@@ -166,6 +167,9 @@ class Design:
         self.local_names = self._local_names()
         self.shared_names = self._shared_names()
         self.names = self.local_names + self.shared_names
+        self.per_segment = self.request.phase == "per-segment" and bool(self.local_names)
+        count = len(run.labels)
+        self.groups = tuple(range(count)) if self.per_segment else (0,) * count
         self.point = run.kind == "rate"
         self._force = np.ascontiguousarray(run.f.T)
         self.phase_angle = phase_angle(run, self.request, self.scale_factor)
@@ -198,6 +202,11 @@ class Design:
             for name, value in given_servo(self.run).items()
             if name not in self.request.terms
         }
+
+    @property
+    def has_phases(self) -> bool:
+        """True where there is more than one phase."""
+        return self.per_segment and len(self.run.labels) > 1
 
     @property
     def rows(self) -> int:

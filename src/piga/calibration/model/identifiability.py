@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Layout, layout_of, merged
+from piga.calibration.model.solution import Layout, layout_of, merged_groups
 from piga.errors import IdentifiabilityError
 from piga.records.calibration import Coefficient
 from piga.records.terms import harmonic
@@ -86,11 +86,9 @@ def term_of(column: str) -> str:
     return "tan_beta" if column in ("p", "q") else column
 
 
-def examine(design: Design, summaries: list[Reduction], per_segment: bool) -> Examination:
+def examine(design: Design, summaries: list[Reduction]) -> Examination:
     """Rank and condition of what is asked of one run; one phase per segment or one for all."""
-    parts = summaries
-    if not (per_segment and design.local_names):
-        parts = [merged(summaries, list(range(len(summaries))))]
+    parts = merged_groups(summaries, design.groups[: len(summaries)])
     return examine_parts(layout_of(design, len(parts)), parts)
 
 

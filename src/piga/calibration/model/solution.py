@@ -135,11 +135,15 @@ class Layout:
         return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
 
 
-def layout_of(design: Design, groups: int, extra: tuple[str, ...] = ()) -> Layout:
-    """The layout of one run: every shared column, and every ``extra`` one, is its own parameter in all groups."""
+def layout_of(design: Design, groups: int | None = None, extra: tuple[str, ...] = ()) -> Layout:
+    """The layout of one run: every shared column, and every ``extra`` one, is its own parameter in all groups.
+
+    ``groups`` is the number of phase groups; that of the design unless given.
+    """
+    count = len(set(design.groups)) if groups is None else groups
     keys = tuple((name, None) for name in (*design.shared_names, *extra))
     tail = np.arange(len(keys))
-    return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * groups)
+    return Layout("p" in design.local_names, design.request.harmonics, keys, (tail,) * count)
 
 
 @dataclass(frozen=True)
@@ -181,14 +185,20 @@ def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
     return total
 
 
-def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -> Solution:
-    """Estimate for the given phase group of each segment (all 0: one phase).
+def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
+    """One summary per phase group, from those of the segments."""
+    return [merged(summaries, [s for s, own in enumerate(groups) if own == g]) for g in range(max(groups) + 1)]
 
-    What the summaries hold behind the columns of the design, a bias drift, is estimated with them and left out.
+
+def solve(design: Design, summaries: list[Reduction]) -> Solution:
+    """Estimate from one summary per segment, with the phases of the design.
+
+    The summaries may be those of the first segments alone. What they hold behind the columns of the design, a bias drift, is
+    estimated with them and left out.
     """
-    count = max(groups) + 1 if design.local_names else 1
-    grouped = groups if design.local_names else (0,) * len(groups)
-    parts = [merged(summaries, [s for s, g in enumerate(grouped) if g == group]) for group in range(count)]
+    groups = design.groups[: len(summaries)]
+    count = max(groups) + 1
+    parts = merged_groups(summaries, groups)
     layout, extra = layout_of(design, count), drift_columns(summaries[0])
     found = solve_parts(layout_of(design, count, extra), parts)
     if extra:
@@ -198,8 +208,7 @@ def solve(design: Design, summaries: list[Reduction], groups: tuple[int, ...]) -
         values = np.tile(linear, (len(groups), 1))
     else:
         values = np.array([layout.linear(found.amplitudes, found.phases[g], g) for g in groups])
-    jacobians = found.jacobians * (max(groups) + 1 if count == 1 else 1)
-    return Solution(found.amplitudes, found.phases, found.covariance, found.cost, jacobians, values)
+    return Solution(found.amplitudes, found.phases, found.covariance, found.cost, found.jacobians, values)
 
 
 def _without_last(found: Estimate, size: int, extra: int) -> Estimate:
@@ -366,11 +375,11 @@ Owner = tuple[str | None, str | None]
 
 
 def name_coefficients(
-    design: Design, solution: Estimate, covariance: Array, per_segment: bool
+    design: Design, solution: Estimate, covariance: Array
 ) -> tuple[tuple[Coefficient, ...], Array]:
     """Coefficients of one run in file units and their covariance in the same units and order."""
     count = solution.phases.size
-    owners: list[Owner] = [(label if per_segment else None, None) for label in design.run.labels[:count]]
+    owners: list[Owner] = [(label if design.per_segment else None, None) for label in design.run.labels[:count]]
     layout = layout_of(design, max(count, 1))
     return name_parameters(layout, solution, covariance, design.run.scale_factor, design.request.terms, owners)
 
@@ -444,35 +453,31 @@ def _in_asked_order(
     return tuple(coefficients[i] for i in order), covariance[np.ix_(order, order)]
 
 
-def has_phases(layout: Layout, groups: tuple[int, ...]) -> bool:
-    """True when the segments have phases of their own."""
-    return layout.local > 0 and len(set(groups)) > 1
+def parameter_rows(design: Design, solution: Solution, segment: int, rows: Array) -> Array:
+    """Rows of a segment in the parameters of a finished fit, linear about its solution, reduced to ``[parameters | rest]``.
 
-
-def parameter_rows(
-    layout: Layout, solution: Solution, groups: tuple[int, ...], segment: int, rows: Array
-) -> Array:
-    """Rows of a segment, reduced to a factor ``[parameters | rest]``.
+    With one phase the parameters are the column coefficients, and nothing is approximated. With a phase per
+    segment they are the amplitudes, and the phase of a segment is taken out of its own rows.
 
     Parameters
     ----------
-    layout, solution, groups:
-        Of the fit, with the phase group of each segment.
+    design, solution:
+        Of the fit.
     segment:
         Index of the segment.
     rows:
-        (k, m + r): weighted columns of the model in the order of ``layout.columns``, then any others.
+        (k, m + r): weighted columns of the model in the order of ``design.names``, then any others.
 
     Returns
     -------
     ndarray
         At most (n + r, n + r): n column coefficients with one phase, n amplitudes with several.
     """
-    m = len(layout.columns)
-    if not has_phases(layout, groups):
+    if not design.has_phases:
         return np.asarray(np.linalg.qr(rows, mode="r"))
+    layout, m = layout_of(design), len(design.names)
     derivative = rows[:, :m] @ solution.jacobians[segment]
-    phase = derivative[:, layout.size + groups[segment]]
+    phase = derivative[:, layout.size + design.groups[segment]]
     both = np.column_stack([phase, derivative[:, : layout.size], rows[:, m:]])
     factor = np.asarray(np.linalg.qr(both, mode="r"))
     return factor[1:, 1:] if phase.any() else factor[:, 1:]

@@ -107,9 +107,9 @@ class Stretches:
             parts,
         )
 
-    def along(self, path: Path, groups: tuple[int, ...], noise: Noise, spread: float) -> Stretches:
+    def along(self, path: Path, noise: Noise, spread: float) -> Stretches:
         """The same with the covariances of the counting along a path."""
-        found = counting_covariances(path.teeth, path.solution, groups, noise.walk, spread)
+        found = counting_covariances(path.teeth, path.solution, self.design.groups, noise.walk, spread)
         return replace(self, counting=found)
 
     def moved(self, change: Array) -> float:
@@ -219,9 +219,7 @@ class CountedFit:
     solution: Solution
 
 
-def fit_counted(
-    design: Design, mode: str, noise: Noise, solution: Solution, groups: tuple[int, ...]
-) -> CountedFit | None:
+def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution) -> CountedFit | None:
     """Fit with the covariance of coarse counts; None where plain whitening with ``noise`` is right."""
     count = count_of(design.run)
     step = design.run.median_step
@@ -238,15 +236,15 @@ def fit_counted(
         spread = SPREADS[index] if index < len(SPREADS) else 0.0
         dither = noise if index >= TRUSTED else Noise(0.0, 0.0)
         path = path.next(stretches, solution)
-        stretches = stretches.along(path, groups, dither, spread)
+        stretches = stretches.along(path, dither, spread)
         before = noise
-        rows = _rows(stretches, solution.values if max(groups) else None)
+        rows = _rows(stretches, solution.values if design.has_phases else None)
         noise, walks = _levels(rows, stretches, noise.white, again=index == TRUSTED)
         if index > TRUSTED:
             noise = Noise(noise.white, 0.5 * (noise.walk + before.walk))
         counted = Counted(stretches, modes, noise, walks)
         summaries = counted.reduce(design)
-        solution = solve(design, summaries, groups)
+        solution = solve(design, summaries)
         if index > TRUSTED and abs(noise.walk - before.walk) <= SETTLED * before.walk:
             break
     levels = Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit, without_slow
-from piga.calibration.model.solution import has_phases, layout_of, name_coefficients
+from piga.calibration.model.solution import layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
@@ -36,24 +36,22 @@ class Remarks:
     missing: tuple[dict[str, Any], ...]
 
 
-def find_remarks(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
-) -> Remarks:
+def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
     """What the fit behind a result says: it needs neither its residuals nor the rest of it.
 
     Parameters
     ----------
-    fit, groups, per_segment:
-        The fit, the phase group of every segment, and whether each has its own.
+    fit:
+        The finished fit.
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
     slow = fit.noise.slow > 0.0
-    plain = without_slow(fit, groups)
-    known = _known_without_slow(fit, plain, per_segment, coefficients) if slow else coefficients
-    found, alone, moved = find_leverage(plain, groups, per_segment, known, slow)
+    plain = without_slow(fit)
+    known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
+    found, alone, moved = find_leverage(plain, known, slow)
     _in_reported_uncertainties(found, known, coefficients)
-    return Remarks(found, alone, moved, suggest_terms(plain, groups, per_segment, coefficients))
+    return Remarks(found, alone, moved, suggest_terms(plain, coefficients))
 
 
 def _in_reported_uncertainties(
@@ -96,14 +94,9 @@ def with_remarks(
     )
 
 
-def _known_without_slow(
-    fit: Fit, plain: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...]
-) -> tuple[Coefficient, ...]:
+def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
     """Coefficients with the standard uncertainties that they would have without a slow noise."""
-    named = [
-        np.diag(name_coefficients(one.design, one.solution, one.covariance, per_segment)[1])
-        for one in (fit, plain)
-    ]
+    named = [np.diag(name_coefficients(one.design, one.solution, one.covariance)[1]) for one in (fit, plain)]
     return tuple(
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
         for c, noisy, quiet in zip(coefficients, *named, strict=True)
@@ -133,13 +126,13 @@ class Settings:
 SETTINGS = Settings()
 
 
-def in_step(plain: Fit, groups: tuple[int, ...], coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
+def in_step(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
     """The remark on ``k0_T`` and ``scale_factor``; none where the record tells them apart.
 
     Parameters
     ----------
-    plain, groups:
-        The fit without a slow noise, and its phases.
+    plain:
+        The fit without a slow noise.
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
@@ -151,11 +144,11 @@ def in_step(plain: Fit, groups: tuple[int, ...], coefficients: tuple[Coefficient
     low, high = extent(run.temperature)
     if low == high:
         return ()
-    layout = layout_of(design, len(set(groups)))
+    layout = layout_of(design)
     names = layout.columns
-    if has_phases(layout, groups):
+    if design.has_phases:
         names = tuple(name for name, _ in layout.amplitude_keys)
-    pieces, _ = pieces_of(plain, groups, ["k0_T"])
+    pieces, _ = pieces_of(plain, ["k0_T"])
     rows = np.vstack(pieces)[:, :-1]
     size = np.linalg.norm(rows, axis=0)
     if not size.all():

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.budget.rows import budget_row
-from piga.calibration.fit.one_run import Fit, phase_groups, without_slow
+from piga.calibration.fit.one_run import Fit, without_slow
 from piga.calibration.fit.servo import at_state, settled_design
 from piga.calibration.joint.joint_fit import (
     JointFit,
@@ -30,11 +30,10 @@ from piga.calibration.joint.joint_fit import (
     merge_runs,
     without_phase,
 )
-from piga.calibration.joint.summary import LiveRun, RunSummary, group_rows, reduce_rows
+from piga.calibration.joint.summary import LiveRun, RunSummary, group_rows
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import has_phases, layout_of, name_coefficients, solve
-from piga.calibration.noise.weighting import reduce_segments
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.remarks.missing_terms import (
     CUBIC,
     Tested,
@@ -83,15 +82,13 @@ class LeftOut:
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 
 
-def left_out_terms(
-    plain: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
-) -> tuple[LeftOut, ...]:
+def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[LeftOut, ...]:
     """What the servo leaves in a record; none where nothing is clear, where terms take it, or the stand tells them apart.
 
     Parameters
     ----------
-    plain, groups, per_segment:
-        The fit without a slow noise, which would take up what a missing term leaves, and its phases.
+    plain:
+        The fit without a slow noise, which would take up what a missing term leaves.
     coefficients:
         Those of the result.
     """
@@ -101,20 +98,19 @@ def left_out_terms(
         return ()
     square = constant_squares(design.run)[0]
     asked = () if square is None or design.turning_servo else asked_cube(coefficients, square)
-    turns = has_phases(layout_of(design, len(set(groups))), groups)
     cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
     order = [name for name, open_ in (("k3", cube), ("servo_damping", "servo_damping" not in held)) if open_]
-    if turns and "servo_damping" in order:
+    if design.has_phases and "servo_damping" in order:
         order.remove("servo_damping")
     if not order:
         return asked
-    pieces, rows = pieces_of(plain, groups, order)
-    before = after_change(plain, per_segment, np.zeros(1), turns)
+    pieces, rows = pieces_of(plain, order)
+    before = after_change(plain, np.zeros(1))
     doubts: list[LeftOut] = []
     if square is not None and cube:
         test = tested(pieces, order, ("k3",), rows)
         if test is not None and test.probability <= CLEAR:
-            after = after_change(plain, per_segment, test.change, turns)
+            after = after_change(plain, test.change)
             k3 = float(test.columns[0]) / design.scale_factor
             doubts.append(_both_meanings(coefficients, before, after, k3, square))
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
@@ -122,17 +118,15 @@ def left_out_terms(
     test = tested(pieces, order, ("servo_damping",), rows) if "servo_damping" in order else None
     if test is not None and (doubts or asked or test.probability <= CLEAR):
         beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
-        whole = _with_terms(plain, groups, per_segment, beside)
+        whole = _with_terms(plain, beside)
         if whole is not None:
-            after = after_change(plain, per_segment, test.change, turns)
+            after = after_change(plain, test.change)
             turned = {name: whole[name] for name in TURNED}
             doubts.append(damped(coefficients, before, after | turned, test, design.scale_factor))
     return (*doubts, *asked)
 
 
-def _with_terms(
-    plain: Fit, groups: tuple[int, ...], per_segment: bool, extra: tuple[str, ...]
-) -> dict[str, float] | None:
+def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
     """Coefficients (file units) by key of the same fit with more terms; None where the record cannot tell them apart.
 
     What a term turns depends on the weights of every row: the rows that candidates are tested on are too coarse for it.
@@ -140,14 +134,11 @@ def _with_terms(
     request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
     raw = Design(plain.design.run, request, plain.design.scale_factor)
     try:
-        design = settled_design(raw, plain.mode, plain.weights, groups)
+        design = settled_design(raw, plain.mode, plain.weights)
     except IdentifiabilityError:
         return None
-    summaries = (
-        plain.counted.reduce(design) if plain.counted else reduce_segments(design, plain.mode, plain.weights)
-    )
-    solution = solve(design, summaries, groups)
-    named, _ = name_coefficients(design, solution, solution.covariance, per_segment)
+    solution = solve(design, plain.reduce(design))
+    named, _ = name_coefficients(design, solution, solution.covariance)
     return {c.key: c.value for c in named}
 
 
@@ -370,13 +361,13 @@ def _with_columns(
     """A run at hand with the columns of ``EXTRA``: its summary, and its segments with their phase groups."""
     terms = fit.wish.terms_of(index)
     wish = replace(live.request, terms=(*terms, *(name for name in EXTRA if name not in terms)), per_run=())
-    groups, per_segment = phase_groups(live.run, wish)
-    plain = without_slow(live.fit, phase_groups(live.run, live.fit.design.request)[0])
-    segments = reduce_rows(Design(live.run, wish, summary.inner_scale_factor), plain)
-    parts = group_rows(segments, plain, groups)
+    plain = without_slow(live.fit)
+    design = Design(live.run, wish, summary.inner_scale_factor)
+    segments = plain.reduce(design)
+    parts = group_rows(segments, plain, design.groups)
     alone = [group_rows([segment], plain, (0,))[0] for segment in segments]
     wider = replace(summary, parts=parts, sources=(), added=())
-    return wider, tuple(zip(groups if per_segment else (0,) * len(alone), alone, strict=True))
+    return wider, tuple(zip(design.groups, alone, strict=True))
 
 
 def _pieces(rows: Rows, fit: JointFit, names: Names) -> list[Array]:

@@ -19,7 +19,6 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import (
     Estimate,
     Layout,
-    has_phases,
     layout_of,
     name_coefficients,
     parameter_rows,
@@ -55,8 +54,6 @@ class Without:
 
 def find_leverage(
     fit: Fit,
-    groups: tuple[int, ...],
-    per_segment: bool,
     coefficients: tuple[Coefficient, ...],
     slow: bool = False,
 ) -> tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]:
@@ -64,8 +61,8 @@ def find_leverage(
 
     Parameters
     ----------
-    fit, groups, per_segment:
-        The finished fit and its phases.
+    fit:
+        The finished fit.
     coefficients:
         The result, with combined standard uncertainties, slow noise left out of them.
     slow:
@@ -85,15 +82,14 @@ def find_leverage(
     labels = fit.design.run.labels
     if not 1 < len(labels) <= MOST:
         return {}, (), ()
-    layout = layout_of(fit.design, len(set(groups)))
-    linear = has_phases(layout, groups)
-    parts = _amplitude_parts(layout, fit, groups) if linear else fit.summaries
+    layout, linear = layout_of(fit.design), fit.design.has_phases
+    parts = _amplitude_parts(layout, fit) if linear else fit.summaries
     common = [c for c in coefficients if c.segment is None]
-    whole = _named(fit, layout, _merged(parts), per_segment, linear)
+    whole = _named(fit, layout, _merged(parts), linear)
     size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
     table: dict[str, Any] = {}
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
-        left = _named(fit, layout, rest, per_segment, linear)
+        left = _named(fit, layout, rest, linear)
         table[label] = {"leverage": traced + (1.0 if linear else 0.0)} | _influence(common, whole, left)
     alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
     unit = "standard uncertainties" + (" by the noise of the angle" if slow else "")
@@ -114,7 +110,7 @@ def odd_segments(fit: Fit) -> tuple[str, ...]:
     return tuple(label for label, far in zip(fit.design.run.labels, odd, strict=True) if far)
 
 
-def _amplitude_parts(layout: Layout, fit: Fit, groups: tuple[int, ...]) -> list[Reduction]:
+def _amplitude_parts(layout: Layout, fit: Fit) -> list[Reduction]:
     """Summaries over the amplitudes, the phase of each segment taken out; observed is the residual."""
     names = tuple(name for name, _ in layout.amplitude_keys)
     parts = []
@@ -122,7 +118,7 @@ def _amplitude_parts(layout: Layout, fit: Fit, groups: tuple[int, ...]) -> list[
         rows = summary.factor
         rows[:, -1] -= rows[:, :-1] @ fit.solution.values[segment]
         part = Reduction.empty(names)
-        part.absorb(parameter_rows(layout, fit.solution, groups, segment, rows).T)
+        part.absorb(parameter_rows(fit.design, fit.solution, segment, rows).T)
         parts.append(part)
     return parts
 
@@ -164,7 +160,7 @@ def _lost(total: Reduction) -> frozenset[str]:
     return frozenset(lost | ({"phi"} if "tan_beta" in lost else set()))
 
 
-def _named(fit: Fit, layout: Layout, total: Reduction, per_segment: bool, linear: bool) -> Without:
+def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> Without:
     """Coefficients of a merger; ``linear``: it holds corrections of the amplitudes."""
     lost = _lost(total)
     if lost:
@@ -178,7 +174,7 @@ def _named(fit: Fit, layout: Layout, total: Reduction, per_segment: bool, linear
         )
     else:
         estimate = solve_parts(replace(layout, tails=layout.tails[:1]), [total])
-    named, _ = name_coefficients(fit.design, estimate, estimate.covariance, per_segment)
+    named, _ = name_coefficients(fit.design, estimate, estimate.covariance)
     common = [c for c in named if c.segment is None]
     return Without({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from piga.calibration.fit.one_run import Fit
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import solve_upper
-from piga.calibration.model.solution import has_phases, layout_of, name_coefficients, parameter_rows
+from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
 from piga.calibration.noise.weighting import Whitener, rate_share
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
@@ -236,15 +236,13 @@ class Tested:
     change: Array
 
 
-def suggest_terms(
-    fit: Fit, groups: tuple[int, ...], per_segment: bool, coefficients: tuple[Coefficient, ...]
-) -> tuple[dict[str, Any], ...]:
+def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[dict[str, Any], ...]:
     """The few missing terms that the residuals have the signature of, best first; none is applied.
 
     Parameters
     ----------
-    fit, groups, per_segment:
-        The finished fit and its phases.
+    fit:
+        The finished fit.
     coefficients:
         The result, with combined standard uncertainties.
 
@@ -258,8 +256,7 @@ def suggest_terms(
     left = candidate_terms(fit.design)
     if fit.design.request.phase_source != "output" or not left:
         return ()
-    layout = layout_of(fit.design, len(set(groups)))
-    pieces, rows = pieces_of(fit, groups, [name for names in left for name in names])
+    pieces, rows = pieces_of(fit, [name for names in left for name in names])
     found: list[dict[str, Any]] = []
     order = [name for names in left for name in names]
     limit = FALSE_ALARMS / len(left)
@@ -271,7 +268,7 @@ def suggest_terms(
             if (t := tested(pieces, order, names, rows))
             and t.probability < (THERMAL if names == ("k0_T",) else limit)
         ]
-        shifts = [_largest_shift(fit, per_segment, coefficients, t, has_phases(layout, groups)) for t in tests]
+        shifts = [_largest_shift(fit, coefficients, t) for t in tests]
         worth = [
             (test, shift)
             for test, shift in zip(tests, shifts, strict=True)
@@ -287,7 +284,7 @@ def suggest_terms(
         alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > ALIKE * best.fall]
         entry = _as_dict(best, shift, alike, fit.design.scale_factor)
         if square is not None and best.names[0] in ("servo", "k3"):
-            after = after_change(fit, per_segment, best.change, has_phases(layout, groups))
+            after = after_change(fit, best.change)
             entry |= _both_meanings(best, after, square, fit.design.scale_factor)
         found.append(entry)
         pieces = [with_term(piece, order, best.names) for piece in pieces]
@@ -321,9 +318,9 @@ def terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
-def pieces_of(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list[Array], int]:
+def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows."""
-    design, layout = fit.design, layout_of(fit.design, len(set(groups)))
+    design, layout = fit.design, layout_of(fit.design)
     segments = len(design.run.labels)
     parameters = len(layout.columns) + len(extra[:2])
     parts = 1 if segments >= parameters + SPARE else math.ceil(PIECES / segments)
@@ -339,7 +336,7 @@ def pieces_of(fit: Fit, groups: tuple[int, ...], extra: list[str]) -> tuple[list
             own, rows = rows[:, 0], rows[:, 1:]
             rows = rows - float(rate_share(fit.noise.stated[segment], own @ own)) * np.outer(own, own @ rows)
         split = np.array_split(rows, parts) if chunks else []
-        pieces += [parameter_rows(layout, fit.solution, groups, segment, piece) for piece in split]
+        pieces += [parameter_rows(design, fit.solution, segment, piece) for piece in split]
     return pieces, total
 
 
@@ -433,10 +430,10 @@ def _scatter_probability(parts: list[Array], scale: Array, model: Array, R: Arra
     return float(fdtrc(q, freedom, ratio))
 
 
-def after_change(fit: Fit, per_segment: bool, change: Array, amplitudes: bool) -> dict[str, float]:
-    """Coefficients (file units) by key after a change of the parameters: ``amplitudes``, or column coefficients."""
+def after_change(fit: Fit, change: Array) -> dict[str, float]:
+    """Coefficients (file units) by key after a change of the parameters: column coefficients, or amplitudes with several phases."""
     layout = layout_of(fit.design, max(len(fit.solution.phases), 1))
-    if amplitudes:
+    if fit.design.has_phases:
         moved = replace(fit.solution, amplitudes=fit.solution.amplitudes + change[: layout.size])
     else:
         linear = fit.solution.values[0] + change[: len(layout.columns)]
@@ -446,18 +443,16 @@ def after_change(fit: Fit, per_segment: bool, change: Array, amplitudes: bool) -
             amplitudes=layout.from_linear(linear, phase),
             phases=np.array([phase]) if layout.coupled else fit.solution.phases,
         )
-    named, _ = name_coefficients(fit.design, moved, fit.solution.covariance, per_segment)
+    named, _ = name_coefficients(fit.design, moved, fit.solution.covariance)
     return {c.key: c.value for c in named}
 
 
-def _largest_shift(
-    fit: Fit, per_segment: bool, coefficients: tuple[Coefficient, ...], test: Tested, amplitudes: bool
-) -> tuple[float, str]:
+def _largest_shift(fit: Fit, coefficients: tuple[Coefficient, ...], test: Tested) -> tuple[float, str]:
     """Largest change of a reported coefficient in its standard uncertainties, and its name.
 
     The phase is looked at where a candidate turns it by nature.
     """
-    after = after_change(fit, per_segment, test.change, amplitudes)
+    after = after_change(fit, test.change)
     left_out = () if test.names == ("servo_damping",) else ("phi",)
     shifts = [
         (abs(_difference(c, after[c.key])) / c.std, c.name)
