@@ -71,7 +71,10 @@ def test_intervals_that_turn_far_under_a_changing_force(axes: str) -> None:
 
 @pytest.mark.parametrize("count", range(5, 13))
 def test_many_correlated_coefficients(count: int) -> None:
-    """``u_ax`` from the whole covariance, against differences of the result itself."""
+    """``u_ax`` from the whole covariance, against differences of the result itself.
+
+    From the second interval on: the first holds what two samples of the reference do not tell, too.
+    """
     t = 0.01 * np.arange(60)
     f = G0 * np.column_stack((1.0 + 0.5 * np.sin(3.0 * t), 2.0 + np.cos(2.0 * t), -1.0 + 0.3 * t))
     names = ("scale_factor", "tan_beta", "phi", "k0", "k1", "k2", "k3", "m_Y", "m_Z", "k_XY", "k_YY", "k_YZ")[
@@ -93,7 +96,8 @@ def test_many_correlated_coefficients(count: int) -> None:
         columns.append((up - down) / (2.0 * step))
     jacobian = np.array(columns).T
     expected = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
-    np.testing.assert_allclose(found, expected, rtol=2e-2)
+    np.testing.assert_allclose(found[1:], expected[1:], rtol=2e-2)
+    assert found[0] > expected[0]
 
 
 @pytest.mark.parametrize("uneven", [False, True])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.arithmetic.smooth import bow_of, limited
 from piga._kernels.compensation import layout as at
-from piga._kernels.jit import exact
+from piga._kernels.jit import exact, inline
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,10 @@ LIMITED, NEXT_ORDER = 0.5, 0.15
 samples a period and more come back with mean squares of error over uncertainty of 0.1 to 1.1."""
 SERIES = 9.0
 """Square of half the angle turned up to which a bow is weighed with the angle."""
+BEGUN, TURNED = 1.0, 7e-4
+"""Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch, where two samples tell none:
+as parts of the change (the input began to move at the first sample) and of the mean (at a turning point of an
+oscillation with 170 samples a period, where the change is small, twice the uncertainty holds what is missing)."""
 FADING = 0.6
 """Part of a doubt that stands for the next interval: an oscillation's estimate passes through zero, its error not with it."""
 
@@ -57,6 +61,14 @@ def find_bow(n: int, row: int, bow: int, left: int, w: Array) -> None:
         w[bow + j] = bow_of(h, taken)
         size = LIMITED * abs(value - taken) + NEXT_ORDER * abs(first - second)
         w[left + j] = h * h * (1.0 / 12.0) * size
+        if (h != 0.0) & (w[at.STEP + j - 1] == 0.0):
+            w[left + j] = begun(w[row + j], w[row + j - 1])
+
+
+@inline
+def begun(x0: float, x1: float) -> float:
+    """The same for the first interval of a stretch; an input that does not change has none."""
+    return (BEGUN * abs(x0 - x1) + (0.5 * TURNED * abs(x0 + x1) if x0 != x1 else 0.0)) * (1.0 / 12.0)
 
 
 @exact
@@ -111,7 +123,7 @@ def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
     """What the samples do not tell of the mean force of every interval [m/s^2]; before the base rate is added.
 
     The uncertainties of the bows, and what the angle bends between the samples beyond the change of ``u_x`` that earlier
-    intervals let expect.
+    intervals let expect. The first interval of a stretch hands nothing on: its neighbour knows a second derivative.
     """
     inverse, before, slope = 1.0 / K, state[at.S_DOUBT], state[at.S_SLOPE]
     for j in range(1, n + 1):
@@ -119,21 +131,29 @@ def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
         bend = w[at.STEP + j] * abs(w[at.ACROSS + j - 1] + w[at.ACROSS + j]) * (1.0 / 24.0 if settled else 0.0)
         across = w[at.LEFT_Y + j] * abs(w[at.SINE + j]) + w[at.LEFT_Z + j] * abs(w[at.COSINE + j])
         here = (w[at.LEFT_X + j] + across) * inverse + bend * abs(w[at.SLOPE + j] - slope)
-        before = max(here, FADING * before) if w[at.STEP + j] != 0.0 else 0.0
-        w[at.DOUBT + j] = before
+        w[at.DOUBT + j] = max(here, FADING * before) if w[at.STEP + j] != 0.0 else 0.0
+        before = w[at.DOUBT + j] if w[at.STEP + j - 1] != 0.0 else 0.0
         slope = w[at.SLOPE + j]
     state[at.S_DOUBT], state[at.S_SLOPE] = before, slope
 
 
 @exact
-def find_set_doubt(n: int, K: float, state: Array, w: Array) -> None:
-    """The same for an instrument of a set, whose transverse force is solved for: base rate only."""
+def find_set_doubt(n: int, K: float, tangent: float, bend: Array, state: Array, w: Array) -> None:
+    """The same for an instrument of a set, whose transverse force is solved for.
+
+    ``bend`` (3, rows) is what the change of the force over an interval may be off by, in the instrument's axes [m/s^2].
+    The rows RATE hold all of the transverse input.
+    """
     before = state[at.S_DOUBT]
     for j in range(1, n + 1):
-        across = w[at.LEFT_Y + j] * abs(w[at.SINE + j]) + w[at.LEFT_Z + j] * abs(w[at.COSINE + j])
-        here = (w[at.LEFT_X + j] + across) / K
-        before = max(here, FADING * before) if w[at.STEP + j] != 0.0 else 0.0
-        w[at.DOUBT + j] = before
+        sine, cosine = w[at.SINE + j], w[at.COSINE + j]
+        left = w[at.LEFT_X + j] + w[at.LEFT_Y + j] * abs(sine) + w[at.LEFT_Z + j] * abs(cosine)
+        across = w[at.RATE_Y + j] * cosine + w[at.RATE_Z + j] * sine
+        turn = tangent * (w[at.PSI + j] - w[at.PSI + j - 1])
+        force = w[at.STEP + j] * across * bend[0, j] - turn * (bend[1, j] * cosine + bend[2, j] * sine)
+        here = left / K + abs(force) * (1.0 / 12.0)
+        w[at.DOUBT + j] = max(here, FADING * before) if w[at.STEP + j] != 0.0 else 0.0
+        before = w[at.DOUBT + j] if w[at.STEP + j - 1] != 0.0 else 0.0
     state[at.S_DOUBT] = before
 
 

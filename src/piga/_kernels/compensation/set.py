@@ -31,7 +31,8 @@ R_X, R_Y, R_Z = 15 * at.STRIDE, 16 * at.STRIDE, 17 * at.STRIDE
 MISFIT = 18 * at.STRIDE
 CHI = 19 * at.STRIDE
 WEIGHT = 20 * at.STRIDE
-SET_WORK = 21 * at.STRIDE
+BEND_X, BEND_Y, BEND_Z = 21 * at.STRIDE, 22 * at.STRIDE, 23 * at.STRIDE  # standard uncertainty of RISE
+SET_WORK = 24 * at.STRIDE
 SET_STATE = 21  # early estimate and force of the last row, early estimates of the two rows before it, those without weights
 EARLY_PLACES = (0, 6, 9)  # of the last rows, the latest first
 PLAIN_PLACES = (12, 15, 18)  # the same of the solution without weights
@@ -286,12 +287,13 @@ def keep_early(rows: int, c: Array) -> None:
 
 
 @kernel
-def find_rise(rows: int, early: int, rise: int, w: Array, c: Array) -> None:
+def find_rise(rows: int, early: int, rise: int, bend: int, w: Array, c: Array) -> None:
     """Change of a component of the force over every interval, from its early estimates there and before.
 
     ``d + d^2/2 + d^3/4`` of backward differences ``d``, as for one instrument
     (:func:`piga._kernels.compensation.near.invert_near`); the differences there are behind the beginning of a stretch, the
-    first one where intervals differ.
+    first one where intervals differ. The last term of this series is what the change may be off by (row ``bend``); the first
+    interval of a stretch tells nothing.
     """
     for j in range(1, rows + 1):
         h0, h1 = w[at.STEP + j], w[at.STEP + j - 1]
@@ -304,6 +306,18 @@ def find_rise(rows: int, early: int, rise: int, w: Array, c: Array) -> None:
         value += 0.5 * second if even else 0.0
         value += 0.25 * third if even & (w[at.STEP + j - 3] != 0.0) else 0.0
         c[rise + j] = value if joined else 0.0
+        known = w[at.STEP + j - 2] != 0.0
+        last = 0.25 * third if even & (w[at.STEP + j - 3] != 0.0) else (0.5 * second if known else change)
+        c[bend + j] = last if joined else 0.0
+
+
+@exact
+def turn_bend(n: int, axes: Array, c: Array, out: Array) -> None:
+    """What the change of the force may be off by in the axes of an instrument, into ``out`` (3, rows)."""
+    for j in range(1, n + 1):
+        x, y, z = c[BEND_X + j], c[BEND_Y + j], c[BEND_Z + j]
+        for k in range(3):
+            out[k, j] = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
 
 
 @exact

@@ -48,7 +48,6 @@ def load_instrument(
         angle.describe_changes(n, w)
         set_of.interval_axis(rows, p, axes, w)
         between.find_bows(n, omega.shape[0] > 0, state, w)
-        between.find_set_doubt(n, p[at.P_K], state, w)
         set_of.mean_base(rows, w)
     for j in range(1, rows + 1):
         w[at.INPUT + j] = 0.0
@@ -89,13 +88,15 @@ def solve_rounds(
         if k == rounds // 2 - 1 and not sampled:
             set_of.keep_early(rows, c)
             for axis in range(0, 3 * at.STRIDE, at.STRIDE):
-                set_of.find_rise(rows, set_of.EARLY_X + axis, set_of.RISE_X + axis, w[0], c)
+                set_of.find_rise(
+                    rows, set_of.EARLY_X + axis, set_of.RISE_X + axis, set_of.BEND_X + axis, w[0], c
+                )
 
 
 @exact
 def weigh(
     n: int, i: int, per: int, axes: Array, parameters: Array, codes: NDArray[np.int64], factor: Array, weights: Array,
-    scratch: Array, w: Array, c: Array,
+    scratch: Array, state: Array, bend: Array, w: Array, c: Array,
 ) -> None:  # fmt: skip
     """Weights ``1/u^2`` of an instrument from the uncertainty of its indication, dead zone included."""
     K, tangent = parameters[i, at.P_K], parameters[i, at.P_TAN_BETA]
@@ -103,6 +104,9 @@ def weigh(
     for j in range(1, n + 1):
         w[i, at.RATE_Y + j] = K * tangent * w[i, at.MEAN_Y + j] + w[i, at.BASE_Y + j]
         w[i, at.RATE_Z + j] = K * tangent * w[i, at.MEAN_Z + j] + w[i, at.BASE_Z + j]
+    if per == at.INVERSE:
+        set_of.turn_bend(n, axes[i], c, bend)
+        between.find_set_doubt(n, K, tangent, bend, state, w[i])
     known.find_uncertainty(n, per, False, parameters[i], codes, factor, w[i], scratch[:n])
     for j in range(1, n + 1):
         weights[i, j] = 1.0 / (scratch[j - 1] * scratch[j - 1]) if scratch[j - 1] > 0.0 else 1.0
@@ -112,10 +116,11 @@ def weigh(
 def weigh_all(
     n: int, sampled: bool, has_terms: NDArray[np.bool_], parameters: Array, axes: Array,
     codes: NDArray[np.int64],
-    factors: Array, weights: Array, scratch: Array, w: Array, c: Array,
+    factors: Array, weights: Array, scratch: Array, states: Array, w: Array, c: Array,
 ) -> None:  # fmt: skip
     """Weights of all instruments; a redundant set is solved again with them."""
     count = parameters.shape[0]
+    bend = np.zeros((3, at.STRIDE))
     for i in range(count):
         weigh(
             n,
@@ -127,6 +132,8 @@ def weigh_all(
             factors[i],
             weights,
             scratch,
+            states[i],
+            bend,
             w,
             c,
         )
@@ -216,7 +223,7 @@ def compensate_set(
         save_early(n, set_of.PLAIN_PLACES, set_state, c)
         if weighed:
             take_early(set_of.EARLY_PLACES, set_state, c)
-            weigh_all(n, sampled, has_terms, parameters, axes, codes, factors, weights, scratch, w, c)
+            weigh_all(n, sampled, has_terms, parameters, axes, codes, factors, weights, scratch, states, w, c)
         write_set(
             n, sampled, w[0], c, force[start:stop], dv[start:stop], u[start:stop], residual[start:stop]
         )  # fmt: skip
