@@ -12,7 +12,7 @@ from pathlib import Path
 from piga.reports.render.figure import Figure
 from piga.reports.render.static import write_figure
 from piga.studies import Chapter, Reproduction, reproduce
-from piga.studies.page import SOURCES, difference, number, short_id, summary
+from piga.studies.reproduction import SOURCES, difference, number, short_id, summary
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = "figures/reproduction"

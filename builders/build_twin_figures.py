@@ -16,22 +16,20 @@ from piga.calibration.calibrate import calibrate
 from piga.earth import Site
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin.electronics import Electronics
-from piga.instrument.twin.linear import analyse_loop
-from piga.instrument.twin.parameters import PRESETS
-from piga.instrument.twin.predictions import (
+from piga.instrument.twin.linear import (
+    analyse_loop,
     predicted_k2,
     predicted_rectification,
     predicted_second_harmonic,
 )
+from piga.instrument.twin.parameters import PRESETS
 from piga.instrument.twin.run import run_twin
-from piga.reports.calibration.figures import order_spectrum, scale_factor
-from piga.reports.calibration.rotation_figures import spectrum_figure
+from piga.reports.calibration.figures import order_spectrum, scale_factor, spectrum_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.static import write_figure
-from piga.reports.stand.simulation_figures import loop_figures, servo_figure
+from piga.reports.stand import loop_figures, servo_figure
 from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
-from piga.stand.truth import coefficients, predicted_angle_error
-from piga.stand.write_run import run_file_text, write_data
+from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, write_data
 from piga.units import ARCSEC, G0
 
 OUT = Path(__file__).parents[1] / "docs" / "figures"

@@ -117,16 +117,13 @@ CALIBRATION = {
     "calibration/classical/revolutions": REVOLUTIONS,
 }
 INSTRUMENT = {
-    "instrument/motion/constant_motion instrument/regimes": MOTION,
+    "instrument/motion/closed_form instrument/regimes": [*MOTION, *ANALYSIS],
     "instrument/twin/electronics": tests_of("instrument", "electronics", "borders"),
-    "instrument/motion/fleet": tests_of("instrument", "fleet"),
-    "instrument/motion/function_input instrument/motion/input_forms "
-    "instrument/motion/sampled_motion instrument/motion/sensitivity": [
+    "instrument/motion/function_input instrument/motion/sampled_motion": [
         *SAMPLES,
         *tests_of("instrument", "fleet"),
     ],
-    "instrument/motion/motion_analysis instrument/published": ANALYSIS,
-    "instrument/twin/run instrument/twin/linear instrument/twin/parameters instrument/twin/predictions": TWIN,
+    "instrument/twin/run instrument/twin/linear instrument/twin/parameters": TWIN,
 }
 COMPENSATION = {
     "compensation/compensate compensation/compensator compensation/model compensation/step "
@@ -140,16 +137,15 @@ COMPENSATION = {
     "compensation/sets/triad compensation/mounting": SETS,
 }
 PLATFORM_ROOM = {
-    "platform/identification/alignment platform/identification/disturbance "
-    "platform/identification/estimate platform/identification/identified "
-    "platform/identification/observation platform/identification/sources "
-    "platform/model/case_rotation": IDENTIFIED,
-    "platform/navigation/analysis platform/runs/budget platform/navigation/error_model "
-    "platform/model/models platform/identification/observability platform/runs/capstone": ERRORS,
-    "platform/model/geodesy platform/model/geometry platform/model/motion "
-    "platform/navigation/navigator platform/model/scenario platform/model/simulate "
-    "platform/identification/recursion": PLATFORM,
-    "platform/runs/chain platform/model/triad platform/runs/output": TRIADS,
+    "platform/identification/alignment platform/identification/observation "
+    "platform/identification/estimate": IDENTIFIED,
+    "platform/identification/identify": [*IDENTIFIED, *ERRORS, *PLATFORM],
+    "platform/navigation/analysis platform/runs/budget platform/model/models platform/runs/capstone": ERRORS,
+    "platform/navigation/navigator": [*PLATFORM, *ERRORS],
+    "platform/model/geometry": [*PLATFORM, *IDENTIFIED],
+    "platform/model/scenario": PLATFORM,
+    "platform/model/simulate": [*PLATFORM, *TRIADS],
+    "platform/runs/chain platform/runs/output": TRIADS,
 }
 KERNELS = {
     "_kernels/compensation/compensate _kernels/compensation/bow "

@@ -19,9 +19,9 @@ import piga
 from piga.cli.main import app as command_line
 from piga.compensation.sets.triad_file import TriadFile
 from piga.planning.plan_file import PlanTable
-from piga.platform.model.scenario_file import ScenarioFile
+from piga.platform.model.scenario import ScenarioFile
 from piga.records.run_file import RunFile
-from piga.stand.scenario_tables import ScenarioTable
+from piga.stand.scenario import ScenarioTable
 
 PLAIN = ("units", "frames", "earth", "errors")
 """Modules that are rooms of their own."""

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import piga
+from piga.instrument.twin.linear import servo_terms
 from piga.instrument.twin.parameters import PRESETS, TwinParameters
-from piga.instrument.twin.predictions import servo_terms
 from piga.instrument.twin.run import run_twin
 from piga.units import G0
 

@@ -15,8 +15,7 @@ from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.reports.compensation import outline as compensation_outline
 from piga.reports.compensation import page as compensation
-from piga.reports.compensation.errors import in_windows
-from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure
+from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
 from piga.reports.compensation.page import outline_of
 from piga.units import G0
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 import piga
-from piga.reports.compensation.errors import compensation_errors, error_figures
+from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.reports.render.orders import order_spectrum
 from piga.units import G0
 

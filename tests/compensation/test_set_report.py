@@ -12,11 +12,15 @@ import pytest
 from piga.compensation import FLAGS, SetCompensator, compensate_triad
 from piga.compensation.sets.set_files import Rows
 from piga.records.coverage import TYPE_A_ONLY
-from piga.reports.compensation import set_page as compensation_set
-from piga.reports.compensation.figures import correction_spectrum
-from piga.reports.compensation.set_figures import misfit_figure, set_force_figure, set_orders_figure
-from piga.reports.compensation.set_outline import SetOutline
-from piga.reports.compensation.set_page import SetFacts, set_page
+from piga.reports.compensation import page as compensation_set
+from piga.reports.compensation.figures import (
+    correction_spectrum,
+    misfit_figure,
+    set_force_figure,
+    set_orders_figure,
+)
+from piga.reports.compensation.outline import SetOutline
+from piga.reports.compensation.page import SetFacts, set_page
 from piga.reports.render.page import page_html
 from piga.units import G0
 

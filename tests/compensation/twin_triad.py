@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from piga.compensation import Mounted, SetCompensator, compensate
 from piga.instrument.twin.electronics import random_walk
+from piga.instrument.twin.linear import predicted_k2
 from piga.instrument.twin.parameters import PRESETS, TwinParameters
-from piga.instrument.twin.predictions import predicted_k2
 from piga.instrument.twin.run import run_twin
 from piga.records import Run
 from piga.units import G0

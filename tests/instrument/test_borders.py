@@ -12,7 +12,7 @@ import pytest
 from piga.errors import ArgumentError, PigaError
 from piga.instrument import Instrument, closed_form, propagate_function, propagate_segments
 from piga.instrument.checks import float_array
-from piga.instrument.motion.fleet import available_cores
+from piga.instrument.motion.sampled_motion import available_cores
 from piga.instrument.twin.linear import analyse_loop
 from piga.instrument.twin.parameters import PRESETS
 from piga.instrument.twin.run import run_twin

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from piga.errors import ArgumentError
+from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.instrument.twin.parameters import PRESETS
-from piga.instrument.twin.predictions import ServoParameters, servo_terms
 
 from .servo_truth import Design, G, mean_rate, waves
 

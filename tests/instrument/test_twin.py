@@ -13,13 +13,13 @@ from scipy.integrate import solve_ivp
 from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
 from piga.instrument import ErrorModel, Instrument, propagate
-from piga.instrument.twin.parameters import PRESETS, TwinParameters, parameter_table, twin_parameters
-from piga.instrument.twin.predictions import (
+from piga.instrument.twin.linear import (
     predicted_k2,
     predicted_rate_error,
     predicted_rectification,
     predicted_second_harmonic,
 )
+from piga.instrument.twin.parameters import PRESETS, TwinParameters, parameter_table, twin_parameters
 from piga.instrument.twin.run import quasi_steady_state, run_twin, slow_manifold
 from piga.units import G0
 

@@ -20,7 +20,7 @@ from piga.planning.mounting import plan_mounting
 from piga.planning.plan import plan_document, plan_test, scenario_text
 from piga.planning.plan_file import read_plan
 from piga.planning.prediction import Visit, noiseless_run, predict
-from piga.reports.planning.page import plan_page, plan_text
+from piga.reports.planning import plan_page, plan_text
 from piga.reports.render.page import page_html
 from piga.stand import read_scenario, run_scenario
 from tests.planning.cases import request

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from piga.cli.main import app
 from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
-from piga.reports.planning.page import plan_text
+from piga.reports.planning import plan_text
 from piga.stand import read_scenario
 from tests.planning.cases import request
 

@@ -7,7 +7,7 @@ import pytest
 
 from piga.platform import error_budget, linear_errors, monte_carlo, simulate, standard_sources
 from piga.platform.model.scenario import Place
-from piga.platform.navigation.error_model import Perturbation
+from piga.platform.navigation.navigator import Perturbation
 from piga.platform.runs.budget import perturbed_errors
 
 from .conftest import DEG, INTERPRETED, only_compiled, published, wobbling

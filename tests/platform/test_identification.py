@@ -8,8 +8,8 @@ import pytest
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_recursively, observability, simulate
 from piga.platform.identification.estimate import Group, solve
-from piga.platform.identification.sources import Record
-from piga.platform.model.case_rotation import apparent_gyro
+from piga.platform.identification.observation import Record
+from piga.platform.model.geometry import apparent_gyro
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
 
 from .conftest import ARCMIN, ARCSEC, DEG, INTERPRETED, NOISE, calibration, only_compiled, truth
@@ -89,7 +89,7 @@ def test_a_long_record_is_cut_into_stretches(monkeypatch):
     readouts = simulate(s).readouts
     assert len(Record.checked(readouts, ("force",), 3).stretches) == 3
     cut = identify(readouts, s.place, sources=("force",))
-    monkeypatch.setattr("piga.platform.identification.disturbance._TURNS", 100)
+    monkeypatch.setattr("piga.platform.identification.observation._TURNS", 100)
     assert len(Record.checked(readouts, ("force",), 3).stretches) == 1
     whole = identify(readouts, s.place, sources=("force",))
     std = np.sqrt(np.diag(whole.covariance))

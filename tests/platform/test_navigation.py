@@ -13,14 +13,15 @@ from piga._kernels.platform.navigation import gravitation as kernel_gravitation
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
 from piga.platform import Navigator, Start, compensator, errors, navigate, simulate, true_knowledge
-from piga.platform.model.geodesy import (
+from piga.platform.model.geometry import (
     KERNEL_EARTH,
     earth_to_geodetic,
     geodetic_to_earth,
+    gimbal_attitude,
     gravitation,
     local_axes,
+    small_angle_attitude,
 )
-from piga.platform.model.geometry import gimbal_attitude, small_angle_attitude
 from piga.platform.model.models import modelled_angles
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation
 from piga.platform.navigation.navigator import true_start

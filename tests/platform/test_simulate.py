@@ -12,18 +12,20 @@ from piga import earth
 from piga.errors import DataError
 from piga.frames import axis_turn, matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform import simulate
-from piga.platform.model.case_rotation import averaged_drift, encoder_angle
-from piga.platform.model.geodesy import (
+from piga.platform.model.geometry import (
+    averaged_drift,
     earth_to_geodetic,
+    encoder_angle,
     geodetic_to_earth,
+    gimbal_attitude,
     gravitation,
     gravity,
     local_axes,
+    nulled_attitude,
     specific_force_at_rest,
 )
-from piga.platform.model.geometry import gimbal_attitude, nulled_attitude
-from piga.platform.model.motion import base_motion
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, Rotation, Sensors
+from piga.platform.model.simulate import base_motion
 
 from .conftest import ARCSEC, DEG, published
 

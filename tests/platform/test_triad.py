@@ -10,7 +10,7 @@ import pytest
 from piga._kernels.platform.triad import solve_triad
 from piga.errors import ArgumentError
 from piga.platform.model.scenario import Compensation, Gyro, PigaSensors, Sensors
-from piga.platform.model.triad import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
+from piga.platform.model.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
 from piga.platform.runs.capstone import capstone
 
 from .conftest import DEG, only_compiled, published

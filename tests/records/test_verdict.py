@@ -17,7 +17,7 @@ from piga.records.coverage import TYPE_A_ONLY
 from piga.records.verdict import THRESHOLDS, verdict
 from piga.reports.calibration.page import calibration_page, calibration_text
 from piga.reports.render.page import page_html
-from piga.reports.trend.page import trend_document, trend_page, trend_text
+from piga.reports.trend import trend_document, trend_page, trend_text
 from piga.units import G0
 from tests.reports.example import calibration
 

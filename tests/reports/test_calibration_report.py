@@ -7,7 +7,6 @@ import pytest
 
 from piga.records.calibration import Outlier, RunRecord
 from piga.records.terms import shown_unit
-from piga.reports.calibration.budget import budget_tables
 from piga.reports.calibration.figures import (
     convergence_figure,
     elapsed_time,
@@ -21,7 +20,7 @@ from piga.reports.calibration.page import (
     calibration_text,
     write_calibration_report,
 )
-from piga.reports.calibration.tables import coefficient_table, residual_quantity, scalars
+from piga.reports.calibration.tables import budget_tables, coefficient_table, residual_quantity, scalars
 from piga.reports.render.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker

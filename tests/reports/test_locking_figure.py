@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piga.instrument import Instrument, closed_form
-from piga.reports.stand.locking import locking_figure
+from piga.reports.stand import locking_figure
 from piga.units import ARCSEC, G0
 
 INST = Instrument("0.8884 rad/s/g", "1000 arcsec")

@@ -28,7 +28,7 @@ from piga.records.calibration_json import calibration_to_bytes, to_document
 from piga.records.run_file import UncertaintyTable
 from piga.reports.calibration.page import calibration_page, calibration_text
 from piga.reports.render.page import page_html
-from piga.reports.trend.page import trend_document, trend_page
+from piga.reports.trend import trend_document, trend_page
 from piga.trend.history import find_trend
 from piga.units import G0
 from tests.reports.certificate_data import changed, complete

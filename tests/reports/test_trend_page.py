@@ -12,8 +12,7 @@ import pytest
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import page_html
 from piga.reports.render.static import figure_svg
-from piga.reports.trend.figures import scale_of, trend_figure
-from piga.reports.trend.page import trend_document, trend_page, trend_text
+from piga.reports.trend import scale_of, trend_document, trend_figure, trend_page, trend_text
 from piga.trend.history import find_trend
 from tests.trend.history import START, history, record
 

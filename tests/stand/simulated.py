@@ -9,8 +9,7 @@ from piga.stand import (
     DividingHead,
     read_run,
 )
-from piga.stand.truth import coefficients
-from piga.stand.write_run import run_file_text, write_data
+from piga.stand.write_run import coefficients, run_file_text, write_data
 
 SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0, 2.0, 4.0), dwell=20.0, move=5.0)

@@ -7,7 +7,7 @@ from piga.stand import (
     DividingHead,
     SpinPlan,
 )
-from piga.stand.machines.dividing_head import position_range
+from piga.stand.machines.turning import position_range
 
 SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, position_range(0.0, 2 * math.pi, math.radians(15.0)))

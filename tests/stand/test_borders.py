@@ -29,8 +29,7 @@ from piga.stand import (
 from piga.stand.imperfections import NONE
 from piga.stand.machines.logged import read_profile
 from piga.stand.run_reference import _followed
-from piga.stand.truth import coefficients, predicted_angle_error
-from piga.stand.write_run import run_file_text, toml_table, truth_document
+from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, toml_table, truth_document
 from piga.units import G0
 
 from .simulated import COUNTS, INST, SCENARIO, written

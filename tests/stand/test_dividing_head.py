@@ -15,7 +15,7 @@ from piga.stand import (
     sample_stand,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.machines.dividing_head import position_range
+from piga.stand.machines.turning import position_range
 from piga.units import ARCSEC, G0
 
 from .stands import HEAD, SITE

@@ -25,7 +25,7 @@ from piga.stand import (
     simulate_test,
 )
 from piga.stand.simulate import straightened
-from piga.stand.truth import predicted_angle_error
+from piga.stand.write_run import predicted_angle_error
 
 from .simulated import INST, SCENARIO, SITE, saved, truth_of
 

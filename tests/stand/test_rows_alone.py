@@ -8,7 +8,7 @@ import pytest
 from piga.frames import axis_turn
 from piga.stand import Centrifuge, Composite, DividingHead, RateTable
 from piga.stand.imperfections import Imperfections
-from piga.stand.machines.geometry import in_axes
+from piga.stand.machines.turning import in_axes
 from tests.stand.stands import SITE, SPIN
 
 STANDS = [

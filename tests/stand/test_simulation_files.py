@@ -14,8 +14,7 @@ from piga.stand import (
     read_scenario,
     run_scenario,
 )
-from piga.stand.truth import imperfection_values
-from piga.stand.write_run import log_table, run_file_text, truth_text, write_data
+from piga.stand.write_run import imperfection_values, log_table, run_file_text, truth_text, write_data
 
 from .simulated import SCENARIO, saved, truth_of, written
 

@@ -11,8 +11,7 @@ from piga.cli.main import app
 from piga.instrument.twin.parameters import PRESETS
 from piga.reports.render.figure import Figure
 from piga.reports.render.page import page_html
-from piga.reports.stand.simulation import simulation_page, simulation_text
-from piga.reports.stand.simulation_figures import simulation_figures
+from piga.reports.stand import simulation_figures, simulation_page, simulation_text
 from piga.stand import (
     DividingHead,
     Imperfections,
@@ -20,7 +19,7 @@ from piga.stand import (
     read_run,
     simulate_test,
 )
-from piga.stand.truth import coefficients
+from piga.stand.write_run import coefficients
 
 from .simulated import COUNTS, INST, SITE, written
 

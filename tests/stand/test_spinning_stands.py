@@ -15,7 +15,7 @@ from piga.stand import (
     force_change,
 )
 from piga.stand.imperfections import NONE
-from piga.stand.machines.centrifuge import rates_for_levels
+from piga.stand.machines.turning import rates_for_levels
 from piga.units import G0
 
 from .stands import SITE, SPIN, derivative

@@ -15,14 +15,13 @@ from piga.studies import (
     Chapter,
     chosen,
     constant,
-    mounting,
     platform,
     recursion,
     reproduce,
     varying,
 )
-from piga.studies.page import reproduction_page, summary, text_lines
-from piga.studies.publication import published_calibration, raw_state
+from piga.studies.case import published_calibration, raw_state
+from piga.studies.reproduction import reproduction_page, summary, text_lines
 
 QUICK = (
     "constant-input",
@@ -107,11 +106,11 @@ def test_a_wrong_propagator_fails(monkeypatch):
 
 def test_a_wrong_closed_form_fails(monkeypatch):
     monkeypatch.setattr(
-        mounting,
+        varying,
         "closed_form",
         lambda inst, *a: closed_form(Instrument(inst.scale_factor, 1.01 * inst.beta), *a),
     )
-    assert [case.verdict for case in mounting.chapter().cases] == ["pass", "fail", "info"]
+    assert [case.verdict for case in varying.mounting().cases] == ["pass", "fail", "info"]
 
 
 def test_wrong_forms_and_geometry_fail(monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from piga.cli.main import app
-from piga.studies import run
+from piga.studies import reproduction
 from piga.studies.case import Case, Chapter
 
 KEYS = {
@@ -84,7 +84,9 @@ def test_out_writes_page_and_pictures(tmp_path):
 
 def test_disagreement_ends_with_exit_code_1(monkeypatch):
     wrong = Case("mounting.moves", "[Wei2024]", "skew", "arcsec", 1000.0, 900.0, 0.1, "a wrong number")
-    monkeypatch.setitem(run.CHAPTERS, "mounting", lambda: Chapter("mounting", "Mounting", "", "", (wrong,), ()))
+    monkeypatch.setitem(
+        reproduction.CHAPTERS, "mounting", lambda: Chapter("mounting", "Mounting", "", "", (wrong,), ())
+    )
     done = CliRunner().invoke(app, ["reproduce", "--only", "mounting"])
     assert done.exit_code == 1
     assert "1 cases: 0 agree, 1 do not" in done.stdout

@@ -8,9 +8,14 @@ from piga.cli.common import write_by_rename
 from piga.compensation import Compensated, Mounted
 from piga.records import Calibration, Run, read_run_file
 from piga.records.spool import give_back
-from piga.reports.compensation.page import CompensationFacts, outline_of, write_compensation_report
-from piga.reports.compensation.set_outline import SetOutline
-from piga.reports.compensation.set_page import SetFacts, write_set_report
+from piga.reports.compensation.outline import SetOutline
+from piga.reports.compensation.page import (
+    CompensationFacts,
+    SetFacts,
+    outline_of,
+    write_compensation_report,
+    write_set_report,
+)
 
 
 class Report:

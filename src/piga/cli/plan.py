@@ -33,7 +33,7 @@ def plan(
     from piga.planning.mounting import plan_mounting
     from piga.planning.plan import plan_document, plan_test, scenario_text
     from piga.planning.plan_file import read_plan
-    from piga.reports.planning.page import plan_text, write_plan_report
+    from piga.reports.planning import plan_text, write_plan_report
 
     folder = out or plan_file.with_name(f"{plan_file.stem}-plan")
     with results(folder, "plan", RESULTS, files_named_in(plan_file), force=force) as stage:

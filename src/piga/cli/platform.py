@@ -101,8 +101,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 
     Leaves identification.json and a page.
     """
-    from piga.platform.identification.observability import observability
-    from piga.platform.identification.recursion import identify_recursively
+    from piga.platform.identification.identify import identify_recursively, observability
     from piga.platform.runs.chain import identified
     from piga.platform.runs.output import identification_document
     from piga.reports.platform.page import identification_page
@@ -131,7 +130,7 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     Leaves navigation-MODEL.parquet and a page.
     """
     from piga.platform.runs.output import navigation_table
-    from piga.reports.platform.models import navigation_page
+    from piga.reports.platform.page import navigation_page
 
     comparison = _compared(scenario)
     with _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder:
@@ -178,8 +177,7 @@ def compare(
         document["scatter"] = scatter_document(scatter)
     if out is not None:
         from piga.platform.runs.capstone import capstone
-        from piga.reports.platform.capstone import capstone_page
-        from piga.reports.platform.models import comparison_page
+        from piga.reports.platform.page import capstone_page, comparison_page
 
         with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder:
             _write_json(folder / "comparison.json", document)

@@ -33,7 +33,7 @@ def reproduce(
     Published, computed, difference, verdict; exit 1 if one disagrees.
     """
     from piga.studies import Reproduction, chosen, run_chapters
-    from piga.studies.page import summary
+    from piga.studies.reproduction import summary
 
     names = chosen(only)
     chapters = []
@@ -58,7 +58,7 @@ def reproduce(
 
 
 def _print_table(found: Reproduction) -> None:
-    from piga.studies.page import text_lines
+    from piga.studies.reproduction import text_lines
 
     plain = "NO_COLOR" in os.environ
     for verdict, line in text_lines(found):
@@ -73,7 +73,7 @@ def _write(found: Reproduction, folder: Path) -> None:
 
     from piga.reports.render.page import write_page
     from piga.reports.render.static import write_figure
-    from piga.studies.page import reproduction_page
+    from piga.studies.reproduction import reproduction_page
 
     pictures = folder / "figures"
     pictures.mkdir()

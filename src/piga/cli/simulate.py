@@ -29,7 +29,7 @@ def simulate(
     json: Annotated[bool, typer.Option("--json", help="Print the truth as JSON.")] = False,
 ) -> None:
     """Simulate a test: a run to calibrate, and the truth beside it."""
-    from piga.reports.stand.simulation import simulation_text, write_simulation_report
+    from piga.reports.stand import simulation_text, write_simulation_report
     from piga.stand.scenario import read_scenario, run_scenario
     from piga.stand.write_run import run_file_text, truth_document, truth_text, write_data
 

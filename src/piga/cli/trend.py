@@ -66,7 +66,7 @@ def trend(
 
     Stability over time, drift per year, control limits, a forecast, and alarms in words.
     """
-    from piga.reports.trend.page import trend_text
+    from piga.reports.trend import trend_text
     from piga.trend.history import find_trend
 
     gc.set_threshold(*RARELY)
@@ -75,7 +75,7 @@ def trend(
     date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
     written = [] if out is None else _written(out, _files(sources or []), found, date, force)
     if as_json:
-        from piga.reports.trend.page import trend_document
+        from piga.reports.trend import trend_document
 
         print_json(trend_document(found, at=date))
         return
@@ -86,7 +86,7 @@ def trend(
 
 def _written(out: Path, inputs: list[Path], found: Trend, date: dt.datetime, force: bool) -> list[Path]:
     """trend.json and trend.html."""
-    from piga.reports.trend.page import trend_document, write_trend_report
+    from piga.reports.trend import trend_document, write_trend_report
 
     text = json.dumps(trend_document(found, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:

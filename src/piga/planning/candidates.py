@@ -26,7 +26,7 @@ from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor
 from piga.stand.imperfections import NONE
 from piga.stand.profile import Stand
-from piga.stand.scenario_tables import (
+from piga.stand.scenario import (
     CentrifugeTable,
     DividingHeadTable,
     RateTableTable,

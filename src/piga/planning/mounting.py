@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from piga.errors import ArgumentError, CalibrationError
 from piga.planning.plan_file import PlanRequest
 from piga.stand.imperfections import NONE
-from piga.stand.machines.dividing_head import position_range
+from piga.stand.machines.turning import position_range
 from piga.units import to_si
 
 Array = NDArray[np.float64]

@@ -39,7 +39,7 @@ from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
 from piga.planning.prediction import Prediction, Visit, predict, stand_table
 from piga.records.terms import unit_of
-from piga.stand.scenario_tables import DividingHeadTable
+from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values, toml_table
 
 Array = NDArray[np.float64]

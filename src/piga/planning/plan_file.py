@@ -17,15 +17,16 @@ from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, Table, UncertaintyTable
 from piga.records.terms import check_terms, si_factor, unit_of
 from piga.records.toml_file import read_toml
-from piga.stand.scenario import Scenario, scenario_of
-from piga.stand.scenario_tables import (
+from piga.stand.scenario import (
     CentrifugeTable,
     CompositeTable,
     DividingHeadTable,
     ProfileTable,
     RateTableTable,
+    Scenario,
     ScenarioTable,
     SimpleStand,
+    scenario_of,
 )
 from piga.units import to_si
 

@@ -5,17 +5,21 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 """
 
 from piga.platform.identification.alignment import Alignment, align
-from piga.platform.identification.identified import Identification
-from piga.platform.identification.identify import identify
-from piga.platform.identification.observability import observability
-from piga.platform.identification.recursion import identify_recursively
+from piga.platform.identification.identify import Identification, identify, identify_recursively, observability
 from piga.platform.model.geometry import nulled_attitude, small_angle_attitude, small_angles
 from piga.platform.model.models import Compensator, Knowledge, compensator, true_knowledge
 from piga.platform.model.scenario import Scenario, load_scenario
 from piga.platform.model.simulate import Readouts, Run, simulate
 from piga.platform.navigation.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
-from piga.platform.navigation.error_model import Perturbation, linear_errors
-from piga.platform.navigation.navigator import Navigation, Navigator, Start, errors, navigate
+from piga.platform.navigation.navigator import (
+    Navigation,
+    Navigator,
+    Perturbation,
+    Start,
+    errors,
+    linear_errors,
+    navigate,
+)
 from piga.platform.runs.budget import error_budget, monte_carlo, standard_sources
 from piga.platform.runs.capstone import Capstone, capstone
 from piga.platform.runs.chain import Comparison, compare, prepare, run_model

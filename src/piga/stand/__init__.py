@@ -1,14 +1,10 @@
 """Test stands as simulated machines: each gives specific force and base rate with its own errors."""
 
 from piga.stand.imperfections import Imperfections
-from piga.stand.machines.centrifuge import Centrifuge
-from piga.stand.machines.composite import Composite
-from piga.stand.machines.dividing_head import DividingHead
 from piga.stand.machines.logged import LoggedProfile
-from piga.stand.machines.rate_table import RateTable
-from piga.stand.machines.spin import SpinPlan
+from piga.stand.machines.turning import Centrifuge, DividingHead, RateTable, SpinPlan
 from piga.stand.machines.vibration import Drive, VibrationTable
-from piga.stand.profile import Profile, Segment, Stand, force_change, sample_stand
+from piga.stand.profile import Composite, Profile, Segment, Stand, force_change, sample_stand
 from piga.stand.run_reference import read_run, stand_changes
 from piga.stand.scenario import Scenario, read_scenario, run_scenario
 from piga.stand.simulate import SimulatedTest, Specimen, simulate_test

@@ -28,7 +28,7 @@ from piga.records.run_file import REPEATED, Draw, drawn_for
 from piga.records.spool import arrays_like, spans
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
-from piga.stand.scenario_tables import CompositeTable, SimpleStand
+from piga.stand.scenario import CompositeTable, SimpleStand
 from piga.units import from_si
 
 Array = NDArray[np.float64]

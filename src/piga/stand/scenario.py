@@ -1,25 +1,292 @@
-"""Scenario files: from TOML to a simulated test."""
+"""Scenario files: their tables, the stand and the instrument made from them, and the simulated test."""
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
+from piga.earth import Site
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.instrument import ErrorModel, Instrument
 from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.instrument.twin.parameters import twin_parameters
+from piga.records.run_file import Column, Columns, Quantity, ServoTable, Table
 from piga.records.terms import UNITS, harmonic, unit_of
 from piga.records.toml_file import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
-from piga.stand.profile import Stand
-from piga.stand.scenario_tables import ScenarioTable
+from piga.stand.machines.logged import read_profile
+from piga.stand.machines.turning import (
+    Centrifuge,
+    DividingHead,
+    RateTable,
+    SpinPlan,
+    position_range,
+    rates_for_levels,
+)
+from piga.stand.machines.vibration import Drive, VibrationTable
+from piga.stand.profile import Composite, Stand
 from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
 from piga.stand.tide import EarthTide
 from piga.units import to_si
+
+
+class InstrumentTable(Table, frozen=True):
+    """``[instrument]``: as in a run file: nominal figures, and what is known of the servo."""
+
+    serial: str
+    scale_factor: Quantity
+    counts_per_revolution: float = 72000.0
+    counter_bits: int | None = None
+    servo: ServoTable | None = None
+
+
+class ElectronicsTable(Table, frozen=True):
+    """``[electronics]``: readout, clock and noise."""
+
+    sample_rate: Quantity
+    output: Literal["counts", "angle", "rate"] = "counts"
+    zero: Quantity = 0.0
+    angle_noise: Quantity = 0.0
+    angle_random_walk: Quantity = 0.0
+    bias_random_walk: Quantity = 0.0
+    clock_offset: Quantity = 0.0
+    clock_jitter: Quantity = 0.0
+
+
+class TemperatureTable(Table, frozen=True):
+    """``[temperature]`` of the instrument; constant 20 degC when the table is not there."""
+
+    start: Quantity = "20 degC"
+    drift: Quantity = 0.0
+    swing: Quantity = 0.0
+    period: Quantity = "1 d"
+
+
+class EarthTideTable(Table, frozen=True):
+    """``[run] earth_tide``: UTC of the start of the test, and whether the lab's reference has the tide."""
+
+    start: dt.datetime
+    reference: Literal["ignores", "includes"] = "ignores"
+
+
+class RunTable(Table, frozen=True):
+    """``[run]``: how it is simulated and written."""
+
+    model: Literal["quasi-steady", "twin"] = "quasi-steady"
+    seed: int = 1
+    start: Literal["slow-manifold", "transient"] = "slow-manifold"
+    step: Quantity | None = None
+    format: Literal["parquet", "csv"] = "parquet"
+    imperfections: Literal["fixed", "drawn"] = "fixed"
+    earth_tide: EarthTideTable | None = None
+
+
+class SiteTable(Table, frozen=True):
+    """Place and gravity: keys that all stands share."""
+
+    latitude: Quantity
+    longitude: Quantity = 0.0
+    height: Quantity = 0.0
+    gravity: Quantity | None = None
+
+    def site(self) -> Site:
+        """The site in SI."""
+        given = None if self.gravity is None else _si(self.gravity, "m/s^2", "gravity")
+        return Site(
+            _si(self.latitude, "rad", "latitude"),
+            _si(self.longitude, "rad", "longitude"),
+            _si(self.height, "m", "height"),
+            given,
+        )
+
+
+def _si(value: Quantity, unit: str, key: str) -> float:
+    return to_si(value, unit, what=f"[stand] {key}")
+
+
+def _each(values: tuple[Quantity, ...], unit: str, key: str) -> tuple[float, ...]:
+    return tuple(_si(value, unit, f"{key}[{k}]") for k, value in enumerate(values))
+
+
+class DividingHeadTable(SiteTable, frozen=True, tag_field="kind", tag="dividing-head"):
+    """``[stand] kind = "dividing-head"``."""
+
+    positions: str | tuple[Quantity, ...] = "0:360:15 deg"
+    dwell: Quantity = "60 s"
+    move: Quantity = "30 s"
+    roll: Quantity = 0.0
+    azimuth: Quantity = 0.0
+    settling_time: Quantity = "5 s"
+
+    def build(self, _folder: Path) -> Stand:
+        """The stand."""
+        return DividingHead(
+            self.site(),
+            _positions(self.positions),
+            _si(self.dwell, "s", "dwell"),
+            _si(self.move, "s", "move"),
+            _si(self.roll, "rad", "roll"),
+            _si(self.azimuth, "rad", "azimuth"),
+            _si(self.settling_time, "s", "settling_time"),
+        )
+
+
+def _positions(value: str | tuple[Quantity, ...]) -> tuple[float, ...]:
+    """``"start:stop:step unit"`` or a list of angles."""
+    if not isinstance(value, str):
+        return _each(value, "rad", "positions")
+    numbers, _, unit = value.strip().partition(" ")
+    parts = numbers.split(":")
+    if len(parts) != 3:
+        raise ArgumentError(f"[stand] positions: '{value}' is no range", remedy="write e.g. '0:360:15 deg'")
+    first, last, step = (_si(f"{part} {unit}", "rad", "positions") for part in parts)
+    return position_range(first, last, step)
+
+
+class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"):
+    """``[stand] kind = "centrifuge"``: ``levels`` of specific force, or ``rates``."""
+
+    radius: Quantity = "1 m"
+    levels: tuple[Quantity, ...] | None = None
+    rates: tuple[Quantity, ...] | None = None
+    down: bool = True
+    dwell: Quantity = "60 s"
+    ramp: Quantity = "60 s"
+    stretch: Quantity = 0.0
+    counter_rotating: bool = False
+    outward: bool = False
+    roll: Quantity = 0.0
+
+    def build(self, _folder: Path) -> Stand:
+        """The stand; with ``down`` the levels are taken up and then down again."""
+        radius, stretch = _si(self.radius, "m", "radius"), _si(self.stretch, "s^2/rad^2", "stretch")
+        if radius <= 0.0:
+            raise ArgumentError(f"[stand] radius: {radius:g} m is not positive")
+        if (self.levels is None) == (self.rates is None):
+            raise ArgumentError("[stand] needs either levels or rates", remedy='e.g. levels = ["1 g", "2 g"]')
+        if self.levels is not None:
+            rates = rates_for_levels(_each(self.levels, "m/s^2", "levels"), radius, stretch)
+        else:
+            rates = _each(self.rates or (), "rad/s", "rates")
+        rates = rates + rates[-2::-1] if self.down else rates
+        spin = SpinPlan(rates, _si(self.dwell, "s", "dwell"), _si(self.ramp, "s", "ramp"))
+        roll = _si(self.roll, "rad", "roll")
+        return Centrifuge(self.site(), radius, spin, stretch, self.counter_rotating, self.outward, roll)
+
+
+class RateTableTable(SiteTable, frozen=True, tag_field="kind", tag="rate-table"):
+    """``[stand] kind = "rate-table"``."""
+
+    rates: tuple[Quantity, ...] = ("0 deg/s",)
+    dwell: Quantity = "60 s"
+    ramp: Quantity = "10 s"
+    along: str = "X0"
+    axis: Literal["vertical", "horizontal"] = "vertical"
+    azimuth: Quantity = 0.0
+    offset: Quantity = 0.0
+
+    def build(self, _folder: Path) -> Stand:
+        """The stand."""
+        spin = SpinPlan(
+            _each(self.rates, "rad/s", "rates"), _si(self.dwell, "s", "dwell"), _si(self.ramp, "s", "ramp")
+        )
+        azimuth, offset = _si(self.azimuth, "rad", "azimuth"), _si(self.offset, "m", "offset")
+        return RateTable(self.site(), spin, self.along, self.axis == "horizontal", azimuth, offset)
+
+
+class DriveTable(Table, frozen=True):
+    """``[[stand.drives]]`` of a vibration table."""
+
+    shape: Literal["rest", "sine", "sweep", "random"]
+    duration: Quantity
+    frequency: Quantity = "1 Hz"
+    last_frequency: Quantity | None = None
+    amplitude: Quantity = 0.0
+    taper: Quantity = "0.5 s"
+    seed: int = 1
+
+    def drive(self) -> Drive:
+        """The drive in SI."""
+        first = _si(self.frequency, "Hz", "drives.frequency")
+        last = first if self.last_frequency is None else _si(self.last_frequency, "Hz", "drives.last_frequency")
+        return Drive(
+            self.shape,
+            _si(self.duration, "s", "drives.duration"),
+            first,
+            last,
+            _si(self.amplitude, "m/s^2", "drives.amplitude"),
+            _si(self.taper, "s", "drives.taper"),
+            self.seed,
+        )
+
+
+class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibration-table"):
+    """``[stand] kind = "vibration-table"``."""
+
+    drives: tuple[DriveTable, ...] = ()
+    axis: str = "X0"
+    up: str = "X0"
+
+    def build(self, _folder: Path) -> Stand:
+        """The stand."""
+        return VibrationTable(self.site(), tuple(drive.drive() for drive in self.drives), self.axis, self.up)
+
+
+class ProfileTable(Table, frozen=True, tag_field="kind", tag="profile"):
+    """``[stand] kind = "profile"``: a logged profile, file relative to the scenario."""
+
+    file: str
+    time: Column
+    force: Columns
+    base_rate: Columns | None = None
+
+    def build(self, folder: Path) -> Stand:
+        """The stand."""
+        rate = None if self.base_rate is None else (self.base_rate.columns, self.base_rate.unit)
+        time = (self.time.column, self.time.unit)
+        return read_profile(folder / self.file, time, (self.force.columns, self.force.unit), rate)
+
+
+SimpleStand = DividingHeadTable | CentrifugeTable | RateTableTable | VibrationTableTable | ProfileTable
+
+
+class CompositeTable(Table, frozen=True, tag_field="kind", tag="composite"):
+    """``[stand] kind = "composite"``: ``[[stand.parts]]`` one after the other."""
+
+    parts: tuple[SimpleStand, ...]
+    pause: Quantity = "60 s"
+
+    def build(self, folder: Path) -> Stand:
+        """The stand."""
+        return Composite(tuple(part.build(folder) for part in self.parts), _si(self.pause, "s", "pause"))
+
+
+class ScenarioTable(Table, frozen=True):
+    """A whole scenario file.
+
+    ``truth``: true values by coefficient name, with ``beta`` (or ``tan_beta``) and ``alpha0``; ``twin``:
+    parameters of the servo twin; ``imperfections`` by name; ``model``, ``estimation`` and ``uncertainty``
+    go into the run file as they are.
+    """
+
+    instrument: InstrumentTable
+    electronics: ElectronicsTable
+    stand: SimpleStand | CompositeTable
+    run: RunTable = RunTable()
+    truth: dict[str, Quantity] = msgspec.field(default_factory=dict)
+    twin: dict[str, Quantity] = msgspec.field(default_factory=dict)
+    temperature: TemperatureTable | None = None
+    imperfections: dict[str, Any] = msgspec.field(default_factory=dict)
+    model: dict[str, Any] = msgspec.field(default_factory=dict)
+    estimation: dict[str, Any] = msgspec.field(default_factory=dict)
+    uncertainty: dict[str, Any] = msgspec.field(default_factory=dict)
+
 
 _SERVO = ("servo", "servo_damping")
 _MOTION = ("scale_factor", "beta", "tan_beta", "alpha0", "T_ref")

@@ -22,9 +22,8 @@ from piga.instrument.twin.electronics import (
     read_output,
     sampling_times,
 )
-from piga.instrument.twin.linear import analyse_loop, require_stable
+from piga.instrument.twin.linear import analyse_loop, require_stable, servo_force
 from piga.instrument.twin.parameters import TwinParameters
-from piga.instrument.twin.predictions import servo_force
 from piga.instrument.twin.run import Start, TwinMotion, run_twin
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand

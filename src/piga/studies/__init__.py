@@ -7,6 +7,6 @@
 """
 
 from piga.studies.case import Case, Chapter
-from piga.studies.run import CHAPTERS, Reproduction, chosen, reproduce, run_chapters
+from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce, run_chapters
 
 __all__ = ["CHAPTERS", "Case", "Chapter", "Reproduction", "chosen", "reproduce", "run_chapters"]

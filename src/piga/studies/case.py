@@ -1,12 +1,21 @@
-"""What a reproduction consists of: one number judged, and a chapter of numbers and figures."""
+"""What a reproduction consists of: numbers judged, chapters, and the published instrument and runs they share."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cache
+from typing import Any, Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.calibrate import calibrate
+from piga.compensation import compensate
+from piga.instrument import Instrument, propagate
+from piga.records import Calibration, Run
 from piga.reports.render.figure import Figure
+from piga.units import G0
 
 Verdict = Literal["pass", "fail", "info"]
 
@@ -94,3 +103,82 @@ class Chapter:
         for case in self.cases:
             if not case.id.startswith(f"{self.id}."):
                 raise ValueError(f"case '{case.id}' does not belong to chapter '{self.id}'")
+
+
+Array = NDArray[np.float64]
+
+SCALE: Final = "0.8884 rad/s/g"
+INSTRUMENT: Final = Instrument(SCALE, "1000 arcsec", 0.25 * math.pi)
+"""K, beta and alpha0 of all published runs but the five-coefficient one [Wei2020], [Wei2024]."""
+TRANSVERSE: Final = 5.0
+"""a_Y of the examples [g]; in the time-varying run a_Y = 5 a_x."""
+RAMP_TOP: Final = 2.06
+"""a_x at the end of the time-varying run [g]: a_Y reaches about 10 g, the error about 0.05 g."""
+
+
+def in_g(a_x: float, a_Y: float, a_Z: float) -> tuple[float, float, float]:
+    """The same specific force [m/s^2]."""
+    return a_x * G0, a_Y * G0, a_Z * G0
+
+
+Profile = Literal["ramp", "constant"]
+
+
+@cache
+def record(profile: Profile, duration: float = 100.0, rate: float = 100.0) -> Run:
+    """The time-varying run as a record of output rates over ``duration`` [s] at ``rate`` [Hz], a_Y = 5 a_x [Wei2024].
+
+    ``ramp``: a_x from 0 to 2.06 g; the publication does not print its profile, a straight line stands for
+    it. ``constant``: a_x = 2.06 g throughout.
+    """
+    t = np.arange(round(duration * rate) + 1) / rate
+    a_x = RAMP_TOP * G0 * (t / duration if profile == "ramp" else np.ones_like(t))
+    f = np.outer(a_x, [1.0, TRANSVERSE, 0.0])
+    _, output = propagate(INSTRUMENT, t, f, with_rate=True)
+    return Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", serial="published")
+
+
+@cache
+def published_calibration(profile: Profile, duration: float = 100.0) -> Calibration:
+    """[tan_beta, phi] of a record by the published recursion, x0 = [4.5e-3, 0.4], P0 = 1e10 I."""
+    return calibrate(record(profile, duration), terms=["tan_beta"], method="published")
+
+
+@cache
+def own_calibration(profile: Profile) -> Calibration:
+    """The same by the linear estimator, which needs no first guess; with its history."""
+    return calibrate(record(profile), terms=["tan_beta"], method="recursive")
+
+
+def raw_state(found: Calibration) -> tuple[float, float]:
+    """[tan_beta, phi] as the recursion leaves them: tan_beta may be negative, phi beyond half a turn."""
+    history = found.history or {}
+    return float(history["tan_beta"][-1]), float(history["phi"][-1])
+
+
+def raw_error(run: Run) -> Array:
+    """Indicated less true specific force of a rate record [g]."""
+    return np.asarray((run.output / run.scale_factor - run.f[:, 0]) / G0)
+
+
+def model_phase(run: Run) -> Array:
+    """Phase that the published calibration predicts less phi: the integral of K a_x [rad]."""
+    steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
+    return np.asarray(run.scale_factor * np.concatenate(([0.0], np.cumsum(steps))))
+
+
+def model_residual(run: Run, found: Calibration) -> Array:
+    """What the published model leaves of the error at its own phase [g] (a_Z = 0)."""
+    phase = model_phase(run) + found["phi"].value
+    return np.asarray(raw_error(run) - run.f[:, 1] / G0 * found["tan_beta"].value * np.sin(phase))
+
+
+def compensated_error(run: Run, found: Calibration, method: str) -> Array:
+    """Compensated less true specific force of a rate record [g]."""
+    return np.asarray((compensate(run, found, method=method, uncertainty=False).ax - run.f[:, 0]) / G0)
+
+
+def closed_form_phase(r: float, alpha0: float) -> tuple[float, float]:
+    """``C`` and ``phi = asin(r)`` of the running regime [rad] [Wei2024, eq. 5-11, 19-21]."""
+    root = math.sqrt((1.0 - r) * (1.0 + r))
+    return 2.0 / root * math.atan((math.tan(0.5 * alpha0) + r) / root), math.asin(r)

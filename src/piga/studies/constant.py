@@ -19,10 +19,9 @@ from piga.instrument import (
     published_closed_form,
     revolution_period,
 )
-from piga.instrument.published import Case as FormNumber
+from piga.instrument.motion.closed_form import Case as FormNumber
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.studies.case import Case, Chapter
-from piga.studies.publication import INSTRUMENT, TRANSVERSE, in_g
+from piga.studies.case import INSTRUMENT, TRANSVERSE, Case, Chapter, in_g
 from piga.units import G0
 
 Array = NDArray[np.float64]

@@ -8,13 +8,12 @@ import numpy as np
 
 from piga.instrument import closed_form, published_closed_form
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.studies.case import Case, Chapter
-from piga.studies.constant import EXAMPLES
-from piga.studies.platform import ARCMIN, CASE_RATE, GRAVITY_OF_TABLE
-from piga.studies.publication import (
+from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
     TRANSVERSE,
+    Case,
+    Chapter,
     closed_form_phase,
     in_g,
     model_residual,
@@ -22,8 +21,9 @@ from piga.studies.publication import (
     raw_state,
     record,
 )
+from piga.studies.constant import EXAMPLES
+from piga.studies.platform import ARCMIN, CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
 from piga.studies.recursion import PUBLISHED_PHASE, misread_phase_error, phase_walk
-from piga.studies.ten_days import CHANNELS, compared, formula, last_lines
 
 _T = np.linspace(0.0, 60.0, 1201)
 _WRONG = "the publication is wrong here, so that its number is not one to be met"

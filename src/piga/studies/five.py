@@ -14,8 +14,7 @@ from piga.instrument import ErrorModel, Instrument, propagate
 from piga.records import Calibration, Run
 from piga.records.run_file import EstimationTable
 from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.studies.case import Case, Chapter
-from piga.studies.publication import SCALE
+from piga.studies.case import SCALE, Case, Chapter
 from piga.units import G0
 
 Array = NDArray[np.float64]

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from piga.instrument import propagate
 from piga.records import Calibration
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.studies.case import Case, Chapter
-from piga.studies.publication import (
+from piga.studies.case import (
     INSTRUMENT,
     RAMP_TOP,
     TRANSVERSE,
+    Case,
+    Chapter,
     Profile,
     closed_form_phase,
     compensated_error,

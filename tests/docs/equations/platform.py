@@ -14,15 +14,17 @@ from piga._kernels.platform.navigation import navigate_chunk
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
 from piga.platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
-from piga.platform.model.case_rotation import apparent_gyro
-from piga.platform.model.geodesy import (
+from piga.platform.model.geometry import (
     KERNEL_EARTH,
+    apparent_gyro,
     geodetic_to_earth,
     gravitation,
     local_axes,
+    misalignment,
+    nulled_attitude,
+    small_angles,
     specific_force_at_rest,
 )
-from piga.platform.model.geometry import misalignment, nulled_attitude, small_angles
 from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Scenario
 from piga.platform.navigation.navigator import damping_gains
 from piga.platform.runs.capstone import passage_velocity

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.instrument.twin.parameters import TwinParameters
-from piga.instrument.twin.predictions import ServoParameters, servo_terms
 from tests.instrument.servo_truth import Design, G, motion, waves
 
 from .registry import Pair, equation

@@ -8,11 +8,12 @@ import numpy as np
 
 from piga._kernels.motion.servo import derivative, friction, wheel
 from piga.frames import axis_turn
-from piga.instrument.twin.linear import open_loop, tilt_compliance
-from piga.instrument.twin.predictions import (
+from piga.instrument.twin.linear import (
+    open_loop,
     predicted_k2,
     predicted_rectification,
     predicted_second_harmonic,
+    tilt_compliance,
 )
 from piga.units import G0
 from tests.instrument.rigid_body import RICH as DESIGN

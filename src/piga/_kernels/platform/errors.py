@@ -29,7 +29,7 @@ def error_rates(
     earth_rate: float,
     rate: Array,
 ) -> None:
-    """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.platform.navigation.error_model`."""
+    """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.platform.navigation.navigator`."""
     c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
     x, y, z = c * r0[0] - s * r0[1], s * r0[0] + c * r0[1], r0[2]
     fx, fy, fz = c * f0[0] - s * f0[1], s * f0[0] + c * f0[1], f0[2]

@@ -32,7 +32,7 @@ from piga._kernels.estimation.regressors import (
 from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.workers import workers
 from piga.errors import DataError
-from piga.instrument.twin.predictions import ServoParameters, servo_terms
+from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.records.run import Run
 from piga.records.spool import spans, square_sum, steps, trim
 from piga.records.terms import SERVO_TERMS

@@ -1,14 +1,16 @@
-r"""Exact motion under recorded specific force, linear between sample times.
+r"""Exact motion under recorded input: one instrument or a fleet, and its derivatives.
 
-Each step is the exponential of a matrix of sl(2, R) acting on the half-angle pair; the Magnus
-expansion [Blanes2009] makes it fourth order for input that is linear between samples, and exact
-where the ratio ``u_x : u_Y : u_Z`` is constant. Projective schemes of this kind: [Schiff1999].
-Derived in docs/theory/motion.
+Specific force is linear between sample times. Each step is the exponential of a matrix of sl(2, R) acting on the
+half-angle pair; the Magnus expansion [Blanes2009] makes it fourth order for input that is linear between samples, and
+exact where the ratio ``u_x : u_Y : u_Z`` is constant. Projective schemes of this kind: [Schiff1999]. Velocity
+increments use the same expansion; a constant segment is one step whatever its length. Derived in docs/theory/motion.
 """
 
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Event
@@ -19,8 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.arithmetic.trig import double_arctangent
 from piga._kernels.motion.blocks import GOOD
+from piga._kernels.motion.increments import propagate_increments as run_increments
 from piga._kernels.motion.samples import finish_samples, prepare_samples, propagate_samples
-from piga._kernels.motion.step import TWO_PI, split_turns
+from piga._kernels.motion.sensitivity import PARAMETERS, propagate_sensitivities
+from piga._kernels.motion.step import TWO_PI, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga._kernels.motion.transfer import BLOCK, PREFIX
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
@@ -346,3 +350,244 @@ def propagate_rate(
     rate = np.empty(record.t.size)
     run_samples(record, inst.alpha0, _NO_OUTPUT, rate, workers)
     return rate
+
+
+def propagate_increments(
+    inst: Instrument, t: ArrayLike, dv: ArrayLike, base_angle: ArrayLike | None = None
+) -> Array:
+    """Outer-gimbal angle from velocity increments, as counting or integrating references give them.
+
+    Exact where the direction of the specific force is constant; fourth order in the interval where it
+    varies smoothly (its slope over an interval is taken from the neighbouring increments). For force
+    that jumps between intervals use :func:`propagate_segments`.
+
+    Parameters
+    ----------
+    inst:
+        The instrument; ``inst.alpha0`` is the angle at ``t[0]``.
+    t:
+        Interval limits [s], shape (n + 1,), increasing.
+    dv:
+        Integral of the specific force over each interval [m/s], base axes, shape (n, 3).
+    base_angle:
+        Integral of the base's inertial rate over each interval [rad], base axes, shape (n, 3).
+
+    Returns
+    -------
+    alpha:
+        Unwrapped angle at the interval limits [rad], shape (n + 1,).
+
+    Raises
+    ------
+    ArgumentError
+        If a shape does not fit, a value is not finite, or times do not increase; names the index.
+    """
+    times = time_array("t", t, least=2)
+    force = float_array("dv", dv, (times.size - 1, 3))
+    turning = float_array("base_angle", np.empty((0, 3)))
+    if base_angle is not None:
+        turning = float_array("base_angle", base_angle, force.shape)
+    alpha = np.empty(times.size)
+    with np.errstate(all="ignore"):
+        status = run_increments(
+            times, force, turning, inst.scale_factor, inst.tan_beta, initial_state(inst.alpha0), alpha
+        )
+    if status != GOOD:
+        explain(times, status, dv=force, base_angle=turning)
+    alpha[0] = inst.alpha0
+    return alpha
+
+
+def propagate_segments(
+    inst: Instrument, durations: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Outer-gimbal angle and rate at the ends of segments of constant specific force, any length each.
+
+    One closed-form step a segment (see :func:`piga.closed_form`): a dividing-head position of hours
+    costs what one of milliseconds does, and its revolutions are counted exactly.
+
+    Parameters
+    ----------
+    inst:
+        The instrument; ``inst.alpha0`` is the angle at the start of the first segment.
+    durations:
+        Lengths of the segments [s], shape (n,), none negative.
+    f:
+        Specific force in each segment [m/s^2], base axes, shape (n, 3).
+    base_rate:
+        Inertial rate of the base in each segment [rad/s], base axes, shape (n, 3).
+
+    Returns
+    -------
+    alpha, rate:
+        Unwrapped angle [rad] and rate [rad/s] at the end of each segment, shape (n,) each.
+
+    Raises
+    ------
+    ArgumentError
+        If a shape does not fit, a value is not finite, or a duration is negative; names the index.
+    """
+    lengths = time_array("durations", durations)
+    force = float_array("f", f, (lengths.size, 3))
+    omega = np.zeros(force.shape) if base_rate is None else base_rate
+    omega = float_array("base_rate", omega, force.shape)
+    for name, array in (("durations", lengths), ("f", force), ("base_rate", omega)):
+        require_finite(name, array)
+    if lengths.min() < 0.0:
+        k = int(np.argmax(lengths < 0.0))
+        raise ArgumentError(f"durations: {lengths[k]} s at index {k} is negative")
+    ends = np.empty((3, lengths.size))
+    turns, rest = split_turns(inst.alpha0)
+    segment_motion(lengths, force, omega, inst.scale_factor, inst.tan_beta, turns, rest, ends)
+    return ends[0] * TWO_PI_HIGH + (ends[0] * TWO_PI_LOW + ends[1]), ends[2]
+
+
+SENSITIVITY_NAMES = ("scale_factor", "beta", "alpha0", "a_x", "a_Y", "a_Z")
+"""Parameters of :class:`Sensitivities`, in the order of its columns; the last three are biases [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """A motion and how it changes with each parameter.
+
+    Attributes
+    ----------
+    alpha, rate:
+        Unwrapped angle [rad] and rate [rad/s] at the samples, shape (n,).
+    d_alpha, d_rate:
+        Derivatives, shape (n, 6), columns in the order of ``names``: per (rad/s)/(m/s^2) of
+        ``scale_factor``, per rad of ``beta`` and ``alpha0``, per m/s^2 of a constant bias added to
+        ``a_x``, ``a_Y``, ``a_Z``. A bias of the base rate [rad/s] is ``-1/K`` times that of the force.
+    """
+
+    alpha: Array
+    rate: Array
+    d_alpha: Array
+    d_rate: Array
+    names: tuple[str, ...] = SENSITIVITY_NAMES
+
+    def of_alpha(self, name: str) -> Array:
+        """Derivative of the angle with respect to one parameter, shape (n,)."""
+        return np.asarray(self.d_alpha[:, self.names.index(name)])
+
+    def of_rate(self, name: str) -> Array:
+        """Derivative of the rate with respect to one parameter, shape (n,)."""
+        return np.asarray(self.d_rate[:, self.names.index(name)])
+
+
+def sensitivities(
+    inst: Instrument, t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None = None
+) -> Sensitivities:
+    """Motion under recorded specific force with its derivatives, from the same matrices.
+
+    The derivatives are those of the discrete motion that :func:`piga.propagate` computes, exact to
+    rounding: no differences are taken.
+
+    Parameters
+    ----------
+    inst, t, f, base_rate:
+        As in :func:`piga.propagate`.
+
+    Raises
+    ------
+    ArgumentError
+        As in :func:`piga.propagate`; also if a single step turns the gimbal by more than 1e5 rad.
+    """
+    record = sampled_input(inst, t, f, base_rate)
+    n = record.t.size
+    omega = record.base_rate if record.base_rate.size else float_array("base_rate", np.zeros((n, 3)))
+    alpha, rate = np.empty(n), np.empty(n)
+    d_alpha, d_rate = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
+    with np.errstate(all="ignore"):
+        status = propagate_sensitivities(
+            record.t, record.f, omega, record.K, record.tan_beta, initial_state(inst.alpha0),
+            alpha, rate, d_alpha, d_rate,
+        )  # fmt: skip
+    if status != GOOD:
+        explain(record.t, status, f=record.f, base_rate=record.base_rate)
+    alpha[0] = inst.alpha0
+    return Sensitivities(alpha, rate, d_alpha, d_rate)
+
+
+def available_cores() -> int:
+    """Number of cores this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1
+
+
+def propagate_fleet(
+    instruments: Instrument | Sequence[Instrument],
+    t: ArrayLike,
+    f: ArrayLike,
+    base_rate: ArrayLike | None = None,
+    *,
+    output: str = "angle",
+    workers: int | None = None,
+) -> Array:
+    """Angle or rate of many motions over the same times: the batch form of :func:`piga.propagate`.
+
+    Many instruments under one input, one instrument under many inputs, or instruments and inputs in
+    pairs. Row i is what :func:`piga.propagate` gives for motion i, to the bit, whatever ``workers``.
+
+    Parameters
+    ----------
+    instruments:
+        m instruments, or one for all inputs.
+    t:
+        Sample times [s], shape (n,), increasing; common to all.
+    f:
+        Specific force [m/s^2], base axes: shape (n, 3) for one input, (m, n, 3) for many.
+    base_rate:
+        Inertial rate of the base [rad/s], base axes: shape (3,), (n, 3) or (m, n, 3).
+    output:
+        ``"angle"`` [rad] or ``"rate"`` [rad/s].
+    workers:
+        Threads; None: one per core.
+
+    Returns
+    -------
+    result:
+        Shape (m, n).
+
+    Raises
+    ------
+    ArgumentError
+        If the numbers of instruments and inputs differ, a shape does not fit, a value is not finite,
+        or times do not increase; names the motion and the index.
+    """
+    if output not in ("angle", "rate"):
+        raise ArgumentError(f"output: {output!r} is not 'angle' or 'rate'")
+    times = time_array("t", t)
+    force = float_array("f", f)
+    omega = None if base_rate is None else float_array("base_rate", base_rate)
+    fleet = [instruments] if isinstance(instruments, Instrument) else list(instruments)
+    counts = {"instruments": len(fleet)} if not isinstance(instruments, Instrument) else {}
+    counts |= {
+        name: len(a) for name, a in (("f", force), ("base_rate", omega)) if a is not None and a.ndim == 3
+    }
+    m = max(counts.values(), default=1)
+    if not fleet or any(count != m for count in counts.values()):
+        raise ArgumentError(
+            f"instruments and inputs do not pair: {counts}",
+            remedy="give the same number of each, or one for all",
+        )
+    result = np.empty((m, times.size))
+
+    def run(i: int) -> None:
+        inst = fleet[i if len(fleet) > 1 else 0]
+        rates = omega[i] if omega is not None and omega.ndim == 3 else omega
+        try:
+            record = sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates)
+            angle, rate = (result[i], _NO_OUTPUT) if output == "angle" else (_NO_OUTPUT, result[i])
+            run_samples(record, inst.alpha0, angle, rate, 1)
+        except ArgumentError as error:
+            raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
+        if output == "angle":
+            result[i, 0] = inst.alpha0
+
+    with ThreadPoolExecutor(min(m, workers or available_cores())) as pool:
+        for _ in pool.map(run, range(m)):
+            pass
+    return result

@@ -1,22 +1,28 @@
-"""Linear analysis of the twin's servo loop: poles, nutation, margins, bandwidth, responses (SciPy).
+"""Linear analysis of the twin: poles, nutation, margins, responses (SciPy), and what its tilt does to the output.
 
 Small tilts about pick-off null, outer-gimbal rate small against the nutation (own derivation)::
 
     P(s) = beta/M = H / ((B s^2 + c s + k_r)(J_x s + c_x) + H^2 s)
     C(s) = k_p + k_i/s + k_d s,      loop L = C P
     closed loop: s ((B s^2 + c s + k_r)(J_x s + c_x) + H^2 s) + H (k_d s^2 + k_p s + k_i) = 0
+
+Beyond the quasi-steady model, to first order in the tilt (own derivation, docs/twin.md): the torque on the outer axis,
+``tau = H (u_Y cos(alpha) + u_Z sin(alpha))`` with ``u = K f - Omega``, ripples the tilt through the servo's compliance
+``G(s)``. The tilt pulls the output rate directly, through damping and restoring torque about the inner axis, and
+through the transverse input, which it rectifies.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.polynomial import polynomial as poly
 from numpy.typing import ArrayLike, NDArray
 
-from piga.errors import PigaError
+from piga.errors import ArgumentError, PigaError
 from piga.instrument.twin.parameters import TwinParameters
 
 Array = NDArray[np.float64]
@@ -196,3 +202,223 @@ def require_stable(p: TwinParameters) -> LoopAnalysis:
         f"c = {p.damping:g})",
         remedy="lower the gains, raise the damping or rate gain, or force the run",
     )
+
+
+@dataclass(frozen=True)
+class ServoParameters:
+    """What the servo terms depend on, SI units; symbols as in :class:`~piga.instrument.twin.parameters.TwinParameters`.
+
+    ``scale_factor`` K [(rad/s)/(m/s^2)], ``pendulosity`` ml [kg m], ``integral_gain`` k_i [N m/(rad s)],
+    ``proportional_gain`` k_p [N m/rad], ``rate_gain`` k_d [N m s/rad], ``damping`` c of the float [N m s/rad].
+
+    Raises
+    ------
+    ArgumentError
+        If K, ml or k_i is not positive, or another one is negative; names the parameter.
+    """
+
+    scale_factor: float
+    pendulosity: float
+    integral_gain: float
+    proportional_gain: float = 0.0
+    rate_gain: float = 0.0
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value, least = getattr(self, entry.name), "positive" if entry.default != 0.0 else "zero or more"
+            if not (value > 0.0 or (value == 0.0 and least != "positive")) or not math.isfinite(value):
+                remedy = (
+                    "the servo terms are those of a servo that integrates" if "integral" in entry.name else ""
+                )
+                raise ArgumentError(f"servo {entry.name} = {value:g}: must be {least}", remedy=remedy or None)
+
+    @classmethod
+    def of_twin(cls, p: TwinParameters) -> ServoParameters:
+        """Those of a twin."""
+        return cls(p.K, p.pendulosity, p.integral_gain, p.proportional_gain, p.rate_gain, p.damping)
+
+
+@dataclass(frozen=True)
+class ServoTerms:
+    """Coefficients of the terms ``servo`` and ``servo_damping``, both in 1/(m/s^2)^2.
+
+    ``sources`` tells by parameter name what one standard uncertainty of that parameter adds to each:
+    one draw moves both. ``u_servo`` and ``u_servo_damping`` are the standard uncertainties of all together.
+    """
+
+    servo: float
+    servo_damping: float
+    sources: Mapping[str, tuple[float, float]]
+
+    @property
+    def u_servo(self) -> float:
+        """Standard uncertainty of ``servo`` [1/(m/s^2)^2]."""
+        return math.hypot(*(change for change, _ in self.sources.values()))
+
+    @property
+    def u_servo_damping(self) -> float:
+        """Standard uncertainty of ``servo_damping`` [1/(m/s^2)^2]."""
+        return math.hypot(*(change for _, change in self.sources.values()))
+
+
+def servo_terms(
+    p: TwinParameters | ServoParameters, u: Mapping[str, float] | None = None, *, rate: float = 0.0
+) -> ServoTerms:
+    r"""Predict the terms ``servo`` (s) and ``servo_damping`` (d) from the parameters of the servo.
+
+    .. math::
+
+       s = \frac{K\,ml}{2 k_i}, \qquad d = \frac{c K^2}{k_i}
+
+    Parameters
+    ----------
+    p:
+        A twin, or the numbers alone.
+    u:
+        Standard uncertainties by the parameter's name in :class:`ServoParameters`, SI units; they are taken as
+        independent.
+    rate:
+        Output rate [rad/s] at which the terms are taken: both are multiplied by ``k_i Im G(jw)/w``, which is
+        1 at rate zero, ``G = 1/(k_i/(jw) + k_p + (k_d + ml/K) jw)``.
+
+    Raises
+    ------
+    ArgumentError
+        If ``u`` names an unknown parameter, or a parameter is not physical (a servo without integral gain has
+        none of these terms).
+
+    Notes
+    -----
+    Derivation, and what is of the next order: theory page "The servo in the model".
+    """
+    own = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
+    names = [entry.name for entry in fields(ServoParameters)]
+    sources = {}
+    for name, uncertainty in (u or {}).items():
+        if name not in names:
+            raise ArgumentError(f"servo: unknown parameter '{name}'", remedy=f"choose {', '.join(names)}")
+        value, step = getattr(own, name), 1e-4
+        size = value or 1.0
+        up = _servo_pair(replace(own, **{name: value + step * size}), rate)
+        down = _servo_pair(replace(own, **{name: max(0.0, value - step * size)}), rate)
+        span = step * size + min(value, step * size)
+        sources[name] = ((up[0] - down[0]) / span * uncertainty, (up[1] - down[1]) / span * uncertainty)
+    return ServoTerms(*_servo_pair(own, rate), sources)
+
+
+def servo_force(
+    servo: float, servo_damping: float, K: float, alpha: Array, f: Array, base_rate: Array
+) -> Array:
+    """Specific force [m/s^2] that the terms ``servo`` and ``servo_damping`` add to the indicated one, (n,).
+
+    With ``u = K f - Omega``:
+    ``-2 s (u_x/K) ((u_Y sin(alpha) - u_Z cos(alpha))/K)^2 - d (u_x/K)^2 (u_Y cos(alpha) + u_Z sin(alpha))/K``.
+
+    Parameters
+    ----------
+    servo, servo_damping:
+        The coefficients s and d [1/(m/s^2)^2].
+    K:
+        Scale factor [(rad/s)/(m/s^2)].
+    alpha:
+        Gimbal angle [rad], (n,).
+    f, base_rate:
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3).
+    """
+    x, y, z = (f - base_rate / K).T
+    sine, cosine = np.sin(alpha), np.cos(alpha)
+    return np.asarray(
+        -2.0 * servo * x * (y * sine - z * cosine) ** 2 - servo_damping * x**2 * (y * cosine + z * sine)
+    )
+
+
+def _servo_pair(p: ServoParameters, rate: float) -> tuple[float, float]:
+    """``s`` and ``d`` at ``rate``."""
+    stiffness = p.integral_gain - (p.rate_gain + p.pendulosity / p.scale_factor) * rate**2
+    compliance = stiffness / (stiffness**2 + (p.proportional_gain * rate) ** 2)
+    return 0.5 * p.scale_factor * p.pendulosity * compliance, p.damping * p.scale_factor**2 * compliance
+
+
+def predicted_rate_error(p: TwinParameters, t: Array, alpha: Array, f: Array, base_rate: Array) -> Array:
+    """Rate of the twin less that of the quasi-steady model with its k0 and k2 [rad/s], (n,).
+
+    Parameters
+    ----------
+    p:
+        The design, beyond spin-up, inside its limits.
+    t:
+        Equidistant times [s], (n,).
+    alpha:
+        Gimbal angle [rad], (n,), of the twin or of the quasi-steady model.
+    f, base_rate:
+        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3).
+
+    Notes
+    -----
+    ``tau = H (u_Y cos(alpha) + u_Z sin(alpha)) - J_x (w' + Omega_x') - c_x w - M_c sign(w) + M_x`` goes
+    through the compliance, ``e = G(s) tau``; then ``w_twin - w = (Z(s) e + R)/H + e (u_Y sin(alpha) - u_Z
+    cos(alpha))`` with the impedance ``Z = B s^2 + c s + k_r``. ``R`` carries the float round with a turning
+    base: ``R = B q' - (C - A) p r + D (p^2 - r^2 - K^2 a_x^2)``, ``p = w + Omega_x``, ``q = Omega_Y1``,
+    ``r = Omega_Z1``. Errors are of second order in ``e``.
+    """
+    u = p.K * f - base_rate
+    c, s = np.cos(alpha), np.sin(alpha)
+    across = u[:, 1] * s - u[:, 2] * c
+    w = u[:, 0] + math.tan(p.pick_off_null) * across
+    q, r = base_rate[:, 1] * c + base_rate[:, 2] * s, base_rate[:, 2] * c - base_rate[:, 1] * s
+    torque = p.angular_momentum * (u[:, 1] * c + u[:, 2] * s) - p.J_x * np.gradient(w + base_rate[:, 0], t)
+    torque += p.outer_torque - p.viscous_friction * w - p.coulomb_friction * np.tanh(w / p.coulomb_rate)
+    load = complex(u[0, 1], -u[0, 2]) * p.angular_momentum * np.exp(1j * alpha[0])
+    tilt, reaction = _through_loop(p, torque, load, float(w[0]), float(t[1] - t[0]))
+    turn, unequal = w + base_rate[:, 0], p.float_inertia_z - p.float_inertia_x
+    carried = p.float_inertia_y * np.gradient(q, t) - unequal * turn * r
+    carried += p.product_of_inertia * (turn**2 - r**2 - (p.K * f[:, 0]) ** 2)
+    return np.asarray((reaction + carried) / p.angular_momentum + tilt * across)
+
+
+def _through_loop(
+    p: TwinParameters, torque: Array, load: complex, rate: float, step: float
+) -> tuple[Array, Array]:
+    """Tilt [rad] and torque ``Z e`` [N m] that the outer-axis ``torque`` makes, linear between samples.
+
+    Before the first sample the torque goes on as it would with the gimbal turning at ``rate``: ``load`` is
+    its rotating part there, as a complex number.
+    """
+    from scipy import signal
+
+    count = math.ceil(30.0 / -float(np.max(loop_poles(p).real)) / step)
+    before = np.arange(-count, 0) * step
+    past = (load * (np.exp(1j * rate * before) - 1.0)).real + torque[0]
+    whole = np.concatenate([past, torque])
+    results = []
+    for numerator, denominator in tilt_transfer(p):
+        b, a, _ = signal.cont2discrete((numerator, denominator), step, method="foh")
+        results.append(signal.lfilter(np.atleast_1d(np.squeeze(b)), a, whole)[count:])
+    return results[0], results[1]
+
+
+def predicted_rectification(p: TwinParameters, a_t: float, rate: float) -> float:
+    """Shift of the mean output rate by finite servo stiffness [rad/s].
+
+    ``-K a_t^2 ml Im G(j w)/2``. For strong integral action ``G = j w/k_i``: the theory page's
+    ``-K a_t^2 ml w/(2 k_i)``.
+    """
+    compliance = tilt_compliance(p, [abs(rate)])[0]
+    return float(-0.5 * p.K * a_t**2 * p.pendulosity * compliance.imag * np.sign(rate))
+
+
+def predicted_second_harmonic(p: TwinParameters, a_t: float, rate: float) -> float:
+    """Amplitude of the rate at twice the gimbal angle, by finite servo stiffness [rad/s]."""
+    return float(0.5 * p.K * a_t**2 * p.pendulosity * abs(tilt_compliance(p, [abs(rate)])[0]))
+
+
+def predicted_k2(p: TwinParameters) -> float:
+    """Coefficient k2 [1/(m/s^2)] from the float's inertia: ``(D - (C - A) beta) K^2/ml`` to first order.
+
+    The product of inertia ``D`` gives a centrifugal torque ``D w^2`` about the inner axis; with a tilt, unequal
+    inertias are a product of inertia about the outer axis. In g/g^2 it is the theory page's ``D K^2 g/ml``.
+    """
+    twice = 2.0 * p.pick_off_null
+    unequal = 0.5 * (p.float_inertia_x - p.float_inertia_z) * math.sin(twice)
+    return (p.product_of_inertia * math.cos(twice) + unequal) * p.K**2 / p.pendulosity

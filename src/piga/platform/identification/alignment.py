@@ -22,7 +22,7 @@ from piga.platform.identification.observation import (
     gimbal_rows,
     names,
 )
-from piga.platform.model.geodesy import geodetic_to_earth, local_axes, specific_force_at_rest
+from piga.platform.model.geometry import geodetic_to_earth, local_axes, specific_force_at_rest
 from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Place
 from piga.platform.model.simulate import Readouts

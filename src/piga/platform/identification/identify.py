@@ -1,22 +1,181 @@
-"""Identification of misalignments, phases and harmonics from readouts: batch, with covariance.
+"""Identification of misalignments, phases and harmonics from readouts: batch or recursive, with covariance.
 
 Sources: ``gimbals`` (angles of a static base), ``pick-off`` (redundancy axis), ``force`` (disturbance in
-the specific force, any base). Only readouts are seen.
+the specific force, any base). Only readouts are seen. :func:`observability` says which unknowns each source can tell
+apart before anything is estimated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from piga.platform.identification.estimate import Reduced, Solution, solve_with_noise
-from piga.platform.identification.identified import Identification, result
-from piga.platform.identification.observation import Unknowns, coarse_unknowns
-from piga.platform.identification.sources import STATIC_SOURCES, Record
-from piga.platform.model.geodesy import geodetic_to_earth, specific_force_at_rest
-from piga.platform.model.scenario import Place
+from piga import earth
+from piga._kernels.platform.recursion import sequential_factor
+from piga.platform.identification.estimate import Reduced, Solution, in_words, noise_levels, solve_with_noise
+from piga.platform.identification.observation import (
+    STATIC_SOURCES,
+    Record,
+    Tip,
+    Unknowns,
+    coarse_unknowns,
+    misalignment_regressors,
+    names,
+)
+from piga.platform.model.geometry import geodetic_to_earth, specific_force_at_rest
+from piga.platform.model.models import Knowledge
+from piga.platform.model.scenario import Gyro, Place
 from piga.platform.model.simulate import Readouts
+from piga.units import ARCSEC
+
+Array = NDArray[np.float64]
+
+UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
+"""Standard uncertainty [rad] of a phase of which nothing is known: that of any angle of a turn."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified quantity: value, standard uncertainty [``unit``]."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result: the gyros as identified, redundancy angle, covariance of the unknowns, noise, doubts.
+
+    ``names, values, covariance`` are the Cartesian unknowns (misalignments, eta0, eta_rate);
+    ``parameters`` the same as amplitudes and phases with first-order uncertainty. ``history`` of the
+    recursive form: ``rows`` (k,) [s] and ``values``, ``stds`` (k, p).
+    """
+
+    sources: tuple[str, ...]
+    polar: Gyro
+    equatorial: Gyro
+    eta0: float
+    eta_rate: float
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    noise: dict[str, float]
+    rms: dict[str, float]
+    degrees_of_freedom: float
+    condition: float
+    parameters: tuple[Parameter, ...]
+    notes: tuple[str, ...] = ()
+    history: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """What the compensation models take."""
+        return Knowledge(self.polar, self.equatorial, self.eta0, self.eta_rate)
+
+    def __getitem__(self, name: str) -> Parameter:
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(f"no parameter '{name}'; there are: {', '.join(p.name for p in self.parameters)}")
+
+
+def result(record: Record, x: Unknowns, parts: Sequence[Reduced], solution: Solution) -> Identification:
+    """The result at the unknowns ``x``, from the last rows and the last solution about them."""
+    orders, tips = record.orders, 4 + 4 * record.orders
+    known = tips + (2 if "pick-off" in record.sources else 0)
+    vector = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:known]
+    covariance = solution.covariance[:known, :known]
+    return Identification(
+        sources=record.sources,
+        polar=x.polar.gyro(),
+        equatorial=x.equatorial.gyro(),
+        eta0=x.eta0,
+        eta_rate=x.eta_rate,
+        names=names(orders)[:known],
+        values=vector,
+        covariance=covariance,
+        noise={part.name: level for part, level in zip(parts, solution.levels, strict=True)},
+        rms={part.name: float(np.sqrt(part.squares(solution.step) / part.rows)) for part in parts},
+        degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
+        condition=solution.condition,
+        parameters=_parameters(vector, covariance, orders, known > tips),
+        notes=_notes(vector, covariance, orders),
+    )
+
+
+def _parameters(vector: Array, covariance: Array, orders: int, with_eta: bool) -> tuple[Parameter, ...]:
+    """Amplitudes and phases with first-order uncertainty (central differences of the exact conversion)."""
+    labels = _labels(orders)
+
+    def converted(v: Array) -> Array:
+        half = 2 + 2 * orders
+        out = []
+        for part in (v[:half], v[half : 2 * half]):
+            gyro = Tip.from_vector(part).gyro()
+            out += [gyro.misalignment, gyro.phase]
+            out += [number for h in gyro.harmonics for number in (h.amplitude, h.phase)]
+        return np.array(out)
+
+    tips = 4 + 4 * orders
+    values, jacobian = converted(vector), np.empty((tips, tips))
+    for k in range(tips):
+        step = np.zeros(len(vector))
+        step[k] = max(1e-4 * np.sqrt(covariance[k, k]), 1e-13)
+        difference = converted(vector + step) - converted(vector - step)
+        jacobian[:, k] = np.where(labels_are_angles(labels), _wrapped(difference), difference) / (2.0 * step[k])
+    stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:tips, :tips], jacobian))
+    stds = np.where(labels_are_angles(labels), np.minimum(stds, UNKNOWN_PHASE), stds)
+    found = [Parameter(n, float(v), float(s), "rad") for n, v, s in zip(labels, values, stds, strict=True)]
+    if with_eta:
+        std = np.sqrt(np.diag(covariance))
+        found.append(Parameter("redundancy.initial", float(vector[tips]), float(std[tips]), "rad"))
+        found.append(Parameter("redundancy.rate", float(vector[tips + 1]), float(std[tips + 1]), "rad/s"))
+    return tuple(found)
+
+
+def _labels(orders: int) -> list[str]:
+    labels = []
+    for gyro in ("polar", "equatorial"):
+        labels += [f"{gyro}.misalignment", f"{gyro}.phase"]
+        labels += [
+            f"{gyro}.harmonic{k}.{what}" for k in range(1, orders + 1) for what in ("amplitude", "phase")
+        ]
+    return labels
+
+
+def labels_are_angles(labels: Sequence[str]) -> NDArray[np.bool_]:
+    """Which of the parameter names are phases (to be compared modulo a turn)."""
+    return np.array([name.endswith("phase") for name in labels])
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def _notes(vector: Array, covariance: Array, orders: int) -> tuple[str, ...]:
+    notes = []
+    half, std = 2 + 2 * orders, np.sqrt(np.diag(covariance))
+    for start, gyro in ((0, "polar"), (half, "equatorial")):
+        if np.hypot(vector[start], vector[start + 1]) < 3.0 * std[start : start + 2].max():
+            notes.append(
+                f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
+            )
+        at = [start + 2 * k for k in range(1, orders + 1)]
+        small = [
+            k for k, i in enumerate(at, start=1) if np.hypot(*vector[i : i + 2]) < 3.0 * std[i : i + 2].max()
+        ]
+        if small:
+            which = ", ".join(str(k) for k in small)
+            notes.append(
+                f"{gyro}: harmonics below three times their uncertainty, whose phases mean nothing: {which}"
+            )
+    return tuple(notes)
+
 
 _SETTLED = 0.01
 """A step below this share of the standard uncertainties ends the iteration."""
@@ -62,3 +221,157 @@ def gauss_newton(record: Record, place: Place, iterations: int = 6) -> tuple[Unk
         if np.all(np.abs(solution.step) < _SETTLED * np.sqrt(np.diag(solution.covariance))):
             break
     return x, parts, solution
+
+
+_PRIOR = 1e-9
+"""Diagonal of the first factor for columns of unit length: keeps it regular without weighing on the result."""
+
+
+def identify_recursively(
+    readouts: Readouts,
+    place: Place,
+    *,
+    sources: Sequence[str] = STATIC_SOURCES,
+    orders: int = 3,
+    points: int = 200,
+) -> Identification:
+    """The same estimate sample by sample, with its history.
+
+    The rows are linearised once about a batch solution over the first quarter of the record (at least four case
+    turns), which also gives the noise levels, and taken in one by one by square-root (Givens) updates; the end
+    agrees with the batch estimate to the second order of what the start was wrong by. ``points`` are kept.
+    """
+    record = Record.checked(readouts, sources, orders)
+    span = float(readouts.times[-1] - readouts.times[0])
+    early = Record.checked(readouts.first(max(4.0 * record.periods[1], 0.25 * span)), sources, orders)
+    x, parts, start = gauss_newton(early, place)
+    levels = {part.name: level for part, level in zip(parts, start.levels, strict=True)}
+    times, ends = _taken_in(list(record.in_time(x, levels)), len(record.names) + 1, points)
+    values, stds = np.empty((len(ends), len(record.names))), np.empty((len(ends), len(record.names)))
+    for k, factor in enumerate(ends):
+        inverse = np.linalg.inv(factor[:-1, :-1])
+        values[k], stds[k] = inverse @ factor[:-1, -1], np.sqrt(np.sum(inverse**2, axis=1))
+    end = record.moved(x, values[-1])
+    parts = [group.reduced() for group in record.groups(end)]
+    last = Solution(
+        0.0 * values[-1], inverse @ inverse.T, start.condition, tuple(levels[p.name] for p in parts)
+    )
+    found = result(record, end, parts, replace(last, levels=tuple(noise_levels(parts, last))))
+    seen = [record.names.index(name) for name in found.names]
+    history = {"time": times, "values": found.values + (values - values[-1])[:, seen], "stds": stds[:, seen]}
+    return replace(found, history=history)
+
+
+def _taken_in(stream: list[tuple[Array, Array]], size: int, points: int) -> tuple[Array, Array]:
+    """Times (k,) and factors (k, size, size) of ``points`` instants, the last row among them."""
+    count = sum(len(times) for times, _ in stream)
+    scale = np.ones(size)
+    scale[:-1] = np.sqrt(sum(np.sum(rows[:, -size:-1] ** 2, axis=0) for _, rows in stream))
+    kept = np.unique(np.linspace(max(count // 20, 4 * size), count - 1, points).astype(np.int64))
+    ends, when, block, at, done = np.empty((len(kept), size, size)), [], _PRIOR * np.eye(size), 0, 0
+    for times, rows in stream:
+        rows[:, -size:] /= scale
+        slow = rows.shape[1] - size
+        factor = _PRIOR * np.eye(rows.shape[1])
+        factor[slow:, slow:] = block
+        here = kept[(kept >= at) & (kept < at + len(rows))] - at
+        sequential_factor(rows, factor, here, ends[done : done + len(here)])
+        when.append(times[here])
+        block, at, done = factor[slow:, slow:], at + len(rows), done + len(here)
+    return np.concatenate(when), ends * scale
+
+
+UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")
+_SEPARABLE = 100.0
+"""Condition number above which unknowns count as not told apart: their uncertainty has grown a hundredfold."""
+
+
+@dataclass(frozen=True)
+class Observability:
+    """One source: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
+
+    ``std`` is for white noise of one arc-second on every reading (infinite: not seen at all); on the specific
+    force that is one arc-second of its direction, 48 um/s^2.
+    """
+
+    source: str
+    condition: float
+    std: Array
+    separable: bool
+    sentence: str
+
+
+def observability(readouts: Readouts, known: Identification) -> tuple[Observability, ...]:
+    """Observability of the two misalignments from each source alone and together.
+
+    ``known`` gives the redundancy angle at which it is judged. With both cases turning at one speed the
+    z angle alone carries ``m2 sin(c2) - m1 tan(eta) cos(c1)`` as one line, and the pick-off alone
+    ``m2 cos(c2) - m1 sin(c1)``: each leaves two of the four unknowns free.
+    """
+    every = max(1, len(readouts.times) // 4000)
+    t = readouts.times[::every]
+    encoders = (readouts.encoder1[::every], readouts.encoder2[::every])
+    x = Unknowns(
+        Tip.of(known.polar, 0),
+        Tip.of(known.equatorial, 0),
+        known.eta0,
+        known.eta_rate,
+        np.eye(3),
+        np.zeros(3),
+        np.eye(3),
+    )
+    e, pick = misalignment_regressors(x, t, *encoders)
+    felt = np.cross(_gravity(readouts)[::every][: len(t), :, None], e, axis=1)
+    rows = {"x": e[:, 0, :4], "y": e[:, 1, :4], "z": e[:, 2, :4], "Y": pick[:, :4]}
+    rows |= {name: felt[:, k, :4] for k, name in enumerate("123")}
+    equal = np.allclose(np.diff(encoders[0][:64]), np.diff(encoders[1][:64]))
+    chosen = {
+        "gimbals, z only": "z",
+        "redundancy-axis pick-off only": "Y",
+        "gimbals, x and y": "xy",
+        "gimbals, z, with pick-off": "zY",
+        "gimbals, all": "xyz",
+        "gimbals with pick-off": "xyzY",
+        "specific force": "123",
+        "specific force with pick-off": "123Y",
+    }
+    weight = np.sqrt(every) * ARCSEC
+    return tuple(_judge(name, [rows[k] for k in keys], t, equal, weight) for name, keys in chosen.items())
+
+
+def _gravity(readouts: Readouts) -> Array:
+    """Direction (n + 1, 3) of gravity in the triad at the nodes: a cone about the Earth's axis."""
+    angle = earth.EARTH_RATE * readouts.times
+    cone = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    fitted, *_ = np.linalg.lstsq(0.5 * (cone[1:] + cone[:-1]), readouts.increments, rcond=None)
+    gravity = cone @ fitted
+    direction: Array = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    return direction
+
+
+def _judge(source: str, rows: list[Array], t: Array, equal: bool, sigma: float) -> Observability:
+    slow = np.stack([np.ones_like(t), t / t[-1]], axis=1)
+    basis, _ = np.linalg.qr(slow)
+    clean = np.concatenate([r - basis @ (basis.T @ r) for r in rows])
+    _, values, right = np.linalg.svd(clean, full_matrices=False)
+    condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
+    separable = condition < _SEPARABLE
+    weak = values < values[0] / _SEPARABLE
+    scatter = (right.T / np.where(values > 0.0, values, np.nan)) * sigma
+    std = np.sqrt(np.sum(scatter**2, axis=1))
+    std = np.where(np.isfinite(std), std, np.inf)
+    return Observability(source, condition, std, separable, _sentence(separable, right[weak], clean, equal))
+
+
+def _sentence(separable: bool, hidden: Array, clean: Array, equal: bool) -> str:
+    if separable:
+        return "tells both misalignments and both phases"
+    unseen = [n for n, column in zip(UNKNOWNS, clean.T, strict=True) if not column.any()]
+    if unseen:
+        return f"does not see {', '.join(unseen)} at all; add the z axis or the pick-off"
+    mixed = "; ".join(in_words(direction, UNKNOWNS) for direction in hidden)
+    why = ": both cases turn at one speed, so that the two lines coincide" if equal else ""
+    cure = "add the other gimbal axes or the pick-off" + (
+        ", or turn the cases at unequal speeds" if equal else ""
+    )
+    return f"cannot tell apart {mixed}{why}; {cure}"

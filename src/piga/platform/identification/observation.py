@@ -1,4 +1,4 @@
-"""What the readouts should be, given the unknowns: exact predictions and first-order regressors.
+"""What the readouts should be, given the unknowns, and the rows that each source of observation gives.
 
 Predictions use the exact nulled geometry; regressors are those of the small-angle matrices, which is
 enough for Gauss-Newton steps (they are right to the size of the misalignment, 1e-3).
@@ -6,18 +6,29 @@ enough for Gauss-Newton steps (they are right to the size of the misalignment, 1
 Unknowns, in this order: polar ``u v`` (``m1 cos, m1 sin`` of its phase) and harmonics ``A_k B_k`` over the
 encoder angle; the same for the equatorial gyro; ``eta0, eta_rate``; triad attitude (3), triad drift (3),
 base attitude about two Earth axes (2). The third base angle cannot be told from the triad's by angles alone.
+
+Sources: gimbal angles, pick-off, and the disturbance that case rotation leaves in the specific force of a base that
+may move [Hu2010]. A platform off its triad by the small angles ``e`` feels ``f - e x f``. The force ``f`` is not
+known on a moving base. Far from the lines of the cases it is known to be absent: its slow part follows a spline with
+a knot per turn, and its fast part does not pass a window of a fifth of a turn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.platform.geometry import exact_geometry_series
+from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
+from piga.platform.identification.estimate import Group
 from piga.platform.model.geometry import gimbal_attitude, turns_to_gimbals
 from piga.platform.model.scenario import Gyro, Harmonic
 from piga.platform.model.simulate import Readouts
@@ -238,3 +249,326 @@ def _triad(pair: list[Array]) -> Array:
     across = np.cross(pair[0], pair[1])
     across /= np.linalg.norm(across)
     return np.stack([first, across, np.cross(first, across)], axis=1)
+
+
+_WINDOW = 10
+"""The window is two Hann windows of a tenth of a turn one after the other."""
+_ROWS = 20
+"""Rows kept per turn: lines up to the tenth of the case rate stay below the folding frequency."""
+_POINTS = 80
+"""Points per turn at which regressors are evaluated: they are smooth and need be right to 1e-3 only."""
+_TURNS = 16
+"""Length of a stretch [turns]; stretches are independent, so that the cost grows with the record only."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Part of a record, with what smoothing, whitening and the slow force need; nothing of the unknowns.
+
+    ``readouts`` of the stretch alone; ``window`` weights over samples, a row every ``stride`` samples;
+    ``every``: spacing of the points at which regressors are taken; ``spacing`` [s] of the spline's knots.
+    """
+
+    readouts: Readouts
+    window: Array
+    stride: int
+    every: int
+    spacing: float
+
+    @cached_property
+    def times(self) -> Array:
+        """Time (r,) [s] at which the window of each row ends: nothing of the row is known before."""
+        last = np.arange(len(self.readouts.increments) + 1 - len(self.window))[:: self.stride] + len(
+            self.window
+        )
+        return self.readouts.times[last]
+
+    @cached_property
+    def whitening(self) -> Array:
+        """Lower triangle (r, r) that makes rows of white noise, smoothed, white again with the samples' level."""
+        lags = np.arange(0, len(self.window), self.stride)
+        overlap = np.array([self.window[k:] @ self.window[: len(self.window) - k] for k in lags])
+        apart = np.abs(np.subtract.outer(*[np.arange(len(self.times))] * 2))
+        spread = np.where(apart < len(lags), overlap[np.minimum(apart, len(lags) - 1)], 0.0)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(spread)), dtype=np.float64)
+
+    @cached_property
+    def slow(self) -> Array:
+        """Orthonormal columns (r, q) that span the slow force along one axis, smoothed and whitened."""
+        return self._basis[0]
+
+    @cached_property
+    def _basis(self) -> tuple[Array, Array]:
+        from_points = _spline_columns(self._phase(self._points), self._pieces)
+        orthonormal, triangle = np.linalg.qr(self.whitening @ self._smooth_points(from_points))
+        return orthonormal, triangle
+
+    @cached_property
+    def _points(self) -> NDArray[np.int64]:
+        """Index of the samples at whose middle regressors are taken."""
+        first = (len(self.window) // 2) % self.every
+        return np.arange(first, len(self.readouts.increments), self.every, dtype=np.int64)
+
+    @cached_property
+    def _pieces(self) -> int:
+        return max(1, int((self.readouts.times[-1] - self.readouts.times[0]) / self.spacing))
+
+    def _phase(self, samples: NDArray[np.int64]) -> Array:
+        """Position 0 to 1 within the stretch of the middle of each sample."""
+        return (samples + 0.5) / len(self.readouts.increments)
+
+    def _smooth(self, values: Array) -> Array:
+        """Rows from one value a sample, (n, ...) to (r, ...)."""
+        return _weighted(values, self.window, self.stride)
+
+    def _smooth_points(self, values: Array) -> Array:
+        """Rows from values at the points only."""
+        thin = self.window[(len(self.window) // 2) % self.every :: self.every]
+        rows = _weighted(values, thin / thin.sum(), self.stride // self.every)
+        return rows[: len(self.times)]
+
+    def rows(self, x: Unknowns) -> tuple[Array, Array]:
+        """Whitened residuals (r, 3) [m/s^2] and regressors (r, 3, p) by tips, eta0 and eta_rate.
+
+        The step-mean of the predicted force is taken by Simpson's rule on the exact geometry, so that the
+        length of the step does not bias the unknowns. Gyro accelerometers read the platform's own turn too.
+        """
+        r = self.readouts
+        half = [_halved(v) for v in (r.times, r.encoder1, r.encoder2)]
+        attitude, _ = exact_platform(x, *half)
+        force = r.increments / r.step
+        undone = np.einsum("nji,nj->ni", attitude[1::2], force)
+        orthonormal, triangle = self._basis
+        found = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ self._smooth(undone)))
+        slow = _spline(np.linspace(0.0, 1.0, len(half[0])), self._pieces, np.asarray(found, dtype=np.float64))
+        felt = np.einsum("nij,nj->ni", attitude, slow)
+        predicted = (felt[:-1:2] + 4.0 * felt[1::2] + felt[2::2]) / 6.0
+        points = [v[1::2][self._points] for v in half]
+        e, _ = misalignment_regressors(x, *points)
+        columns = np.cross(slow[1::2][self._points][:, :, None], e, axis=1)
+        if r.turn_sensitivity > 0.0:
+            predicted -= _turns(attitude[::2]) * (r.turn_sensitivity / r.step)
+            columns -= np.gradient(e, points[0], axis=0) * r.turn_sensitivity
+        columns[1:-1] += np.diff(columns, 2, axis=0) / (24.0 * self.every**2)  # their mean over the step
+        table = [self._smooth(force - predicted)[:, :, None], self._smooth_points(columns)]
+        white = np.tensordot(self.whitening, np.concatenate(table, axis=2), axes=1)
+        return white[:, :, 0], white[:, :, 1:]
+
+    def without_slow(self, white: Array) -> Array:
+        """Whitened rows (r, ...) less their part that a slow force could have caused."""
+        flat = white.reshape(len(white), -1)
+        return (flat - self.slow @ (self.slow.T @ flat)).reshape(white.shape)
+
+
+def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[Stretch, ...]:
+    """Cut a record; ``turns`` (2,) are the periods [s] of the faster and the slower case."""
+    fast, slow = turns
+    samples = fast / readouts.step
+    every = max(1, round(samples / _POINTS))
+    stride = every * max(1, round(samples / _ROWS / every))
+    hann = np.hanning(max(round(samples / _WINDOW), 3) + 2)[1:-1]
+    window = np.convolve(hann, hann) / hann.sum() ** 2
+    n = len(readouts.increments)
+    count = max(1, round(n * readouts.step / slow / _TURNS))
+    edges = np.linspace(0, n, count + 1).astype(np.int64)
+    return tuple(
+        Stretch(readouts.between(int(a), int(b)), window, stride, every, slow) for a, b in pairwise(edges)
+    )
+
+
+def _weighted(values: Array, weights: Array, stride: int) -> Array:
+    flat = values.reshape(len(values), -1)
+    rows = sliding_window_view(flat, len(weights), axis=0)[::stride] @ weights
+    return rows.reshape(len(rows), *values.shape[1:])
+
+
+def _halved(nodes: Array) -> Array:
+    """Values at nodes and, between them, in the middle of every step."""
+    out = np.empty(2 * len(nodes) - 1)
+    out[::2], out[1::2] = nodes, 0.5 * (nodes[1:] + nodes[:-1])
+    return out
+
+
+def _turns(attitude: Array) -> Array:
+    """Turn (n, 3) [rad] of the platform over each step in its own axes, from ``C_G^P`` (n + 1, 3, 3)."""
+    step = np.einsum("nij,nkj->nik", attitude[1:], attitude[:-1])
+    return 0.5 * np.stack([step[:, j - 2, j - 1] - step[:, j - 1, j - 2] for j in range(3)], axis=1)
+
+
+def _cubic(u: Array) -> Array:
+    """The four cubic B-splines (n, 4) that reach over a piece, at ``u`` (n,) 0 to 1 within it."""
+    v = 1.0 - u
+    return np.stack([v**3, 3 * u**3 - 6 * u**2 + 4, 3 * v**3 - 6 * v**2 + 4, u**3], axis=1) / 6.0
+
+
+def _located(phase: Array, pieces: int) -> tuple[NDArray[np.int64], Array]:
+    piece = np.minimum((phase * pieces).astype(np.int64), pieces - 1)
+    return piece, _cubic(phase * pieces - piece)
+
+
+def _spline_columns(phase: Array, pieces: int) -> Array:
+    """Values (n, pieces + 3) of all cubic B-splines on equal pieces at ``phase`` 0 to 1."""
+    piece, values = _located(phase, pieces)
+    columns = np.zeros((len(phase), pieces + 3))
+    np.put_along_axis(columns, piece[:, None] + np.arange(4), values, axis=1)
+    return columns
+
+
+def _spline(phase: Array, pieces: int, coefficients: Array) -> Array:
+    """The spline (n, 3) with ``coefficients`` (pieces + 3, 3)."""
+    piece, values = _located(phase, pieces)
+    total = values[:, :1] * coefficients[piece]
+    for k in range(1, 4):
+        total += values[:, k, None] * coefficients[piece + k]
+    return total
+
+
+STATIC_SOURCES = ("gimbals", "pick-off")
+MOVING_SOURCES = ("force", "pick-off")
+
+_FEWEST = 20
+"""Samples per case turn that the specific force needs."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record, the sources taken from it, and the highest harmonic looked for."""
+
+    readouts: Readouts
+    sources: tuple[str, ...]
+    orders: int
+
+    @classmethod
+    def checked(cls, readouts: Readouts, sources: Sequence[str], orders: int) -> Record:
+        """The record, refused when a source is not known or the cases turn too little or too fast for it."""
+        unknown = [s for s in sources if s not in {"gimbals", "pick-off", "force"}]
+        if unknown or not sources:
+            raise ArgumentError(
+                f"identification: sources {list(sources)!r} must be among gimbals, pick-off, force"
+            )
+        record = cls(readouts, tuple(sources), orders)
+        fast, slow = record.periods
+        span = float(readouts.times[-1] - readouts.times[0])
+        if np.isinf(slow):
+            raise ArgumentError(
+                "identification needs both cases turning, one is at rest",
+                remedy="give [case_rotation] period and equatorial_period, or [compensation] misalignment = 'true'",
+            )
+        if not span >= 2.0 * slow:
+            raise ArgumentError(
+                f"identification needs two turns of the cases ({2.0 * slow:g} s), the record has {span:g} s",
+                remedy="lengthen [identification] duration, or [compensation] misalignment = 'true'",
+            )
+        if "force" in sources and fast < _FEWEST * readouts.step:
+            raise ArgumentError(
+                f"identification from the specific force needs {_FEWEST} samples a case turn, the record has "
+                f"{fast / readouts.step:.1f}",
+                remedy=f"shorten [run] step to {fast / _FEWEST:g} s",
+            )
+        return record
+
+    @cached_property
+    def periods(self) -> tuple[float, float]:
+        """Periods [s] of the faster and the slower case; infinite when a case rests."""
+        r = self.readouts
+        rates = [float(np.abs(np.diff(angle[:3])).max()) / r.step for angle in (r.encoder1, r.encoder2)]
+        fast, slow = max(rates), min(rates)
+        return (2.0 * np.pi / fast if fast > 0.0 else np.inf, 2.0 * np.pi / slow if slow > 0.0 else np.inf)
+
+    @cached_property
+    def seen(self) -> NDArray[np.int64]:
+        """Which of all unknowns the sources together can see (columns of every group)."""
+        tips = 4 + 4 * self.orders
+        eta = range(tips, tips + 2) if "pick-off" in self.sources else ()
+        slow = range(tips + 2, tips + 10) if "gimbals" in self.sources else ()
+        return np.array([*range(tips), *eta, *slow])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns seen."""
+        every = names(self.orders)
+        return tuple(every[k] for k in self.seen)
+
+    @cached_property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """Parts of the record for the specific force; none where it is not used."""
+        return stretches(self.readouts, self.periods) if "force" in self.sources else ()
+
+    def moved(self, x: Unknowns, step: Array) -> Unknowns:
+        """The unknowns after a step of those seen.
+
+        Where the pick-off is no source of its own, its mean and trend still give the redundancy angle.
+        """
+        whole = np.zeros(len(names(self.orders)))
+        whole[self.seen] = step
+        x = x.moved(whole)
+        if "pick-off" in self.sources:
+            return x
+        r = self.readouts
+        _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
+        rate, start = np.polyfit(r.times, r.pickoff - ring, 1)
+        return replace(x, eta0=x.eta0 + float(start), eta_rate=x.eta_rate + float(rate))
+
+    def groups(self, x: Unknowns) -> list[Group]:
+        """Rows of every source about ``x``; the force without what a slow force could have caused."""
+        groups = []
+        if self.stretches:
+            parts = [(s, *s.rows(x)) for s in self.stretches]
+            residual = np.concatenate([s.without_slow(r).ravel() for s, r, _ in parts])
+            columns = np.concatenate([self._cut(s.without_slow(c)) for s, _, c in parts])
+            rows = 3.0 * sum(len(s.times) - s.slow.shape[1] for s in self.stretches)
+            groups.append(Group("force", residual, columns, rows))
+        return [*self._angles(x), *groups]
+
+    def _angles(self, x: Unknowns) -> Iterator[Group]:
+        """Rows of the gimbal angles and of the pick-off."""
+        r = self.readouts
+        if "gimbals" in self.sources:
+            residual, regressors = gimbal_rows(x, r)
+            yield Group("gimbals", residual.ravel(), self._cut(regressors))
+        if "pick-off" in self.sources:
+            _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
+            _, pick = misalignment_regressors(x, r.times, r.encoder1, r.encoder2)
+            yield Group("pick-off", r.pickoff - ring, self._cut(pick))
+
+    def _cut(self, columns: Array) -> Array:
+        """Columns (n, p) of the unknowns seen, zero where the source has none of them."""
+        flat = columns.reshape(-1, columns.shape[-1])
+        there = self.seen < flat.shape[1]
+        out = np.zeros((len(flat), len(self.seen)))
+        out[:, there] = flat[:, self.seen[there]]
+        return out
+
+    def in_time(self, x: Unknowns, levels: dict[str, float]) -> Iterator[tuple[Array, Array]]:
+        """Times (n,) and weighted rows (n, s + p + 1) of all sources in order of time, stretch by stretch.
+
+        The first s columns are a slow force of each stretch of its own; the last is the residual.
+        """
+        r = self.readouts
+        times, tables = [np.zeros(0)], [np.zeros((0, len(self.seen) + 1))]
+        for g in self._angles(x):
+            times.append(np.repeat(r.times, len(g.residual) // len(r.times)))
+            tables.append(np.column_stack([g.regressors, g.residual]) / levels[g.name])
+        time, table = np.concatenate(times), np.concatenate(tables)
+        after = -np.inf
+        for stretch in self.stretches:
+            until = np.inf if stretch is self.stretches[-1] else stretch.readouts.times[-1]
+            here = (time > after) & (time <= until)
+            after = until
+            force = self._force_in_time(stretch, x) / levels["force"]
+            angles = np.pad(table[here], ((0, 0), (force.shape[1] - table.shape[1], 0)))
+            yield _sorted(
+                np.concatenate([time[here], np.repeat(stretch.times, 3)]), np.concatenate([angles, force])
+            )
+        if not self.stretches:
+            yield _sorted(time, table)
+
+    def _force_in_time(self, stretch: Stretch, x: Unknowns) -> Array:
+        residual, columns = stretch.rows(x)
+        slow = np.kron(stretch.slow, np.eye(3))
+        return np.column_stack([slow, self._cut(columns), residual.ravel()])
+
+
+def _sorted(times: Array, rows: Array) -> tuple[Array, Array]:
+    order = np.argsort(times, kind="stable")
+    return times[order], np.ascontiguousarray(rows[order])

@@ -1,22 +1,279 @@
-"""The simulator: a scenario becomes readouts (what an engineer gets) and truth (kept apart)."""
+"""The simulator: a scenario becomes readouts (what an engineer gets) and truth (kept apart).
+
+The base is at rest, turns, sways or follows a track. Three gyro accelerometers may stand on the platform.
+"""
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.platform.motion import simulate_platform
+from piga._kernels.platform.triad import solve_triad
+from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
-from piga.platform.model.case_rotation import encoder_angle
-from piga.platform.model.geometry import harmonic_arrays
-from piga.platform.model.motion import BaseMotion, base_motion
-from piga.platform.model.scenario import Gyro, Scenario, Sensors
+from piga.instrument import Instrument, propagate
+from piga.platform.model.geometry import (
+    earth_to_geodetic,
+    encoder_angle,
+    geodetic_to_earth,
+    gravitation,
+    harmonic_arrays,
+    local_axes,
+    specific_force_at_rest,
+)
+from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Place, Scenario, Sensors
+from piga.records.limits import read_whole
 
 Array = NDArray[np.float64]
+
+MAX_TRACK = 256 << 20
+"""Largest file of a track [bytes]: some three million rows."""
+_TRACK_COLUMNS = {
+    "time": ("time_s", "t_s"),
+    "latitude": ("latitude_deg", "lat_deg"),
+    "longitude": ("longitude_deg", "lon_deg"),
+    "height": ("height_m", "h_m"),
+    "roll": ("roll_deg",),
+    "pitch": ("pitch_deg",),
+    "heading": ("heading_deg",),
+}
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """True motion of the base on the run's time grid; arrays have one row when nothing changes.
+
+    ``force`` (2n + 1, 3) or (1, 3): specific force in Earth axes at every half step [m/s^2];
+    ``attitude`` (n + 1, 3) or (1, 3): roll, pitch, heading [rad]; ``place`` (.., 3): latitude,
+    longitude [rad], height [m]; ``velocity`` (.., 3): north, east, down [m/s].
+    """
+
+    force: Array
+    attitude: Array
+    place: Array
+    velocity: Array
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether neither place nor attitude changes."""
+        return len(self.attitude) == 1 and len(self.place) == 1
+
+    def start_inertial(self) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s] in inertial axes at time zero."""
+        lat, lon, height = self.place[0]
+        position = geodetic_to_earth(lat, lon, height)
+        spin = np.array([0.0, 0.0, earth.EARTH_RATE])
+        return position, local_axes(lat, lon) @ self.velocity[0] + np.cross(spin, position)
+
+
+def base_motion(scenario: Scenario) -> BaseMotion:
+    """Motion of the base for the scenario's time grid.
+
+    Raises
+    ------
+    DataError
+        If the track file cannot be read, lacks a column or is shorter than the run.
+    """
+    plan, times = scenario.motion, scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
+    if plan.kind == "track":
+        return _track(plan, scenario)
+    place, force, velocity = (
+        _around(scenario.place, plan.sway[3:], scenario) if plan.kind == "sway" else _rest(scenario)
+    )
+    return BaseMotion(force, _attitude(plan, times), place, velocity)
+
+
+def _rest(scenario: Scenario) -> tuple[Array, Array, Array]:
+    at = scenario.place
+    position = geodetic_to_earth(at.latitude, at.longitude, at.height)
+    place = np.array([[at.latitude, at.longitude, at.height]])
+    return place, specific_force_at_rest(position)[None, :], np.zeros((1, 3))
+
+
+def _attitude(plan: MotionPlan, times: Array) -> Array:
+    start = np.array([[plan.roll, plan.pitch, plan.heading]])
+    if plan.kind == "turn":
+        heading = np.arctan2(
+            np.sin(plan.heading + plan.turn_rate * times), np.cos(plan.heading + plan.turn_rate * times)
+        )
+        return np.stack([np.full_like(times, plan.roll), np.full_like(times, plan.pitch), heading], axis=1)
+    if plan.kind == "sway":
+        return start + np.stack(
+            [o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in plan.sway[:3]], axis=1
+        )
+    return start
+
+
+def _around(at: Place, sway: tuple[Oscillation, ...], scenario: Scenario) -> tuple[Array, Array, Array]:
+    """Place, force and velocity of a point that swings about a fixed one along north, east, down."""
+    half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
+    rate = np.array([2.0 * np.pi / o.period for o in sway])
+    amplitude = np.array([o.amplitude for o in sway])
+    axes = local_axes(at.latitude, at.longitude)
+    sine = amplitude * np.sin(rate * half[:, None])
+    position = geodetic_to_earth(at.latitude, at.longitude, at.height) + sine @ axes.T
+    velocity = (amplitude * rate * np.cos(rate * half[:, None])) @ axes.T
+    return _felt(position, velocity, (-(rate**2) * sine) @ axes.T)
+
+
+def _felt(position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array, Array]:
+    """Place and velocity at the nodes, specific force at the half steps, from Earth-axes motion (2n + 1, 3)."""
+    spin = np.array([0.0, 0.0, earth.EARTH_RATE])
+    coriolis = 2.0 * np.cross(spin, velocity) + np.cross(spin, np.cross(spin, position))
+    lat, lon, height = earth_to_geodetic(position[::2])
+    level = np.einsum("kji,kj->ki", local_axes(lat, lon), velocity[::2])
+    return np.stack([lat, lon, height], axis=1), acceleration + coriolis - gravitation(position), level
+
+
+def _track(plan: MotionPlan, scenario: Scenario) -> BaseMotion:
+    from scipy.interpolate import CubicSpline
+
+    assert plan.file is not None  # noqa: S101 - the reader of the scenario saw to it
+    table = _read_track(plan.file)
+    half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
+    if table["time"][0] > 0.0 or table["time"][-1] < half[-1]:
+        raise DataError(
+            f"{plan.file}: the track covers {table['time'][0]:g} s to {table['time'][-1]:g} s, the "
+            f"run needs 0 to {half[-1]:g} s",
+            remedy="shorten [run] duration or lengthen the track",
+        )
+    earth_fixed = geodetic_to_earth(table["latitude"], np.unwrap(table["longitude"]), table["height"])
+    path = CubicSpline(table["time"], earth_fixed)
+    place, force, velocity = _felt(path(half), path(half, 1), path(half, 2))
+    angles = np.stack([np.unwrap(table[k]) for k in ("roll", "pitch", "heading")], axis=1)
+    return BaseMotion(
+        force, np.ascontiguousarray(CubicSpline(table["time"], angles)(half[::2])), place, velocity
+    )
+
+
+def _read_track(path: Path) -> dict[str, Array]:
+    try:
+        text = read_whole(path, MAX_TRACK, "the file of the track").decode("utf-8-sig")
+        rows = [row for row in csv.reader(text.splitlines()) if row]
+    except (DataError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"[motion] file {path}: cannot be read ({error})", remedy="check the path") from None
+    if len(rows) < 5:
+        raise DataError(f"[motion] file {path}: a header and at least 4 rows are needed")
+    header = [name.strip() for name in rows[0]]
+    table = {}
+    for key, names in _TRACK_COLUMNS.items():
+        column = next((header.index(name) for name in names if name in header), None)
+        if column is None:
+            raise DataError(
+                f"[motion] file {path}: column '{names[0]}' is missing", remedy=f"columns: {_columns()}"
+            )
+        table[key] = np.array([_number(path, line, row, column) for line, row in enumerate(rows[1:], start=2)])
+        if key not in {"time", "height"}:
+            table[key] = np.radians(table[key])
+    if not np.all(np.diff(table["time"]) > 0.0):
+        raise DataError(f"[motion] file {path}: the time does not increase at every row")
+    return table
+
+
+def _columns() -> str:
+    return ", ".join(names[0] for names in _TRACK_COLUMNS.values())
+
+
+def _number(path: Path, line: int, row: list[str], column: int) -> float:
+    try:
+        value = float(row[column])
+    except (ValueError, IndexError):
+        value = float("nan")
+    if not np.isfinite(value):
+        text = row[column] if column < len(row) else "nothing"
+        raise DataError(f"[motion] file {path}: line {line}, column {column + 1}: '{text}' is not a number")
+    return value
+
+
+TRIPOD = float(np.arccos(1.0 / np.sqrt(3.0)))
+"""Cone angle [rad] at which three skewed input axes are at right angles: 54.74 deg."""
+
+
+def mounting_axes(sensors: PigaSensors) -> Array:
+    """Axes (3, 3, 3) of the instruments in the platform frame: rows X0, Y0, Z0 of each.
+
+    ``orthogonal``: input axes along the platform's x, y, z. ``skewed``: input axes evenly round the
+    platform's polar axis at the cone angle to it. A force at the angle ``90 deg - latitude`` to the
+    polar axis never lies across an input axis whose cone angle is below the latitude.
+    """
+    if sensors.mounting == "orthogonal":
+        return np.stack([np.roll(np.eye(3), -k, axis=0) for k in range(3)])
+    around = np.arange(3) * (2.0 * np.pi / 3.0)
+    s, c = np.sin(sensors.cone), np.cos(sensors.cone)
+    x = np.stack([s * np.cos(around), s * np.sin(around), np.full(3, c)], axis=1)
+    y = np.stack([-np.sin(around), np.cos(around), np.zeros(3)], axis=1)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def gimbal_angles(sensors: PigaSensors, times: Array, force: Array, spin: Array) -> Array:
+    """Outer-gimbal angles (3, n + 1) [rad] of the three instruments.
+
+    ``force`` (n + 1, 3) specific force at ``times`` in platform axes [m/s^2]; ``spin`` (n, 3) turn of
+    the platform over each step [rad].
+    """
+    step = times[1] - times[0]
+    inner = np.concatenate([spin[:1], 0.5 * (spin[1:] + spin[:-1]), spin[-1:]]) / step
+    angles = []
+    for axes, alpha0 in zip(mounting_axes(sensors), sensors.alpha0, strict=True):
+        instrument = Instrument(sensors.scale_factor, float(np.arctan(sensors.tan_beta)), alpha0)
+        angles.append(propagate(instrument, times, force @ axes.T, inner @ axes.T))
+    found = np.stack(angles)
+    if sensors.counts_per_revolution > 0.0:
+        quantum = 2.0 * np.pi / sensors.counts_per_revolution
+        found = np.round(found / quantum) * quantum
+    return found
+
+
+def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
+    """Velocity increments (n, 3) [m/s] in platform axes from gimbal angles (3, n + 1).
+
+    ``raw``: ``d alpha / K`` along the input axes. ``triad``: the force that turns all three as measured,
+    with the effective input axes and the calibration ``tan_beta + tan_beta_error``, phase off by
+    ``phase_error``.
+
+    Raises
+    ------
+    ArgumentError
+        If a gimbal turns by more than a third of a turn in one step (the angle between samples would be
+        ambiguous).
+    """
+    axes = mounting_axes(sensors)
+    turned = np.diff(alpha, axis=1)
+    if sensors.output == "raw":
+        return np.ascontiguousarray(np.linalg.solve(axes[:, 0, :], turned / sensors.scale_factor).T)
+    fastest = float(np.abs(turned).max())
+    if fastest > 2.0 * np.pi / 3.0:
+        raise ArgumentError(
+            f"the gyro accelerometers turn up to {fastest:.2f} rad in a step; at most a third of a "
+            "turn can be solved",
+            remedy=f"shorten [run] step below {(times[1] - times[0]) * 2.0 / fastest:.2g} s",
+        )
+    increments = np.empty((turned.shape[1], 3))
+    solve_triad(
+        alpha + sensors.phase_error, axes, np.full(3, sensors.scale_factor),
+        np.full(3, sensors.tan_beta + sensors.tan_beta_error), float(times[1] - times[0]), 4,
+        np.empty((3, 4)), increments,
+    )  # fmt: skip
+    return increments
+
+
+def through_pigas(sensors: PigaSensors, times: Array, force: Array, spin: Array) -> Array:
+    """Velocity increments (n, 3) [m/s] that three gyro accelerometers give for the true force."""
+    return read_increments(sensors, times, gimbal_angles(sensors, times, force, spin))
+
+
+def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:
+    """Whether each instrument is inside its locked zone ``|a_x| < a_t tan(beta)``: (n, 3)."""
+    along = force @ mounting_axes(sensors)[:, 0, :].T
+    across = np.sqrt(np.maximum(np.sum(force**2, axis=1)[:, None] - along**2, 0.0))
+    return np.abs(along) < across * abs(sensors.tan_beta)
 
 
 @dataclass(frozen=True)
@@ -136,8 +393,6 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
     )  # fmt: skip
     times = h * np.arange(n + 1, dtype=np.float64)
     if scenario.sensors.piga is not None:
-        from piga.platform.model.triad import through_pigas
-
         increments = through_pigas(scenario.sensors.piga, times, force, spin)
     readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
     return Run(scenario, readouts, Truth(motion, force, eta, start, triad))

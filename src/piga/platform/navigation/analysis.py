@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga.platform.model.geodesy import gravity
-from piga.platform.model.geometry import misalignment
+from piga.platform.model.geometry import gravity, misalignment
 from piga.platform.model.models import Compensator, Knowledge
 from piga.platform.model.scenario import Gyro, Scenario
 from piga.platform.navigation.navigator import Errors

@@ -12,14 +12,21 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga.platform.identification.alignment import Alignment
-from piga.platform.identification.identified import Identification
-from piga.platform.model.geodesy import local_axes
+from piga.platform.identification.identify import Identification
+from piga.platform.model.geometry import local_axes
 from piga.platform.model.models import compensator, true_knowledge
 from piga.platform.model.scenario import Gyro, Model, MotionPlan, Scenario
 from piga.platform.model.simulate import Run, simulate
 from piga.platform.navigation.analysis import Lines, case_rates, daily_lines, day_slices, theory_lines
-from piga.platform.navigation.error_model import Perturbation, linear_errors
-from piga.platform.navigation.navigator import Errors, Start, errors, navigate, true_start
+from piga.platform.navigation.navigator import (
+    Errors,
+    Perturbation,
+    Start,
+    errors,
+    linear_errors,
+    navigate,
+    true_start,
+)
 from piga.platform.runs.chain import compare
 from piga.units import ARCSEC
 

@@ -21,10 +21,17 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.platform.model.models import compensator
-from piga.platform.model.motion import base_motion
 from piga.platform.model.scenario import PigaSensors, Scenario
-from piga.platform.model.simulate import Run, simulate
-from piga.platform.model.triad import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
+from piga.platform.model.simulate import (
+    TRIPOD,
+    Run,
+    base_motion,
+    gimbal_angles,
+    locked,
+    mounting_axes,
+    read_increments,
+    simulate,
+)
 from piga.platform.navigation.navigator import Errors, errors, navigate
 from piga.platform.runs.chain import Preparation, prepare
 

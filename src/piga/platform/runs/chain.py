@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.platform.identification.alignment import Alignment, align
-from piga.platform.identification.identified import Identification
-from piga.platform.identification.identify import identify
-from piga.platform.identification.sources import MOVING_SOURCES, STATIC_SOURCES
+from piga.platform.identification.identify import Identification, identify
+from piga.platform.identification.observation import MOVING_SOURCES, STATIC_SOURCES
 from piga.platform.model.models import Compensator, Knowledge, compensator, true_knowledge
 from piga.platform.model.scenario import Model, Scenario
 from piga.platform.model.simulate import Run, simulate

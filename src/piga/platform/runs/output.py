@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from piga.formats.arrow_columns import number_column
 from piga.platform.identification.alignment import UNKNOWNS, Alignment
-from piga.platform.identification.identified import Identification
-from piga.platform.identification.observability import UNKNOWNS as MISALIGNMENTS
-from piga.platform.identification.observability import Observability
+from piga.platform.identification.identify import UNKNOWNS as MISALIGNMENTS
+from piga.platform.identification.identify import Identification, Observability
 from piga.platform.model.simulate import Readouts, Run
 from piga.platform.runs.budget import BudgetRow, LineRow, Scatter
 from piga.platform.runs.chain import ARCMIN, ModelRun, finite

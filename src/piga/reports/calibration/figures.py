@@ -1,4 +1,4 @@
-"""Figures of a calibration: residuals against time, revolution order and output angle; whiteness; segments."""
+"""Figures of a calibration: residuals against time, order and output angle; Allan deviation; whiteness; segments."""
 
 from __future__ import annotations
 
@@ -9,21 +9,191 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.allan import allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
-from piga.reports.calibration.allan import allan_figure
-from piga.reports.calibration.rotation_figures import ripple_figure, spectrum_figure
 from piga.reports.calibration.tables import residual_quantity
 from piga.reports.render.decimate import POINTS, envelope_rows
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.long_record import leading_part, outline
 from piga.reports.render.numbers import pretty_unit
-from piga.reports.render.orders import order_spectrum, ripple, segment_slices
+from piga.reports.render.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
 from piga.units import ARCSEC, G0, conversion_factor
+
+
+def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: float = 0.0) -> Figure | None:
+    """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift.
+
+    ``residuals`` are angles [rad]; ``noise`` is the white angle noise [rad] and the random walk [rad/sqrt(s)],
+    ``bias_drift`` that found [rad/s/sqrt(s)]; without one a line of its slope is drawn for comparison.
+    """
+    white, walk = noise[0] ** 2, noise[1] ** 2
+    found = allan_deviation(
+        np.asarray(residuals.after, dtype=float),
+        np.asarray(residuals.t),
+        _begins(residuals),
+        white=white,
+        walk=walk,
+    )
+    if found.tau.size < 2:
+        return None
+    tau = found.tau
+    angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
+    both = np.hypot(np.hypot(angle, wander), drift_line(tau, bias_drift / ARCSEC))
+    level = bias_drift / ARCSEC or both[-1] / math.sqrt(tau[-1] / 3.0)
+    drift = drift_line(tau, level)
+    near = (tau >= 0.1 * tau[-1]) | (bias_drift > 0.0)
+    band = Series(tau, found.lower / ARCSEC, "68 % band", "band", "muted", upper=found.upper / ARCSEC)
+    series = [
+        band,
+        Series(tau, found.deviation / ARCSEC, "residual", "line+points", "after"),
+        Series(tau, both, "noise found", role="model"),
+    ]
+    series += [Series(tau, angle, "white noise", role="x", dashed=True)] if white > 0.0 else []
+    series += [Series(tau, wander, "random walk", role="y", dashed=True)] if walk > 0.0 else []
+    series.append(
+        Series(
+            tau[near],
+            drift[near],
+            "bias drift" if bias_drift else "slope of a drift",
+            role="warning",
+            dashed=True,
+        )
+    )
+    low = 0.3 * min(float((found.deviation / ARCSEC).min()), float(both.min()))
+    high = 3.0 * max(float((found.upper / ARCSEC).max()), float(both.max()))
+    y = Axis("Allan deviation of the rate", "arcsec/s", log=True, limits=(low, high))
+    return Figure(
+        key="allan",
+        title="Allan deviation of the residual rate.",
+        panels=(Panel(Axis("averaging time", "s", log=True), y, tuple(series)),),
+        caption="Overlapping Allan deviation of what the calibration leaves, with its 68 % band. Stretches are pooled, "
+        "not joined: nothing longer than a third of the longest one is seen. Good: the curve follows the noise found; "
+        "one that turns upwards along the dashed slope, above it, shows a drift of the bias that was not found.",
+        height=3.4,
+    )
+
+
+def _begins(residuals: Residuals) -> NDArray[np.bool_]:
+    """Where a stretch begins: another segment, or an increment that was not formed and left a step."""
+    begins = np.zeros(residuals.t.size, dtype=bool)
+    begins[0] = True
+    begins[1:] = np.diff(residuals.segment) != 0
+    begins[1:] |= (residuals.innovation[1:] == 0.0) & (np.diff(residuals.after) != 0.0)
+    return begins
+
 
 Array = NDArray[np.float64]
 
 MICRO_G = G0 * 1e-6
+
+
+def spectrum_figure(spectrum: OrderSpectrum) -> Figure:
+    """Ripple amplitude against revolution order."""
+    y = Axis("ripple amplitude", "µg", log=True)
+    series = (
+        Series(spectrum.order, spectrum.before / MICRO_G, name="before", role="before"),
+        Series(spectrum.order, spectrum.after / MICRO_G, name="after", role="after"),
+        Series(
+            spectrum.order,
+            spectrum.noise / MICRO_G,
+            name="expected of the noise",
+            role="reference",
+            dashed=True,
+        ),
+    )
+    return Figure(
+        key="residual-order",
+        title="Residual against revolution order.",
+        panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
+        caption="Specific-force ripple that would leave these residuals, by how often it repeats in one turn "
+        "of the output. Good: after calibration no line stands out of the expected noise. A line at a whole "
+        "order is a harmonic that the model lacks (order 1: cross-coupling; 2: servo stiffness, unequal "
+        "inertia; others: encoder and bearings).",
+        height=2.9,
+        notes=(f"From {_segments_that_turn(spectrum.segments)}.",),
+    )
+
+
+def ripple_figure(turned: Ripple) -> Figure:
+    """Ripple against output angle: polar, and unrolled on its own scale."""
+    before, after = turned.before / MICRO_G, turned.after / MICRO_G
+    scatter = turned.scatter / MICRO_G
+    step = _nice(float(np.nanmax(np.abs(np.concatenate((before, after))))))
+    degrees = np.degrees(turned.psi)
+    error = scatter if np.isfinite(scatter).all() and scatter.size else None
+    outer = 3.2 * step
+    scattered = "" if error is None else " Error bars: standard uncertainty from the scatter between segments."
+    turned_note = (
+        f"Mean over {_segments_that_turn(turned.segments)}, each turned so that its own ripple before "
+        "calibration points to ψ = 0."
+    )
+    polar = Panel(
+        Axis("radius × cos ψ", "µg", limits=(-outer, outer)),
+        Axis("radius × sin ψ", "µg", limits=(-outer, outer)),
+        (
+            *_polar_grid(step),
+            _closed(turned.psi, before, 2.0 * step, "before", "before"),
+            _closed(turned.psi, after, 2.0 * step, "after", "after"),
+        ),
+        title="Polar",
+        equal=True,
+    )
+    flat = Panel(
+        Axis("output angle ψ", "deg", limits=(0.0, 360.0)),
+        Axis("residual specific force", "µg"),
+        (
+            Series(degrees, degrees * 0.0, role="reference", dashed=True),
+            Series(degrees, after, name="after", mark="line+points", role="after", error=error),
+        ),
+        title="After, enlarged",
+    )
+    return Figure(
+        key="ripple-polar",
+        title="Cross-coupling ripple in one turn of the output.",
+        panels=(polar, flat),
+        caption="Residual specific force around the turn, drawn outwards from the ring of "
+        f"{2 * step:g} µg, which means zero; grid rings lie {step:g} µg apart. Cross-coupling shifts the curve "
+        "sideways. Good: after calibration the curve lies on the ring, and on the enlarged scale only scatter "
+        "is left.",
+        columns=2,
+        height=3.4,
+        notes=(turned_note + scattered,),
+    )
+
+
+def _segments_that_turn(number: int) -> str:
+    return "the one segment that turns far enough" if number == 1 else f"{number} segments that turn far enough"
+
+
+def _nice(size: float) -> float:
+    """The next of 1, 2, 5 times a power of ten above ``size``."""
+    if not size > 0.0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(size))
+    return next(power * factor for factor in (1.0, 2.0, 5.0, 10.0) if power * factor >= size * 0.999)
+
+
+def _polar_grid(step: float) -> tuple[Series, ...]:
+    turn = np.linspace(0.0, 2.0 * math.pi, 181)
+    rings = [Series(r * np.cos(turn), r * np.sin(turn), role="muted") for r in (step, 3.0 * step)]
+    zero = Series(
+        2 * step * np.cos(turn), 2 * step * np.sin(turn), role="reference", dashed=True, name="zero ripple"
+    )
+    spokes_x, spokes_y = [], []
+    for angle in np.arange(0.0, 2.0 * math.pi - 1e-9, math.pi / 6.0):
+        spokes_x += [step * math.cos(angle), 3.0 * step * math.cos(angle), math.nan]
+        spokes_y += [step * math.sin(angle), 3.0 * step * math.sin(angle), math.nan]
+    return (*rings, Series(np.array(spokes_x), np.array(spokes_y), role="muted"), zero)
+
+
+def _closed(psi: Array, values: Array, radius: float, name: str, role: str) -> Series:
+    psi, values = np.append(psi, psi[:1]), np.append(values, values[:1])
+    text = tuple(f"ψ {np.degrees(p):.0f}°, ripple {v:.3g} µg" for p, v in zip(psi, values, strict=True))
+    x, y = (radius + values) * np.cos(psi), (radius + values) * np.sin(psi)
+    return Series(x, y, name=name, role="before" if role == "before" else "after", text=text)
+
+
 _LAGS = 40
 
 

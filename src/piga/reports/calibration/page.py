@@ -1,45 +1,191 @@
-"""The calibration report: a page for the screen and for print."""
+"""The calibration report: a page for the screen and for print, and the summary for the terminal."""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 
 from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.terms import meaning_of, shown_unit
 from piga.records.verdict import THRESHOLDS, whitened_rms
-from piga.reports.calibration.budget import budget_tables, sensitivity_tables
-from piga.reports.calibration.diagnostics import (
-    COMPARISON_LEAD,
-    LEVERAGE_LEAD,
-    OWN_TABLES,
-    comparison_table,
-    leverage_table,
-)
-from piga.reports.calibration.extent import files_in_words, period_in_words, segments_in_words, total_duration
-from piga.reports.calibration.figures import calibration_figures
+from piga.reports.calibration.figures import calibration_figures, elapsed_time
 from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (
+    LEVERAGE_LEAD,
+    OWN_TABLES,
+    PROPAGATION_LEAD,
+    budget_tables,
+    budget_text,
     coefficient_table,
     common_coefficients,
     correlation_table,
+    factor,
     facts_table,
     freedom,
     judgement,
+    leverage_table,
     outlier_table,
+    propagation_table,
     quality_table,
     residual_quantity,
     runs_table,
     scalars,
     segment_table,
+    sensitivity_tables,
     sentence,
 )
-from piga.reports.calibration.text import calibration_text, drift_found, scatter_found
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short
+from piga.reports.render.long_record import outline
+from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.render.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
-from piga.units import ARCSEC
+from piga.units import ARCSEC, G0
+
+
+def files_in_words(cal: Calibration) -> str:
+    """The data files, or the runs."""
+    if cal.runs:
+        return ", ".join(run.name for run in cal.runs)
+    names = [Path(name).name for name in cal.provenance.input_sha256]
+    data = [name for name in names if not name.endswith(".toml")] or names
+    return ", ".join(data) or "a record in memory"
+
+
+def total_duration(cal: Calibration) -> float:
+    """Duration of all segments [s]."""
+    if cal.segments:
+        return math.fsum(segment.duration for segment in cal.segments)
+    return (
+        float(elapsed_time(outline(cal.residuals))[-1])
+        if cal.residuals is not None and cal.residuals.t.size
+        else 0.0
+    )
+
+
+def period_in_words(seconds: float) -> str:
+    """A duration in seconds, minutes or hours."""
+    if seconds < 120.0:
+        return f"{significant(seconds, 3)} s"
+    return (
+        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
+    )
+
+
+def segments_in_words(cal: Calibration) -> str:
+    """How many runs and segments."""
+    runs = f"{len(cal.runs)} runs, " if cal.runs else ""
+    return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
+
+
+def calibration_text(cal: Calibration) -> str:
+    """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
+    used = f"{cal.quality.used} of {cal.quality.rows}"
+    head = [
+        *_wrapped(cal.verdict.lines()),
+        "",
+        f"Calibration of {cal.serial} from {files_in_words(cal)}",
+        f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
+        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
+        "",
+    ]
+    return "\n".join(
+        [
+            *[*head, *_text_table(cal), "", *_text_figures(cal)],
+            *budget_text(cal),
+            *_wrapped([f"remark: {remark}" for remark in cal.remarks]),
+        ]
+    )
+
+
+def _wrapped(lines: list[str]) -> list[str]:
+    """Lines of at most 100 letters, their continuations indented."""
+    return [
+        part
+        for line in lines
+        for part in textwrap.wrap(line, 100, subsequent_indent=" " * (len(line) - len(line.lstrip()) + 4))
+    ]
+
+
+def drift_found(cal: Calibration) -> str:
+    """Random walk of the rate, or that there is none to be seen."""
+    if cal.bias_drift == 0.0:
+        return "none seen"
+    shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
+
+
+def scatter_found(cal: Calibration) -> str:
+    """Scatter of the rate from segment to segment, or that there is none to be seen."""
+    if cal.segment_scatter == 0.0:
+        return "none seen"
+    shown = short(cal.segment_scatter / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{shown} µg ({printed(short(cal.segment_scatter))} rad/s)"
+
+
+def _text_table(cal: Calibration) -> list[str]:
+    half = "k u (95 %)" if cal.type_a_only else "U (95 %)"
+    lines = [("coefficient", "value", "u", half, "unit", "dof", "k")]
+    for coefficient in cal.coefficients:
+        if not coefficient.determined:
+            lines.append((coefficient.key, "not determined", "-", "-", coefficient.unit, "-", "-"))
+            continue
+        scale, unit = shown_unit(coefficient.name, coefficient.unit)
+        value, std = coefficient.value * scale, coefficient.std * scale
+        number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
+        line = (
+            number.value,
+            number.uncertainty,
+            wide.uncertainty,
+            unit,
+            freedom(coefficient),
+            factor(coefficient),
+        )
+        lines.append((coefficient.key, *line))
+    width = [max(len(line[column]) for line in lines) for column in range(7)]
+    return [
+        f"  {name:<{width[0]}}  {value:>{width[1]}}  {u:>{width[2]}}  {wide:>{width[3]}}  {unit:<{width[4]}}  "
+        f"{nu:>{width[5]}}  {k:>{width[6]}}"
+        for name, value, u, wide, unit, nu, k in ((_ascii(cell) for cell in line) for line in lines)
+    ]
+
+
+def _ascii(text: str) -> str:
+    """A cell of a table for any terminal."""
+    return text.replace("–", "-").replace("∞", "inf").replace("\u202f", "")
+
+
+def _text_figures(cal: Calibration) -> list[str]:
+    unit = residual_quantity(cal)[1]
+
+    def angle(before: float, after: float) -> str:
+        return f"{short(before / ARCSEC)} -> {short(after / ARCSEC)} {unit} (before -> after)"
+
+    white, walk = short(cal.angle_rms / ARCSEC), short(cal.angle_random_walk / ARCSEC)
+    noise = f"{white} arcsec white, {walk} arcsec/sqrt(s) walk"
+    rows = [
+        ("residual rms", angle(cal.residual_rms_before, cal.residual_rms)),
+        ("residual largest", angle(cal.residual_max_before, cal.residual_max_after)),
+        ("noise of the angle", noise),
+        *(
+            [("bias drift", drift_found(cal).replace("µ", "u").replace("√s", "sqrt(s)"))]
+            if cal.bias_drift > 0.0
+            else []
+        ),
+        *([("scatter of segments", scatter_found(cal).replace("µ", "u"))] if cal.segment_scatter > 0.0 else []),
+        ("condition number", short(cal.condition)),
+    ]
+    rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
+    rows += [
+        (
+            f"noise of run {run.name}",
+            f"{short(run.angle_rms / ARCSEC)} arcsec white, {short(run.angle_random_walk / ARCSEC)} arcsec/sqrt(s) walk",
+        )
+        for run in cal.runs
+    ]
+    wide = max(len(name) for name, _ in rows)
+    return [f"  {name:<{wide}}  {text}".replace("\u202f", "").replace("–", "-") for name, text in rows]
+
 
 __all__ = ["calibration_figures", "calibration_page", "calibration_text", "write_calibration_report"]
 
@@ -316,7 +462,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         *scalars({key: value for key, value in cal.diagnostics.items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
-    for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (comparison_table(cal), COMPARISON_LEAD)):
+    for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (propagation_table(cal), PROPAGATION_LEAD)):
         blocks += [Text(text, lead=True), found] if found is not None else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
 

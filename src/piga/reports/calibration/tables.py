@@ -1,9 +1,10 @@
-"""Tables of a calibration: coefficients, correlation, uncertainty budget, segments, quality, provenance."""
+"""Tables of a calibration: coefficients, correlation, budget, segments, quality, diagnostics, provenance."""
 
 from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -338,3 +339,243 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
         elif isinstance(value, (list, tuple)) and len(value) <= SHOWN_NAMES:
             rows.append((key, ", ".join(str(item) for item in value)))
     return rows
+
+
+ACROSS, SENSITIVITIES_ACROSS = 4, 6
+"""Coefficients beside each other in a table of the page: they fit the screen and A4."""
+NOTHING = 1e-3
+"""Contribution, in standard uncertainties of the coefficient, below which it says nothing: 0.0001 % of the variance."""
+DESCRIBED = 5
+"""Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
+SLIGHT = 0.01
+"""Share of the variance below which a source is left out on the terminal."""
+
+
+def budget_table(cal: Calibration) -> Table:
+    """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
+
+    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "standard_uncertainty": {"value",
+    "unit"} or None, "contributions": {coefficient key: change in the coefficient's unit}}``. Without a row of type A the
+    standard uncertainties of the fit are put first.
+    """
+    coefficients = common_coefficients(cal)[:SHOWN_NAMES]
+    sources: list[dict[str, Any]] = list(cal.budget)
+    if not any(source.get("type") == "A" for source in sources):
+        fit = {coefficient.key: coefficient.std for coefficient in coefficients}
+        sources.insert(0, {"source": "Fit to the record", "type": "A", "contributions": fit})
+    names = [_friendly_unit(coefficient) for coefficient in coefficients]
+    columns = (
+        Column("Source", align="text"),
+        Column("Type", align="text"),
+        Column("Distribution", align="text"),
+        Column("Standard uncertainty", align="text"),
+        Column("Degrees of freedom"),
+        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
+    )
+    total = {c.key: math.hypot(*(_contribution(source, c) for source in sources)) for c in coefficients}
+    rows = [_budget_row(source, coefficients, total) for source in sources]
+    if len(sources) > 1:
+        combined = {"source": "Combined", "type": "", "contributions": total}
+        rows.append(_budget_row(combined, coefficients, {}))
+    note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
+    return Table(columns, tuple(rows), notes=(note,))
+
+
+def budget_tables(cal: Calibration) -> tuple[Table, ...]:
+    """The budget for the page: the sources, then what each adds to the coefficients, as many as fit the page."""
+    whole = budget_table(cal)
+    sources = whole.only(range(DESCRIBED))
+    sources = replace(sources, rows=tuple(row for row in sources.rows if row[1]), notes=())
+    contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
+    return (sources, *contributions.parts(1, ACROSS))
+
+
+def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
+    scale, unit = shown_unit(coefficient.name, coefficient.unit)
+    return unit, scale
+
+
+def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
+    return float(source.get("contributions", {}).get(coefficient.key, 0.0))
+
+
+def _budget_row(
+    source: dict[str, Any], coefficients: list[Coefficient], total: dict[str, float]
+) -> tuple[str | Cell, ...]:
+    cells = []
+    for coefficient in coefficients:
+        part = abs(_contribution(source, coefficient))
+        amount, whole = part * _friendly_unit(coefficient)[1], total.get(coefficient.key, 0.0)
+        share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
+        shown = part > NOTHING * coefficient.std
+        cells.append(Cell(printed(short(amount, 2)) + share) if shown else Cell("–", "quiet"))
+    given = source.get("standard_uncertainty")
+    entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
+    degrees = source.get("degrees_of_freedom")
+    return (
+        str(source.get("source", "")),
+        str(source.get("type", "")),
+        str(source.get("distribution", "")),
+        entered,
+        "see above"
+        if source.get("type") == "A"
+        else "∞"
+        if degrees is None and source.get("type")
+        else printed(short(degrees, 3))
+        if degrees
+        else "",
+        *cells,
+    )
+
+
+def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
+    """Change of each coefficient for one unit of a source; none when no source has a size (or in old files)."""
+    rows = [row for row in cal.budget if row.get("sensitivities")]
+    if not rows:
+        return ()
+    coefficients = common_coefficients(cal)[:SHOWN_NAMES]
+    units = [_friendly_unit(coefficient) for coefficient in coefficients]
+    columns = (
+        Column("Source", align="text"),
+        Column("Change for", align="text"),
+        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, units, strict=True)),
+    )
+    cells = tuple(
+        (
+            str(row["source"]),
+            f"1 {pretty_unit(row['standard_uncertainty']['unit'])}".strip(),
+            *(_sensitivity(row, c, scale) for c, (_, scale) in zip(coefficients, units, strict=True)),
+        )
+        for row in rows
+    )
+    return Table(columns, cells).parts(2, SENSITIVITIES_ACROSS)
+
+
+def _sensitivity(row: dict[str, Any], coefficient: Coefficient, scale: float) -> str | Cell:
+    found = row["sensitivities"].get(coefficient.key)
+    if found is None or abs(_contribution(row, coefficient)) <= NOTHING * coefficient.std:
+        return Cell("–", "quiet")
+    return printed(short(found["value"] * scale, 3))
+
+
+def budget_text(cal: Calibration) -> list[str]:
+    """The budget for the terminal, coefficient by coefficient; nothing without a source of Type B."""
+    if not any(row.get("type") == "B" for row in cal.budget):
+        return []
+    blocks = [(c, _text_rows(cal, c)) for c in common_coefficients(cal)]
+    width = [max(len(row[i]) for _, rows in blocks for row in rows) for i in range(6)]
+    lines = [f"  uncertainty budget (sources below {100 * SLIGHT:.0f} % of a variance left out)"]
+    for coefficient, rows in blocks:
+        lines.append(f"  {coefficient.key} [{shown_unit(coefficient.name, coefficient.unit)[1]}]")
+        for source, kind, u, sensitivity, part, share in rows:
+            lines.append(
+                f"    {source:<{width[0]}} {kind} {u:>{width[2]}}  {sensitivity:<{width[3]}}  "
+                f"{part:>{width[4]}} {share:>{width[5]}}"
+            )
+    return lines
+
+
+def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ...]]:
+    """Source, type, standard uncertainty, sensitivity, contribution and share of a coefficient's budget."""
+    whole = math.hypot(*(_contribution(row, coefficient) for row in cal.budget))
+    scale, rows = shown_unit(coefficient.name, coefficient.unit)[0], []
+    for row in cal.budget:
+        part = abs(_contribution(row, coefficient))
+        share = (part / whole) ** 2 if whole else 0.0
+        if share < SLIGHT:
+            continue
+        given, found = row.get("standard_uncertainty"), row.get("sensitivities", {}).get(coefficient.key)
+        entered = f"{short(given['value'])} {given['unit']}" if given else ""
+        sensitivity = f"{short(found['value'] * scale, 3)} per {given['unit']}" if given and found else ""
+        shown = (
+            str(row["source"]),
+            str(row["type"]),
+            entered,
+            sensitivity,
+            short(part * scale, 2),
+            f"{100 * share:.0f} %",
+        )
+        rows.append(tuple(text.replace("–", "-").replace("\u202f", "") for text in shown))
+    return rows
+
+
+OWN_TABLES = frozenset({"leverage", "monte_carlo", "missing_terms", "advice", "model_comparison"})
+"""Diagnostics that are shown as tables or remarks of their own."""
+LEVERAGE_LEAD = (
+    "Leverage: the share of each coefficient's information that one segment holds, and in brackets how many standard "
+    "uncertainties the coefficient changes without it. Good: no share above 90 %, no change above 3."
+)
+PROPAGATION_LEAD = (
+    "First order (GUM) against Monte Carlo (JCGM 101, clause 8): 95 % intervals both ways. Good: they agree within the "
+    "numerical tolerance; otherwise the Monte Carlo interval is the result."
+)
+_SHOWN = 24
+_ALONE, _SHIFT = 0.9, 3.0
+
+
+def leverage_table(cal: Calibration) -> Table | None:
+    """Leverage of the segments, of many those with the most; None without."""
+    found: dict[str, Any] = cal.diagnostics.get("leverage", {})
+    if not found:
+        return None
+    most = sorted(found, key=lambda label: -found[label]["leverage"])[:_SHOWN]
+    names = [c.name for c in common_coefficients(cal)]
+    columns = (Column("Segment", align="text"), Column("Leverage"), *(Column(name) for name in names))
+    rows: tuple[tuple[str | Cell, ...], ...] = tuple(
+        (
+            label,
+            f"{row['leverage']:.2f}",
+            *(_share(row["share"].get(name), row["shift"].get(name)) for name in names),
+        )
+        for label, row in found.items()
+        if label in most
+    )
+    notes = (f"The {_SHOWN} of {len(found)} segments with the most leverage.",) if len(found) > _SHOWN else ()
+    return Table(columns, rows, notes=notes)
+
+
+def _share(share: float | None, shift: float | None) -> Cell:
+    if share is None:
+        return Cell("–", "quiet")
+    moved = "not determined" if shift is None and share else "" if shift is None else signed(shift, 1)
+    bad = share > _ALONE or (shift is not None and abs(shift) > _SHIFT)
+    text = f"{100.0 * share:.0f} %" + (f" ({moved})" if moved else "")
+    return Cell(printed(text), "doubtful" if bad else "")
+
+
+def propagation_table(cal: Calibration) -> Table | None:
+    """First-order and Monte Carlo intervals side by side with the verdict; None without Monte Carlo."""
+    found: dict[str, Any] = cal.diagnostics.get("monte_carlo", {})
+    if not found:
+        return None
+    columns = (
+        Column("Coefficient", align="text"),
+        Column("Unit", align="text"),
+        Column("u, first order"),
+        Column("u, Monte Carlo"),
+        Column("95 %, first order"),
+        Column("95 %, symmetric"),
+        Column("95 %, shortest"),
+        Column("Tolerance"),
+        Column("Agreement", align="text"),
+    )
+    rows: list[tuple[str | Cell, ...]] = []
+    for c in cal.coefficients:
+        row = found["coefficients"].get(c.key)
+        if row is None:
+            continue
+        scale, unit = shown_unit(c.name, c.unit)
+        intervals = (_interval(row[name], scale) for name in ("first_order", "symmetric", "shortest"))
+        verdict = Cell("yes", "good") if row["validated"] else Cell("no: Monte Carlo holds", "doubtful")
+        rows.append(
+            (
+                c.key, pretty_unit(unit), printed(short(c.std * scale, 3)), printed(short(row["std"] * scale, 3)),
+                *intervals, printed(short(row["tolerance"] * scale, 1)), verdict,
+            )
+        )  # fmt: skip
+    return Table(columns, tuple(rows), notes=(f"{found['trials']} trials.",))
+
+
+def _interval(ends: list[float], scale: float) -> str:
+    low, high = (printed(short(end * scale, 6)) for end in ends)
+    return f"{low} … {high}"

@@ -1,4 +1,4 @@
-"""Pages of ``piga platform simulate``, ``align`` and ``identify``."""
+"""Pages of ``piga platform``: simulate, align, identify, navigate, compare, and the capstone."""
 
 from __future__ import annotations
 
@@ -7,16 +7,102 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from piga.platform.identification.alignment import Alignment
-from piga.platform.identification.identified import Identification
-from piga.platform.identification.observability import UNKNOWNS, Observability
-from piga.platform.model.case_rotation import averaged_drift
-from piga.platform.model.scenario import Scenario
+from piga.platform.identification.identify import (
+    UNKNOWN_PHASE,
+    UNKNOWNS,
+    Identification,
+    Observability,
+    Parameter,
+)
+from piga.platform.model.geometry import apparent_gyro, averaged_drift
+from piga.platform.model.scenario import Gyro, Scenario
 from piga.platform.model.simulate import Run
-from piga.reports.platform.figures import ARCMIN, cone_figure, convergence_figure, readouts_figure
-from piga.reports.platform.parts import page, parameter_table
+from piga.platform.navigation.analysis import case_rates
+from piga.platform.runs.budget import BudgetRow, LineRow, Scatter, last_east_lines
+from piga.platform.runs.capstone import Capstone
+from piga.platform.runs.chain import Comparison, Preparation
+from piga.reports.platform.figures import (
+    ARCMIN,
+    REFERENCE_MODEL,
+    Case,
+    capstone_figure,
+    cone_figure,
+    convergence_figure,
+    force_day_figure,
+    histories_figure,
+    lines_figure,
+    model_figure,
+    model_name,
+    passage_figure,
+    position_figure,
+    published_figure,
+    readouts_figure,
+    spectrum_figure,
+)
 from piga.reports.render.numbers import fixed, short
 from piga.reports.render.page import Block, Cell, Column, FigureBlock, Notice, Page, Section, Table, Text, Tile
 from piga.units import ARCSEC
+
+_FOOTER = (
+    "Simulated with the exact geometry of both nulled pick-offs; compensated with the small-angle matrices."
+)
+
+
+def page(title: str, s: Scenario, tiles: tuple[Tile, ...], sections: tuple[Section, ...]) -> Page:
+    """A page with the run in its subtitle."""
+    length = f"{s.duration / 86400.0:.4g} d at {s.step:g} s"
+    where = f"{np.degrees(s.place.latitude):.3f} deg latitude, {length}, base {s.motion.kind}"
+    return Page(title, where, tiles, sections, "piga platform", _FOOTER)
+
+
+def parameter_table(found: Identification, s: Scenario) -> Table:
+    """Identified amplitudes and phases with their uncertainties, beside the truth."""
+    truth = _truth_by_name(
+        apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
+    )
+    rows = [_parameter_row(p, truth.get(p.name)) for p in found.parameters]
+    columns = (
+        Column("quantity", align="text"),
+        Column("value"),
+        Column("standard uncertainty"),
+        Column("unit", align="text"),
+        Column("off truth, in uncertainties"),
+    )
+    noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in found.noise.items())
+    return Table(
+        columns,
+        tuple(rows),
+        notes=(f"Noise found in the residuals: {noise}. Truth includes the circle of case-fixed drift.",),
+    )
+
+
+def _parameter_row(p: Parameter, true: float | None) -> tuple[str, ...]:
+    phase = p.name.endswith("phase")
+    scale, unit = (ARCSEC, "arcsec") if p.unit == "rad" else (np.radians(1.0) / 3600.0, "deg/h")
+    scale, unit = (np.radians(1.0), "deg") if phase else (scale, unit)
+    name = p.name.replace(".", " ").replace("harmonic", "harmonic ")
+    if phase and p.std > 0.25 * UNKNOWN_PHASE:
+        return name, "not determined", "–", unit, "–"
+    off = "–"
+    if true is not None:
+        difference = p.value - true
+        difference = float(np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) if phase else difference
+        off = f"{difference / p.std:+.2f}" if p.std > 1e-11 else f"{difference / scale:+.1e}"
+    return name, f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off
+
+
+def _noise(name: str, level: float) -> str:
+    return f"{level:.2g} m/s^2" if name == "force" else f"{level / ARCSEC:.3g} arcsec"
+
+
+def _truth_by_name(polar: Gyro, equatorial: Gyro) -> dict[str, float]:
+    truth = {}
+    for name, gyro in (("polar", polar), ("equatorial", equatorial)):
+        truth[f"{name}.misalignment"], truth[f"{name}.phase"] = gyro.misalignment, gyro.phase
+        for h in gyro.harmonics:
+            truth[f"{name}.harmonic{h.order}.amplitude"] = h.amplitude
+            truth[f"{name}.harmonic{h.order}.phase"] = h.phase
+    return truth
 
 
 def simulation_page(run: Run) -> Page:
@@ -197,3 +283,286 @@ def _base_rows(run: Run, aligned: Alignment) -> Iterator[tuple[str, ...]]:
         value, std = float(np.degrees(aligned.base_angles[k])), np.degrees(aligned.base_stds[k])
         off = float(np.remainder(value - np.degrees(true) + 180.0, 360.0) - 180.0)
         yield f"base {name}", fixed(value, 5), f"{std:.1e}", "deg", f"{off:+.1e}"
+
+
+def navigation_page(comparison: Comparison) -> Page:
+    """Page of ``piga platform navigate``."""
+    tiles = tuple(
+        Tile(model_name(m), short(float(r.lines.position.max())), "m", "largest horizontal position error")
+        for m, r in comparison.models.items()
+    )
+    sections = (
+        Section(
+            "Models over the run",
+            "models",
+            tuple(FigureBlock(model_figure(r)) for r in comparison.models.values()),
+        ),
+        Section("Position", "position", (FigureBlock(position_figure(comparison)),)),
+        _preparation_section(comparison.run.scenario, comparison.preparation),
+    )
+    return page("Platform navigation", comparison.run.scenario, tiles, sections)
+
+
+def comparison_page(
+    comparison: Comparison,
+    budget: Sequence[BudgetRow] = (),
+    lines: Sequence[LineRow] = (),
+    scatter: Scatter | None = None,
+) -> Page:
+    """Page of ``piga platform compare``."""
+    s = comparison.run.scenario
+    sections = [
+        *_line_sections(comparison),
+        Section(
+            "Forty minutes and the whole run",
+            "histories",
+            (FigureBlock(published_figure(comparison)), FigureBlock(histories_figure(comparison))),
+        ),
+        Section(
+            "Spectrum and position",
+            "spectrum",
+            (FigureBlock(spectrum_figure(comparison)), FigureBlock(position_figure(comparison))),
+        ),
+        _preparation_section(s, comparison.preparation),
+    ]
+    if budget:
+        tables = (_budget_table(budget), *((_line_budget_table(lines),) if lines else ()))
+        sections.append(Section("Error budget by source", "budget", tables))
+    if scatter is not None:
+        sections.append(Section("Scatter over seeds", "scatter", (_scatter_table(scatter),)))
+    return page("Compensation models compared", s, _comparison_tiles(comparison), tuple(sections))
+
+
+def _line_sections(c: Comparison) -> list[Section]:
+    """Lines at the polar case's rate and, at another speed, at the equatorial one's."""
+    if not _unequal(c):
+        return [Section("Lines at the case-rotation period", "lines", _line_blocks(c, "amplitude"))]
+    periods = [2.0 * np.pi / rate if rate > 0.0 else np.inf for rate in case_rates(c.run.scenario)]
+    titles = [
+        f"Lines of the {gyro} gyro's case, period {short(period)} s"
+        for gyro, period in zip(("polar", "equatorial"), periods, strict=True)
+    ]
+    return [
+        Section(titles[0], "lines", _line_blocks(c, "amplitude")),
+        Section(titles[1], "equatorial-lines", _line_blocks(c, "equatorial")),
+    ]
+
+
+def _unequal(c: Comparison) -> bool:
+    return any(r.lines.equatorial for r in c.models.values())
+
+
+def _line_blocks(c: Comparison, which: Case) -> tuple[Block, ...]:
+    tables = (
+        _line_table(c, which, "east_velocity", "East velocity line", "mm/s", 1e3),
+        _line_table(c, which, "north_velocity", "North velocity line", "mm/s", 1e3),
+        _line_table(c, which, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
+        _line_table(c, which, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
+    )
+    figure = (FigureBlock(lines_figure(c, which)),) if _days(c) > 1 else ()
+    return (Text(_lines_sentence(c, which), lead=True), *figure, *tables)
+
+
+def _preparation_section(s: Scenario, p: Preparation) -> Section:
+    blocks: list[Block] = [Notice("info", note) for note in p.notes]
+    if p.identification is not None:
+        blocks.append(parameter_table(p.identification, s))
+    else:
+        blocks.append(Text("The true misalignments were used."))
+    return Section("What the models were given", "given", tuple(blocks))
+
+
+def _comparison_tiles(c: Comparison) -> tuple[Tile, ...]:
+    whose = " (polar, equatorial case)" if _unequal(c) else ""
+    return tuple(
+        Tile(
+            model_name(m),
+            ", ".join(short(1e3 * line) for line in last_east_lines(r.lines)),
+            "mm/s",
+            f"east velocity line{whose}, day {int(r.lines.day[-1])}",
+        )
+        for m, r in c.models.items()
+    )
+
+
+def _days(c: Comparison) -> int:
+    return int(next(iter(c.models.values())).lines.day[-1])
+
+
+def _lines_sentence(c: Comparison, which: Case) -> str:
+    day, shown = _days(c), REFERENCE_MODEL[which]
+    east = {m: float(getattr(r.lines, which)["east_velocity"][-1]) for m, r in c.models.items()}
+    left = east.get(shown, np.nan)
+    if not np.isfinite(left):
+        return f"Amplitudes at the case-rotation period, fitted over each of {day} days."
+    whose = "no model leaves" if shown == "none" else f"model {shown} leaves"
+    parts = [f"On day {day} {whose} an east velocity line of {short(1e3 * left)} mm/s."]
+    removed = {m: 100.0 * (1.0 - line / left) for m, line in east.items() if m not in ("none", shown)}
+    parts += [f"Model {m} removes {share:.1f} % of it." for m, share in removed.items()]
+    theory = c.models[shown].theory
+    if theory is not None:
+        ratio = float(getattr(theory, which)["east_velocity"][-1]) / left
+        name = "no model" if shown == "none" else f"model {shown}"
+        parts.append(f"The closed form for {name} is {100.0 * (ratio - 1.0):+.2f} % off what was navigated.")
+    return " ".join(parts)
+
+
+def _line_table(c: Comparison, which: Case, channel: str, heading: str, unit: str, scale: float) -> Table:
+    """One channel day by day: every model, and the theory of one of them beside it."""
+    columns, values = [Column("day", align="text")], []
+    for m, r in c.models.items():
+        columns.append(Column(model_name(m), unit))
+        values.append(getattr(r.lines, which)[channel] * scale)
+        if r.theory is not None and m == REFERENCE_MODEL[which]:
+            columns.append(Column(f"theory, {model_name(m)}", unit))
+            values.append(getattr(r.theory, which)[channel] * scale)
+    days = next(iter(c.models.values())).lines.day
+    rows = tuple((str(int(day)), *(short(float(v[k])) for v in values)) for k, day in enumerate(days))
+    return Table(tuple(columns), rows, caption=heading)
+
+
+def _budget_table(budget: Sequence[BudgetRow]) -> Table:
+    columns = (
+        Column("source", align="text"),
+        Column("position, linear", "m"),
+        Column("position, full run", "m"),
+        Column("velocity, linear", "mm/s"),
+        Column("velocity, full run", "mm/s"),
+        Column("largest difference", "m"),
+    )
+    rows = tuple(
+        (
+            b.source,
+            short(b.position_linear),
+            short(b.position_full),
+            short(1e3 * b.velocity_linear),
+            short(1e3 * b.velocity_full),
+            short(b.difference),
+        )
+        for b in budget
+    )
+    return Table(
+        columns,
+        rows,
+        notes=("Largest horizontal error over the run: linear model against a run with the error put in.",),
+    )
+
+
+def _line_budget_table(budget: Sequence[LineRow]) -> Table:
+    """Lines of each misalignment alone: closed form and full run."""
+    shown = (("east_velocity", "mm/s", 1e3), ("north_velocity", "mm/s", 1e3), ("heading", "arcsec", 1.0 / ARCSEC),
+             ("roll", "arcsec", 1.0 / ARCSEC))  # fmt: skip
+    columns = [Column("source", align="text"), Column("period", "s")]
+    for name, unit, _ in shown:
+        columns += [Column(f"{name.replace('_', ' ')}, {how}", unit) for how in ("linear", "full run")]
+    rows = []
+    for b in budget:
+        numbers = [short(scale * v[name]) for name, _, scale in shown for v in (b.theory, b.full)]
+        rows.append((b.source, f"{b.period:g}", *numbers))
+    return Table(
+        tuple(columns),
+        tuple(rows),
+        caption="Lines at the case-rotation periods by misalignment",
+        notes=(
+            "Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
+        ),
+    )
+
+
+def _scatter_table(scatter: Scatter) -> Table:
+    lines = [("east line", scatter.east_line)]
+    if scatter.equatorial_line:
+        lines.append(("east line, equatorial case", scatter.equatorial_line))
+    columns = [
+        Column("model", align="text"),
+        Column("position, median", "m"),
+        Column("position, largest", "m"),
+    ]
+    for name, _ in lines:
+        columns += [Column(f"{name}, {what}", "mm/s") for what in ("mean", "scatter")]
+    rows = []
+    for m, p in scatter.position.items():
+        numbers = [f(1e3 * drawn[m]) for _, drawn in lines for f in (np.mean, np.std)]
+        rows.append((model_name(m), *(short(float(v)) for v in (np.median(p), p.max(), *numbers))))
+    return Table(
+        tuple(columns),
+        tuple(rows),
+        notes=(
+            f"{len(scatter.seeds)} runs of the whole chain, seeds {scatter.seeds[0]} to {scatter.seeds[-1]}.",
+        ),
+    )
+
+
+def capstone_page(found: Capstone) -> Page:
+    """The page that tells what the locked zone does on the platform and what recovers it."""
+    raw, solved = found.outcomes["raw tripod"], found.outcomes["triad"]
+    skewed = found.outcomes["raw skewed"]
+    tiles = (
+        Tile("raw output", short(raw.position), "m", "largest horizontal error, axes at right angles", "bad"),
+        Tile("skewed mounting", short(skewed.position), "m", "raw output, axes near the pole", "doubtful"),
+        Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
+    )
+    story = (
+        "The platform stands still in inertial space and the Earth turns under it. Each input "
+        "axis crosses the horizontal twice "
+        "a sidereal day and is inside its locked zone for "
+        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(found)} "
+        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
+        "Mounted within the latitude of the pole the axes never come to the horizontal: "
+        f"{short(skewed.position)} m, with "
+        f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes "
+        "the three instruments give the force "
+        f"back in any mounting: {short(solved.position)} m, against "
+        f"{short(found.outcomes['ideal'].position)} m with ideal ones."
+    )
+    passage = passage_figure(found)
+    day: tuple[Block, ...] = (FigureBlock(force_day_figure(found)),)
+    if passage is not None:
+        day = (*day, FigureBlock(passage))
+    sections = (
+        Section(
+            "What happens",
+            "story",
+            (Text(story, lead=True), FigureBlock(capstone_figure(found)), _capstone_table(found)),
+        ),
+        Section("Why", "why", day),
+    )
+    return page("Gyro accelerometers on the space-stable platform", found.scenario, tiles, sections)
+
+
+def _passage_words(found: Capstone) -> str:
+    p = found.passage
+    if p is None:
+        return "No instrument passes its locked zone here."
+    return (
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about "
+        "it the gimbal turns so slowly that "
+        f"its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
+    )
+
+
+def _capstone_table(found: Capstone) -> Table:
+    columns = (
+        Column("reading", align="text"),
+        Column("position error", "m"),
+        Column("velocity error", "mm/s"),
+        Column("locked", "s/day"),
+        Column("noise gain"),
+        Column("what it is", align="text"),
+    )
+    rows = tuple(
+        (
+            name,
+            short(o.position),
+            short(1e3 * o.velocity),
+            short(float(o.locked_per_day.max())),
+            short(o.noise_gain),
+            o.reading.sentence,
+        )
+        for name, o in found.outcomes.items()
+    )
+    return Table(
+        columns,
+        rows,
+        notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",),
+    )

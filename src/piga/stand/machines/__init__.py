@@ -1,1 +1,1 @@
-"""One file for each kind of test stand."""
+"""The kinds of test stand."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piga.earth import Site
 from piga.errors import ArgumentError
 from piga.stand.imperfections import Imperfections
-from piga.stand.machines.geometry import horizontal_axis_frame, mount, small_turn
+from piga.stand.machines.turning import horizontal_axis_frame, mount, small_turn
 from piga.stand.profile import Segment, plan
 
 Array = NDArray[np.float64]

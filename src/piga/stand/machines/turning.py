@@ -1,0 +1,392 @@
+"""Stands that turn in the gravity field: dividing head, centrifuge and rate table; the geometry stands share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.earth import EARTH_RATE, Site
+from piga.errors import ArgumentError
+from piga.frames import axis_turn, rotation_vector_to_matrix
+from piga.stand.imperfections import Imperfections
+from piga.stand.profile import Segment, plan_holds
+
+Array = NDArray[np.float64]
+
+
+def turned(vector: Array, angle: Array) -> Array:
+    """Components of a constant ``vector`` (3,) in axes turned by ``angle`` (n,) [rad] about z, (n, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = vector
+    return np.column_stack([c * x + s * y, c * y - s * x, np.full(angle.shape, z)])
+
+
+def turned_back(vectors: Array, angle: Array) -> Array:
+    """Components of ``vectors`` (n, 3), given in axes turned by ``angle`` about z, in the axes not turned."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = vectors.T
+    return np.column_stack([c * x - s * y, c * y + s * x, z])
+
+
+def in_axes(matrix: Array, vectors: Array) -> Array:
+    """Each row of ``vectors`` (n, 3) multiplied by ``matrix`` (3, 3).
+
+    Written out, because a matrix product may round a row differently with the number of rows: what a stand gives
+    at a time must not depend on the other times it is asked for.
+    """
+    x, y, z = vectors.T
+    return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
+
+
+def small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
+    """Matrix to axes turned by the small rotation vector ``(x, y, z)`` [rad], (3, 3)."""
+    return rotation_vector_to_matrix(np.array([x, y, z])).T
+
+
+def horizontal_axis_frame(site: Site, azimuth: float) -> tuple[Array, Array]:
+    """Up and Earth rate [rad/s] in axes (up, z x up, z) with z horizontal at ``azimuth`` [rad] from north."""
+    north, up = EARTH_RATE * math.cos(site.latitude), EARTH_RATE * math.sin(site.latitude)
+    rate = np.array([up, -math.sin(azimuth) * north, math.cos(azimuth) * north])
+    return np.array([1.0, 0.0, 0.0]), rate
+
+
+def vertical_axis_frame(site: Site) -> tuple[Array, Array]:
+    """Up and Earth rate [rad/s] in axes (north, west, up)."""
+    rate = EARTH_RATE * np.array([math.cos(site.latitude), 0.0, math.sin(site.latitude)])
+    return np.array([0.0, 0.0, 1.0]), rate
+
+
+_ALONG_Z = {
+    "Z0": np.eye(3),
+    "X0": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    "Y0": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+}
+
+
+def mount(axis: str, what: str = "mount") -> Array:
+    """Matrix from stand axes to base axes when base ``axis`` lies along the stand's z axis, (3, 3).
+
+    ``axis`` is ``X0``, ``Y0`` or ``Z0``, with ``-`` for the opposite direction.
+
+    Raises
+    ------
+    ArgumentError
+        For another name.
+    """
+    name = axis.removeprefix("-")
+    if name not in _ALONG_Z:
+        raise ArgumentError(f"{what}: '{axis}' is no base axis", remedy="use X0, Y0, Z0, -X0, -Y0 or -Z0")
+    flip = axis_turn(0, math.pi).round() if axis.startswith("-") else np.eye(3)
+    return _ALONG_Z[name] @ flip
+
+
+def smooth_step(u: Array) -> tuple[Array, Array, Array]:
+    """Cycloid from 0 to 1 over ``u`` in [0, 1], with its first two derivatives with respect to ``u``."""
+    w = 2.0 * math.pi * np.clip(u, 0.0, 1.0)
+    return (w - np.sin(w)) / (2.0 * math.pi), 1.0 - np.cos(w), 2.0 * math.pi * np.sin(w)
+
+
+@dataclass(frozen=True)
+class DividingHead:
+    """A horizontal axis with the instrument's input axis across it.
+
+    At position angle ``x`` the specific force is ``g (cos x, -sin x, 0)`` (with ``roll = 0``): the base is
+    turned by ``+x`` about ``Z0``, which lies along the head's axis.
+
+    Parameters
+    ----------
+    site:
+        Place and local gravity.
+    positions:
+        Position angles [rad] in the order taken; the head turns by the plain difference between them.
+    dwell, move:
+        Recorded time in a position and time of a move [s].
+    roll:
+        Turn of the instrument about its input axis on the head [rad].
+    azimuth:
+        Direction of the head's axis from north over east [rad].
+    settling_time:
+        Time constant of the imperfection ``settling`` [s].
+    """
+
+    site: Site
+    positions: tuple[float, ...]
+    dwell: float = 60.0
+    move: float = 30.0
+    roll: float = 0.0
+    azimuth: float = 0.0
+    settling_time: float = 5.0
+
+    kind = "dividing-head"
+    accepted = ("gravity", "levelling", "angle_error", "angle_harmonics", "settling")
+
+    def __post_init__(self) -> None:
+        if not self.positions:
+            raise ArgumentError("dividing-head positions: none given", remedy="e.g. '0:360:15 deg'")
+        if self.dwell <= 0.0 or self.move <= 0.0 or self.settling_time <= 0.0:
+            raise ArgumentError("dividing-head dwell, move and settling_time must be positive")
+
+    @property
+    def fastest(self) -> float:
+        """Step [s] that resolves a move."""
+        return self.move / 100.0
+
+    def segments(self) -> tuple[Segment, ...]:
+        """Positions ``0, 1, ...``, recorded, with moves between them, not recorded."""
+        return plan_holds(len(self.positions), self.dwell, "move", self.move)
+
+    def angle(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Angle [rad] and rate [rad/s] of the head at ``t`` [s], (n,)."""
+        x = np.array(self.positions)
+        x = x + errors.angle_error + sum(a * np.sin(n * x + phase) for n, a, phase in errors.angle_harmonics)
+        residue = np.where(np.arange(x.size) > 0, errors.settling, 0.0)
+        cycle = self.dwell + self.move
+        k = np.clip(np.floor(t / cycle).astype(int), 0, x.size - 1)
+        inside = t - k * cycle
+        decay = residue[k] * np.exp(-np.minimum(inside, self.dwell) / self.settling_time)
+        following = np.minimum(k + 1, x.size - 1)
+        start = x[k] + decay
+        way = x[following] + residue[following] - start
+        s, ds, _ = smooth_step((inside - self.dwell) / self.move)
+        moving = (inside > self.dwell) & (following > k)
+        angle = np.where(moving, start + way * s, start)
+        rate = np.where(moving, way * ds / self.move, -decay / self.settling_time)
+        return angle, rate
+
+    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Specific force and base rate in base axes, (n, 3) each."""
+        angle, rate = self.angle(t, errors)
+        up, earth = horizontal_axis_frame(self.site, self.azimuth)
+        tilt = small_turn(0.0, errors.levelling[1], errors.levelling[0])
+        roll = axis_turn(0, self.roll)
+        force = (self.site.local_gravity + errors.gravity) * turned(tilt @ up, angle)
+        base_rate = turned(tilt @ earth, angle)
+        base_rate[:, 2] += rate
+        return in_axes(roll, force), in_axes(roll, base_rate)
+
+
+def position_range(first: float, last: float, step: float) -> tuple[float, ...]:
+    """Angles [rad] from ``first`` to before ``last``: a full circle does not repeat its start."""
+    count = round((last - first) / step) if step != 0.0 else 0
+    if count < 1:
+        raise ArgumentError(
+            "positions: the range is empty", remedy="write start:stop:step, e.g. '0:360:15 deg'"
+        )
+    return tuple(first + step * k for k in range(count))
+
+
+@dataclass(frozen=True)
+class Spin:
+    """Angle [rad], rate [rad/s] and angular acceleration [rad/s^2] at some times, (n,) each."""
+
+    angle: Array
+    rate: Array
+    acceleration: Array
+
+
+@dataclass(frozen=True)
+class SpinPlan:
+    """Rates [rad/s] held for ``dwell`` [s], with cosine ramps of ``ramp`` [s] between them."""
+
+    rates: tuple[float, ...]
+    dwell: float
+    ramp: float
+
+    def __post_init__(self) -> None:
+        if not self.rates:
+            raise ArgumentError("rates: none given", remedy="give a list of angular rates")
+        if self.dwell <= 0.0 or self.ramp <= 0.0:
+            raise ArgumentError("dwell and ramp must be positive")
+
+    @property
+    def resolution(self) -> float:
+        """Step [s] that resolves a ramp (a hundredth) and a revolution (a two-hundredth)."""
+        fastest = max(abs(rate) for rate in self.rates)
+        return min(self.ramp / 100.0, 2.0 * math.pi / max(fastest, 1e-9) / 200.0)
+
+    def segments(self) -> tuple[Segment, ...]:
+        """Levels ``0, 1, ...``, recorded, with ramps between them, not recorded."""
+        return plan_holds(len(self.rates), self.dwell, "ramp", self.ramp)
+
+    def nominal(self, t: Array) -> Spin:
+        """The spin as set."""
+        rates = np.array(self.rates)
+        steps = np.diff(rates, append=rates[-1])
+        cycle = self.dwell + self.ramp
+        per_cycle = rates * cycle + 0.5 * steps * self.ramp
+        before = np.concatenate([[0.0], np.cumsum(per_cycle)[:-1]])
+        k = np.clip(np.floor(t / cycle).astype(int), 0, rates.size - 1)
+        inside = t - k * cycle
+        u = np.clip((inside - self.dwell) / self.ramp, 0.0, 1.0)
+        ramped = steps[k] * self.ramp * (0.5 * u - np.sin(math.pi * u) / (2.0 * math.pi))
+        angle = before[k] + rates[k] * inside + ramped
+        rate = rates[k] + 0.5 * steps[k] * (1.0 - np.cos(math.pi * u))
+        acceleration = 0.5 * steps[k] * np.sin(math.pi * u) * math.pi / self.ramp
+        return Spin(angle, rate, acceleration)
+
+    def true(self, t: Array, errors: Imperfections) -> Spin:
+        """The spin with the imperfections ``rate_error`` and ``rate_ripple``."""
+        spin, scale, ripple = self.nominal(t), 1.0 + errors.rate_error, errors.rate_ripple
+        angle, rate = scale * spin.angle, scale * spin.rate
+        swing = 1.0 + ripple * np.cos(angle)
+        acceleration = scale * spin.acceleration * swing - ripple * rate**2 * np.sin(angle)
+        return Spin(angle + ripple * np.sin(angle), rate * swing, acceleration)
+
+
+@dataclass(frozen=True)
+class Centrifuge:
+    """A vertical spindle with an arm; the input axis points to the spindle (or away from it).
+
+    On the arm (``counter_rotating`` false): ``X0`` inward, ``Z0`` up, ``Y0`` against the motion for
+    positive rates; the specific force is ``(r w^2, -r w', g)`` plus the Coriolis force of the Earth's
+    rotation, and the base turns with the arm. On a counter-rotating platform the base keeps the
+    direction it has at angle 0, and the specific force turns in the base.
+
+    Parameters
+    ----------
+    site:
+        Place and local gravity.
+    radius:
+        Arm radius at rest [m].
+    spin:
+        Levels, dwell and ramps.
+    stretch:
+        Known relative growth of the radius per squared rate [s^2/rad^2].
+    counter_rotating:
+        Whether the instrument stands on a platform that turns back against the arm.
+    outward:
+        Whether ``X0`` points away from the spindle: negative specific force.
+    roll:
+        Turn of the instrument about its input axis [rad].
+    """
+
+    site: Site
+    radius: float
+    spin: SpinPlan
+    stretch: float = 0.0
+    counter_rotating: bool = False
+    outward: bool = False
+    roll: float = 0.0
+
+    kind = "centrifuge"
+    accepted = ("gravity", "levelling", "arm_radius", "arm_stretch", "rate_error", "rate_ripple")
+
+    def __post_init__(self) -> None:
+        if self.radius <= 0.0:
+            raise ArgumentError(f"centrifuge radius: {self.radius:g} m is not positive")
+
+    @property
+    def fastest(self) -> float:
+        """Step [s] that resolves a ramp, and a revolution where the force turns in the base."""
+        return self.spin.resolution
+
+    def segments(self) -> tuple[Segment, ...]:
+        """Levels, recorded, and ramps."""
+        return self.spin.segments()
+
+    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Specific force and base rate in base axes, (n, 3) each."""
+        spin = self.spin.true(t, errors)
+        up, earth = (small_turn(*errors.levelling) @ v for v in vertical_axis_frame(self.site))
+        squared = spin.rate**2
+        radius = (self.radius + errors.arm_radius) * (1.0 + (self.stretch + errors.arm_stretch) * squared)
+        earth_on_arm = turned(earth, spin.angle)
+        coriolis = 2.0 * radius * spin.rate
+        force = np.zeros((t.size, 3))
+        force[:, 0] = radius * squared + coriolis * earth_on_arm[:, 2]
+        force[:, 1] = -radius * spin.acceleration
+        force[:, 2] = -coriolis * earth_on_arm[:, 0]
+        force += (self.site.local_gravity + errors.gravity) * turned(up, spin.angle)
+        rate = earth_on_arm.copy()
+        rate[:, 2] += spin.rate
+        if self.counter_rotating:
+            force, rate = turned_back(force, spin.angle), np.tile(earth, (t.size, 1))
+        turn = axis_turn(0, self.roll) @ axis_turn(2, math.pi if self.outward else 0.0)
+        return in_axes(turn, force), in_axes(turn, rate)
+
+
+def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 0.0) -> tuple[float, ...]:
+    """Rates [rad/s] that give centripetal specific forces ``levels`` [m/s^2] at ``radius`` [m].
+
+    Solves ``r (1 + stretch w^2) w^2 = a``.
+    """
+    rates = []
+    for level in levels:
+        if level < 0.0:
+            raise ArgumentError(
+                f"centrifuge levels: {level:g} m/s^2 is negative", remedy="turn the instrument outward"
+            )
+        ratio = level / radius
+        root = math.sqrt(1.0 + 4.0 * stretch * ratio)
+        rates.append(math.sqrt(2.0 * ratio / (1.0 + root)))
+    return tuple(rates)
+
+
+@dataclass(frozen=True)
+class RateTable:
+    """A table turning about one axis.
+
+    With the axis vertical the instrument feels gravity, constant in its axes, and the rate: the term
+    ``-Omega_x`` of the output shows alone. With the axis horizontal gravity turns in the base.
+
+    Parameters
+    ----------
+    site:
+        Place and local gravity.
+    spin:
+        Rates, dwell and ramps.
+    along:
+        Base axis that lies along the table's axis: ``X0``, ``Y0``, ``Z0``, or with ``-``.
+    horizontal:
+        Whether the table's axis is horizontal, pointing at ``azimuth`` [rad] from north; else vertical up.
+    azimuth:
+        Direction of a horizontal axis [rad].
+    offset:
+        Distance of the instrument from the axis, along the table's own first axis [m].
+    """
+
+    site: Site
+    spin: SpinPlan
+    along: str = "X0"
+    horizontal: bool = False
+    azimuth: float = 0.0
+    offset: float = 0.0
+
+    kind = "rate-table"
+    accepted = ("gravity", "levelling", "arm_radius", "rate_error", "rate_ripple")
+
+    def __post_init__(self) -> None:
+        mount(self.along, "rate-table along")
+
+    @property
+    def fastest(self) -> float:
+        """Step [s] that resolves a ramp and, with a horizontal axis, a revolution."""
+        return self.spin.resolution
+
+    def segments(self) -> tuple[Segment, ...]:
+        """Rates held, recorded, and ramps."""
+        return self.spin.segments()
+
+    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Specific force and base rate in base axes, (n, 3) each."""
+        spin = self.spin.true(t, errors)
+        frame = (
+            horizontal_axis_frame(self.site, self.azimuth)
+            if self.horizontal
+            else vertical_axis_frame(self.site)
+        )
+        tilt = (
+            small_turn(*errors.levelling) if not self.horizontal else small_turn(0.0, *errors.levelling[::-1])
+        )
+        up, earth = (tilt @ v for v in frame)
+        arm = self.offset + errors.arm_radius
+        force = (self.site.local_gravity + errors.gravity) * turned(up, spin.angle)
+        force[:, 0] -= arm * spin.rate**2
+        force[:, 1] += arm * spin.acceleration
+        rate = turned(earth, spin.angle)
+        rate[:, 2] += spin.rate
+        turn = mount(self.along)
+        return in_axes(turn, force), in_axes(turn, rate)
