@@ -19,7 +19,6 @@ import sys
 import time
 import tracemalloc
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -142,47 +141,17 @@ def ratio(top: np.ndarray, bottom: np.ndarray) -> tuple[float, float]:
     return float(np.median(top / bottom)), float(top.min() / bottom.min())
 
 
-def processor_time(work: Callable[[], Any], repeats: int = 9) -> float:
-    """Smallest processor time of all threads [s]: what a busy machine changes least."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return min(times)
-
-
 def per(times: np.ndarray, samples: int) -> tuple[float, float]:
     return float(np.median(times)) / samples * 1e9, float(times.min()) / samples * 1e9
 
 
-def threads(n: int, instruments: int, samples: int) -> None:
-    """Speed-up on two threads beside what the machine gives two independent jobs at the same time."""
-    t = np.arange(n) * 1e-3
-    f = np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
-
-    def two_jobs() -> None:
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda _: propagate_rate(INST, t, f), range(2)))
-
-    for name, work in (("rate", propagate_rate), ("angle", propagate)):
-        times = rounds({
-            "one": lambda work=work: work(INST, t, f),
-            "two": lambda work=work: work(INST, t, f, workers=2),
-            "jobs": two_jobs,
-        })  # fmt: skip
-        show(f"one long record, {name}, two threads", per(times["two"], n), "ns/sample")
-        show(f"... speed-up over one thread ({name})", ratio(times["one"], times["two"]), "1", "bar 1.6")
-        share = processor_time(lambda work=work: work(INST, t, f))
-        share /= processor_time(lambda work=work: work(INST, t, f, workers=2))
-        show(f"... at best, from processor time ({name})", 2.0 * share, "1", "if no thread ever waits")
-        if name == "rate":
-            capacity = ratio(2.0 * times["one"], times["jobs"])
-            show("... capacity: two independent jobs at once", capacity, "1", "2 if both cores are free")
-    short = t[:samples]
+def fleets(instruments: int, samples: int) -> None:
+    """A fleet on one and on two threads."""
+    t = np.arange(samples) * 1e-3
+    f = np.random.default_rng(2).normal(0.0, 10.0, (samples, 3))
     fleet = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(instruments)]
     times = rounds({
-        workers: lambda workers=workers: propagate_fleet(fleet, short, f[:samples], workers=int(workers))
+        workers: lambda workers=workers: propagate_fleet(fleet, t, f, workers=int(workers))
         for workers in ("1", "2")
     }, 5)  # fmt: skip
     count = instruments * samples
@@ -283,7 +252,7 @@ def memory(n: int) -> None:
     f = np.ones((n, 3))
     for name, work, output in (
         ("angle and rate", lambda: propagate(INST, t, f, with_rate=True), 16 * n),
-        ("rate, two threads", lambda: propagate_rate(INST, t, f, workers=2), 8 * n),
+        ("rate", lambda: propagate_rate(INST, t, f), 8 * n),
         ("increments", lambda: propagate_increments(INST, t, f[1:]), 8 * n),
     ):
         work()
@@ -330,7 +299,7 @@ def main() -> None:
     print("| what | median | smallest | unit | note |\n|---|---|---|---|---|")
     machine(1_000_000 // scale)
     serial(1_000_000 // scale)
-    threads(4_000_000 // scale, 256 // scale, 100_000 // scale)
+    fleets(256 // scale, 100_000 // scale)
     equal_accuracy_sampled(100.0 / scale)
     equal_accuracy_smooth(100.0 / scale)
     constant_stretch()

@@ -1,8 +1,7 @@
-"""Batches and one record on several threads: the same numbers as one at a time."""
+"""Batches: the same numbers as one motion at a time."""
 
 import math
 
-import numba
 import numpy as np
 import pytest
 
@@ -17,7 +16,6 @@ FLEET = [Instrument(0.09 + 0.001 * k, 0.01 * (k - 1), 0.5 * k) for k in range(3)
 T = np.arange(400) * 0.02
 INPUTS = RNG.normal(0.0, 2 * G0, (3, T.size, 3))
 OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
-LONG = 12_000 if numba.config.DISABLE_JIT else 400_000
 
 
 @pytest.mark.parametrize("workers", [None, 1, 3])
@@ -59,40 +57,3 @@ def test_rate_is_the_same_with_and_without_the_angle(scale):
     u = FLEET[2].scale_factor * INPUTS[1]
     expected = u[:, 0] + FLEET[2].tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
     assert rate == pytest.approx(expected, abs=1e-13)
-
-
-@pytest.fixture(scope="module")
-def long_record():
-    t = np.arange(LONG) * 1e-2
-    f = np.random.default_rng(1).normal([0.3 * G0, 0.0, 0.0], 5.0, (LONG, 3))
-    return t, f, *propagate(FLEET[2], t, f, with_rate=True)
-
-
-@pytest.mark.parametrize("least", [256, 1024, 5120])
-def test_one_record_in_any_number_of_chunks(long_record, least, monkeypatch):
-    t, f, alpha, rate = long_record
-    monkeypatch.setattr("piga.instrument.motion.sampled_motion._STRETCH", least)
-    for workers in (2, 3, 8):
-        parts, part_rate = propagate(FLEET[2], t, f, with_rate=True, workers=workers)
-        assert np.abs(parts - alpha).max() < 1e-12 + 4e-16 * np.abs(alpha).max()
-        assert np.abs(part_rate - rate).max() < 1e-12
-    assert abs(alpha[-1]) > 100 * math.pi or LONG < 1e5
-
-
-def test_chunks_agree_on_constant_locked_and_large_step_input(monkeypatch):
-    monkeypatch.setattr("piga.instrument.motion.sampled_motion._STRETCH", 256)
-    for force, h in (((0.01, 40.0, 3.0), 0.05), ((-3.0, 40.0, 3.0), 1.0), ((-30.0, 40.0, 3.0), 3.0)):
-        t, f = np.arange(3000) * h, np.tile(force, (3000, 1))
-        whole = propagate(FLEET[2], t, f)
-        for workers in (2, 5):
-            parts = propagate(FLEET[2], t, f, workers=workers)
-            assert np.abs(parts - whole).max() < 1e-12 + 4e-16 * np.abs(whole).max()
-
-
-def test_a_fault_in_any_chunk_is_named(long_record):
-    t, f, _, _ = long_record
-    for at in (10, LONG // 2, LONG - 1):
-        bad = f.copy()
-        bad[at, 2] = math.inf
-        with pytest.raises(piga.ArgumentError, match=rf"f: inf at index \({at}, 2\)"):
-            propagate(FLEET[2], t, bad, workers=2)

@@ -1,4 +1,4 @@
-"""Blocks of steps of motion, whatever form the input had: to pairs, angles or one matrix.
+"""Blocks of steps of motion, whatever form the input had: to pairs and angles.
 
 The increments ``A, Y, Z`` of the steps stand in the work rows (see :mod:`piga._kernels.motion.transfer`); a block with a
 step too large for the fast path is worked off step by step (:func:`piga._kernels.motion.step.advance`).
@@ -67,16 +67,3 @@ def run_block(
     block.chain(w, m, p, q, t, f, out)
     turns, p, q = close_block(w, m, turns, alpha)
     return True, turns, p, q
-
-
-@kernel
-def multiply_steps(w: Array, m: int) -> tuple[bool, float, float, float, float]:
-    """Scaled product of ``m`` steps of any size; False when an increment is not a usable number."""
-    u, v, x, y = 1.0, 0.0, 0.0, 1.0
-    for j in range(m):
-        A, Y, Z = w[STEP_A + j], w[STEP_Y + j], w[STEP_Z + j]
-        if not abs(A) + abs(Y) + abs(Z) < _TOO_LARGE:
-            return False, u, v, x, y
-        one = block.any_matrix(A, Y, Z)
-        u, v, x, y = block.scaled(block.multiply(one[0], one[1], one[2], one[3], u, v, x, y))
-    return True, u, v, x, y

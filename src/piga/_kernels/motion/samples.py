@@ -1,4 +1,4 @@
-"""Records of motion from samples of specific force: angles and rates, or what a stretch does to any start."""
+"""Records of motion from samples of specific force: angles and rates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from piga._kernels.arithmetic.trig import double_arctangent
 from piga._kernels.jit import kernel
 from piga._kernels.motion import transfer as block
-from piga._kernels.motion.blocks import GOOD, close_block, multiply_steps, run_block, stepwise
+from piga._kernels.motion.blocks import GOOD, run_block
 from piga._kernels.motion.step import unwrapped
 from piga._kernels.motion.transfer import (
     BLOCK,
@@ -117,90 +117,3 @@ def propagate_samples(
         first += m
     state[0], state[1], state[2] = turns, p, q
     return GOOD
-
-
-@kernel
-def prepare_samples(
-    product: Array,
-    prefix: Array,
-    stepped: Array,
-    t: Array,
-    f: Array,
-    base_rate: Array,
-    extra: Array,
-    extra_mean: Array,
-    K: float,
-    tan_beta: float,
-    offset_y: float,
-    offset_z: float,
-) -> int:
-    """What a stretch does to any pair: all products of its blocks, and of the stretch as a whole.
-
-    ``prefix`` (blocks, PREFIX): see :func:`~piga._kernels.motion.transfer.prefixes`; ``stepped`` (blocks,) is 1
-    where a step is too large for it; ``product`` (2, 2), scaled. Other arguments: :func:`propagate_samples`.
-    """
-    w = np.empty(SIZE)
-    u, v, x, y = 1.0, 0.0, 0.0, 1.0
-    first = 0
-    while first < t.size - 1:
-        m = min(BLOCK, t.size - 1 - first)
-        stop = first + m + 1
-        load_rates(f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w)
-        if steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m) < m:
-            return first
-        number = first // BLOCK
-        stepped[number] = 0.0 if block.matrices(w, m) == m else 1.0
-        if stepped[number]:
-            usable, r, s, i, k = multiply_steps(w, m)
-            if not usable:
-                return first
-        else:
-            r, s, i, k = block.prefixes(w, m, prefix[number], t[stop:], f[stop:])
-        u, v, x, y = block.scaled(block.multiply(r, s, i, k, u, v, x, y))
-        first += m
-    product[0, 0], product[0, 1], product[1, 0], product[1, 1] = u, x, v, y
-    return GOOD
-
-
-@kernel
-def finish_samples(
-    state: Array,
-    alpha: Array,
-    rate: Array,
-    prefix: Array,
-    stepped: Array,
-    t: Array,
-    f: Array,
-    base_rate: Array,
-    extra: Array,
-    extra_mean: Array,
-    K: float,
-    tan_beta: float,
-    offset_y: float,
-    offset_z: float,
-) -> None:
-    """Output of a stretch from what :func:`prepare_samples` left; else as :func:`propagate_samples`.
-
-    ``alpha[0]`` is left alone: it belongs to the stretch before.
-    """
-    w = np.empty(SIZE)
-    turns, p, q = state[0], state[1], state[2]
-    first = 0
-    while first < t.size - 1:
-        m = min(BLOCK, t.size - 1 - first)
-        stop = first + m + 1
-        number = first // BLOCK
-        part = alpha[first + 1 : stop]
-        if rate.size or stepped[number]:
-            load_rates(
-                f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w
-            )
-        if stepped[number]:
-            steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m)
-            _, turns, p, q = stepwise(w, m, turns, p, q, part)
-        else:
-            block.pairs_from_prefixes(w, m, prefix[number], p, q)
-            turns, p, q = close_block(w, m, turns, part)
-        block.rates(w, rate[first:stop])
-        first += m
-    state[0], state[1], state[2] = turns, p, q

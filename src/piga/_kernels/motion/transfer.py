@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.arithmetic.trig import double_arctangent
 from piga._kernels.jit import inline, kernel, prefetch
-from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, step_functions
+from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,6 @@ _G, _H, _B, _C = 6 * _PITCH, 7 * _PITCH, 8 * _PITCH, 9 * _PITCH
 PAIR_P, PAIR_Q = 10 * _PITCH, 11 * _PITCH
 _U, _V, _X, _Y = 12 * _PITCH, 13 * _PITCH, 14 * _PITCH, 15 * _PITCH
 SIZE = 16 * _PITCH
-PREFIX = 4 * _PITCH
 
 SMALL_STEP = 1.0
 """Bound of ``A^2 + Y^2 + Z^2`` [rad^2] up to which the series below and the turn count hold."""
@@ -99,67 +98,6 @@ def chain(w: Array, m: int, p: float, q: float, t: Array, f: Array, out: Array) 
         w[PAIR_Q + HALF + 1 + j] = w[_V + j] * p + w[_Y + j] * q
 
 
-@inline
-def multiply(
-    u: float, v: float, x: float, y: float, u0: float, v0: float, x0: float, y0: float
-) -> tuple[float, float, float, float]:
-    """Product of ``[[u, x], [v, y]]`` and ``[[u0, x0], [v0, y0]]`` (the latter acts first)."""
-    return u * u0 + x * v0, v * u0 + y * v0, u * x0 + x * y0, v * x0 + y * y0
-
-
-@inline
-def scaled(columns: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """The matrix with its largest entry of size one."""
-    u, v, x, y = columns
-    scale = 1.0 / max(abs(u), abs(v), abs(x), abs(y))
-    return u * scale, v * scale, x * scale, y * scale
-
-
-@kernel
-def prefixes(w: Array, m: int, out: Array, t: Array, f: Array) -> tuple[float, float, float, float]:
-    """Products of the first 1, 2, ... ``m`` matrices of a block, columns ``(u, v), (x, y)``; returns the last.
-
-    ``out`` (PREFIX,) holds four rows ``u, v, x, y``. The second half of a full block
-    starts from one again: two chains at once. ``t`` and ``f`` begin where the next block does.
-    """
-    u, v, x, y = 1.0, 0.0, 0.0, 1.0
-    if m < BLOCK:
-        for j in range(m):
-            u, v = transfer(w, j, u, v)
-            x, y = transfer(w, j, x, y)
-            out[j], out[_PITCH + j], out[2 * _PITCH + j], out[3 * _PITCH + j] = u, v, x, y
-        return u, v, x, y
-    r, s, i, k = 1.0, 0.0, 0.0, 1.0
-    for j in range(HALF):
-        if j < _LINES:
-            prefetch(f, 8 * j)
-        else:
-            prefetch(t, 8 * (j - _LINES))
-        u, v = transfer(w, j, u, v)
-        x, y = transfer(w, j, x, y)
-        r, s = transfer(w, HALF + j, r, s)
-        i, k = transfer(w, HALF + j, i, k)
-        out[j], out[_PITCH + j], out[2 * _PITCH + j], out[3 * _PITCH + j] = u, v, x, y
-        at = HALF + j
-        out[at], out[_PITCH + at], out[2 * _PITCH + at], out[3 * _PITCH + at] = r, s, i, k
-    return multiply(r, s, i, k, u, v, x, y)
-
-
-@kernel
-def pairs_from_prefixes(w: Array, m: int, prefix: Array, p: float, q: float) -> None:
-    """Pairs at all samples of a block that starts with ``(p, q)``, from :func:`prefixes`."""
-    w[PAIR_P], w[PAIR_Q] = p, q
-    split = HALF if m == BLOCK else m
-    for j in range(split):
-        w[PAIR_P + 1 + j] = prefix[j] * p + prefix[2 * _PITCH + j] * q
-        w[PAIR_Q + 1 + j] = prefix[_PITCH + j] * p + prefix[3 * _PITCH + j] * q
-    if split < m:
-        p, q = w[PAIR_P + HALF], w[PAIR_Q + HALF]
-        for j in range(HALF):
-            w[PAIR_P + HALF + 1 + j] = prefix[HALF + j] * p + prefix[2 * _PITCH + HALF + j] * q
-            w[PAIR_Q + HALF + 1 + j] = prefix[_PITCH + HALF + j] * p + prefix[3 * _PITCH + HALF + j] * q
-
-
 @kernel
 def rates(w: Array, rate: Array) -> None:
     """Rate [rad/s] at the samples: ``a + y sin(alpha) - z cos(alpha)`` from the pairs."""
@@ -192,11 +130,3 @@ def angles(w: Array, m: int, turns: float, alpha: Array) -> float:
             before = not before
         alpha[j] = turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + double_arctangent(p, q))
     return turns
-
-
-@kernel
-def any_matrix(A: float, Y: float, Z: float) -> tuple[float, float, float, float]:
-    """Matrix of one step of any size, up to a factor; columns ``(u, v)`` and ``(x, y)``."""
-    c, s = step_functions(0.25 * (Y * Y + Z * Z - A * A))
-    s *= 0.5
-    return 1.0 + (c + s * Y), -s * (A + Z), s * (A - Z), 1.0 + (c - s * Y)

@@ -13,19 +13,16 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from threading import Event
 from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.arithmetic.trig import double_arctangent
 from piga._kernels.motion.blocks import GOOD
 from piga._kernels.motion.increments import propagate_increments as run_increments
-from piga._kernels.motion.samples import finish_samples, prepare_samples, propagate_samples
+from piga._kernels.motion.samples import propagate_samples
 from piga._kernels.motion.sensitivity import PARAMETERS, propagate_sensitivities
-from piga._kernels.motion.step import TWO_PI, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
-from piga._kernels.motion.transfer import BLOCK, PREFIX
+from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
@@ -34,13 +31,11 @@ Array = NDArray[np.float64]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
-_STRETCH = 128 * BLOCK
-"""Steps that a thread works off at a time; its products (1 MB) stay in the cache."""
 
 
 @dataclass(frozen=True)
 class SampledInput:
-    """A checked record: what the kernels take, for a whole record or a stretch of it."""
+    """A checked record: what the kernels take."""
 
     t: Array
     f: Array
@@ -52,11 +47,10 @@ class SampledInput:
     offset_y: float
     offset_z: float
 
-    def arguments(self, start: int, stop: int) -> tuple[Any, ...]:
-        """Kernel arguments for the samples ``start`` to ``stop - 1``."""
+    def arguments(self) -> tuple[Any, ...]:
+        """What the kernels take."""
         return (
-            self.t[start:stop], self.f[start:stop], self.base_rate[start:stop],
-            self.extra[start:stop], self.extra_mean[start : max(start, stop - 1)],
+            self.t, self.f, self.base_rate, self.extra, self.extra_mean,
             self.K, self.tan_beta, self.offset_y, self.offset_z,
         )  # fmt: skip
 
@@ -131,107 +125,17 @@ def initial_state(alpha0: float) -> Array:
     return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
 
 
-def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array, workers: int) -> None:
-    """Fill ``alpha`` and ``rate`` (each (n,) or empty) on up to ``workers`` threads.
+def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array) -> None:
+    """Fill ``alpha`` and ``rate`` (each (n,) or empty).
 
     Raises
     ------
     ArgumentError
         If a sample is not finite or a time does not increase.
     """
-    n = record.t.size
-    stretches = [(a, min(a + _STRETCH, n - 1) + 1) for a in range(0, n - 1, _STRETCH)]
-    workers = min(workers, len(stretches))
-    if workers > 1:
-        _StretchedRun(record, alpha0, alpha, rate, stretches).run(workers)
-        return
     with np.errstate(all="ignore"):
-        status = propagate_samples(initial_state(alpha0), alpha, rate, *record.arguments(0, n))
+        status = propagate_samples(initial_state(alpha0), alpha, rate, *record.arguments())
     record.require(status)
-
-
-class _StretchedRun:
-    """One record in stretches that threads take in turn.
-
-    A thread forms the products of the matrices of its stretch, which need no start; then waits for
-    the pair at the start of the stretch, hands on the pair at its end (one product), and puts the
-    stretch out. The turns completed before each stretch are added last.
-    """
-
-    def __init__(
-        self, record: SampledInput, alpha0: float, alpha: Array, rate: Array, stretches: list[tuple[int, int]]
-    ) -> None:
-        self.record, self.alpha, self.rate, self.stretches = record, alpha, rate, stretches
-        self.starts = np.zeros((len(stretches) + 1, 3))
-        self.starts[0] = initial_state(alpha0)
-        self.ends = np.zeros((len(stretches), 3))
-        self.ready = [Event() for _ in range(len(stretches) + 1)]
-        self.fault = GOOD
-
-    def run(self, workers: int) -> None:
-        """Put out all stretches."""
-        self.ready[0].set()
-        with ThreadPoolExecutor(workers) as pool:
-            turns = range(workers)
-            for _ in pool.map(lambda first: self._take(range(first, len(self.stretches), workers)), turns):
-                pass
-            self.record.require(self.fault)
-            if self.alpha.size:
-                list(pool.map(self._add_turns, range(len(self.stretches)), self._turns_before()))
-
-    def _take(self, numbers: range) -> None:
-        """Prepare and put out the stretches ``numbers``, as soon as the one before allows."""
-        prefix, stepped = np.empty((_STRETCH // BLOCK, PREFIX)), np.empty(_STRETCH // BLOCK)
-        try:
-            for i in numbers:
-                start, stop = self.stretches[i]
-                arguments = self.record.arguments(start, stop)
-                self._prepare(i, prefix, stepped, arguments)
-                if self.fault != GOOD:
-                    return
-                self.ends[i] = self.starts[i]
-                last = stop if stop == self.record.t.size else stop - 1
-                rate = self.rate[start:last]
-                finish_samples(self.ends[i], self.alpha[start:stop], rate, prefix, stepped, *arguments)
-        except BaseException:
-            self._stop(0)
-            raise
-
-    def _prepare(self, i: int, prefix: Array, stepped: Array, arguments: tuple[Any, ...]) -> None:
-        """Products of stretch ``i``; then the pair at its end, once that at its start is known."""
-        product = np.empty((2, 2))
-        with np.errstate(all="ignore"):
-            status = prepare_samples(product, prefix, stepped, *arguments)
-        if status != GOOD:
-            self._stop(self.stretches[i][0] + status)
-            return
-        self.ready[i].wait()
-        if self.fault != GOOD:
-            return
-        pair = product @ self.starts[i, 1:]
-        self.starts[i + 1, 1:] = pair / math.copysign(math.hypot(pair[0], pair[1]), pair[1])
-        self.ready[i + 1].set()
-
-    def _stop(self, fault: int) -> None:
-        """Note where a fault is and let no thread wait any longer."""
-        self.fault = fault
-        for event in self.ready:
-            event.set()
-
-    def _turns_before(self) -> Array:
-        """Whole turns completed before each stretch, from the turns within each."""
-        turns = self.starts[:-1, 0].copy()
-        for i in range(1, turns.size):
-            before, after = (double_arctangent(p, q) for _, p, q in (self.ends[i - 1], self.starts[i]))
-            turns[i] = self.ends[i - 1, 0] + np.rint((before - after) / TWO_PI)
-            self.ends[i, 0] += turns[i]
-        turns[0] = 0.0
-        return turns
-
-    def _add_turns(self, i: int, turns: float) -> None:
-        start, stop = self.stretches[i]
-        if turns:
-            self.alpha[start + 1 : stop] += turns * TWO_PI
 
 
 @overload
@@ -244,7 +148,6 @@ def propagate(
     *,
     error_model: ErrorModel | None = ...,
     temperature: ArrayLike | None = ...,
-    workers: int = ...,
 ) -> Array: ...
 
 
@@ -258,7 +161,6 @@ def propagate(
     with_rate: Literal[True],
     error_model: ErrorModel | None = ...,
     temperature: ArrayLike | None = ...,
-    workers: int = ...,
 ) -> tuple[Array, Array]: ...
 
 
@@ -271,7 +173,6 @@ def propagate(
     *,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
-    workers: int = 1,
 ) -> Array | tuple[Array, Array]:
     r"""Outer-gimbal angle under a recorded specific force, equation (2) of docs/theory/motion.
 
@@ -298,9 +199,6 @@ def propagate(
         Errors of a real instrument; None: none.
     temperature:
         Temperature at the sample times [K], shape (n,); needed by ``k0_T`` and ``k1_T``.
-    workers:
-        Threads for one long record. The result differs from that of one thread by rounding only
-        (below 1e-12 rad for 1e7 samples).
 
     Returns
     -------
@@ -327,7 +225,7 @@ def propagate(
     record = sampled_input(inst, t, f, base_rate, error_model, temperature)
     alpha = np.empty(record.t.size)
     rate = np.empty(record.t.size if with_rate else 0)
-    run_samples(record, inst.alpha0, alpha, rate, workers)
+    run_samples(record, inst.alpha0, alpha, rate)
     alpha[0] = inst.alpha0
     return (alpha, rate) if with_rate else alpha
 
@@ -340,7 +238,6 @@ def propagate_rate(
     *,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
-    workers: int = 1,
 ) -> Array:
     """Rate of the outer gimbal [rad/s] at the sample times, shape (n,), without its angle.
 
@@ -348,7 +245,7 @@ def propagate_rate(
     """
     record = sampled_input(inst, t, f, base_rate, error_model, temperature)
     rate = np.empty(record.t.size)
-    run_samples(record, inst.alpha0, _NO_OUTPUT, rate, workers)
+    run_samples(record, inst.alpha0, _NO_OUTPUT, rate)
     return rate
 
 
@@ -581,7 +478,7 @@ def propagate_fleet(
         try:
             record = sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates)
             angle, rate = (result[i], _NO_OUTPUT) if output == "angle" else (_NO_OUTPUT, result[i])
-            run_samples(record, inst.alpha0, angle, rate, 1)
+            run_samples(record, inst.alpha0, angle, rate)
         except ArgumentError as error:
             raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
         if output == "angle":
