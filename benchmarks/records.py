@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import piga
-from piga.cli.demo import copy_example
+from piga.cli.calibrate import copy_example
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.chain import read_head, read_identity
 from piga.ledger.store.documents import IDENTITY, Identity, decode, encode, new_id

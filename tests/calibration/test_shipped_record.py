@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.cli.demo import copy_example
+from piga.cli.calibrate import copy_example
 
 pytestmark = [pytest.mark.only_compiled, pytest.mark.smoke]
 

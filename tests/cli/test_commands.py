@@ -16,7 +16,7 @@ from typer.main import get_command
 
 import piga as piga_package
 from piga.cli import common
-from piga.cli.demo import copy_example
+from piga.cli.calibrate import copy_example
 from piga.cli.main import app
 from piga.errors import PigaError
 from piga.units import G0

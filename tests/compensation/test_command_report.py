@@ -16,7 +16,7 @@ from piga.records.calibration import Residuals
 from piga.reports.compensation import outline as compensation_outline
 from piga.reports.compensation import page as compensation
 from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
-from piga.reports.compensation.page import outline_of
+from piga.reports.compensation.outline import outline_of
 from piga.units import G0
 
 from .test_command import command, small_chunks, write

@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import files_named_in, note, print_json, say, write_by_rename
-from piga.cli.groups import Group
-from piga.cli.options import ForceOption, JsonOption
+from piga.cli.common import (
+    ForceOption,
+    Group,
+    JsonOption,
+    files_named_in,
+    note,
+    print_json,
+    say,
+    write_by_rename,
+)
 from piga.errors import PigaError
 from piga.output import check_outputs, results
 

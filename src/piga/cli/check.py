@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, say, write_by_rename
-from piga.cli.options import ForceOption, JsonOption, RunFileArgument
+from piga.cli.common import (
+    ForceOption,
+    JsonOption,
+    RunFileArgument,
+    files_named_in,
+    print_json,
+    progress,
+    say,
+    write_by_rename,
+)
 from piga.errors import PigaError
 from piga.output import check_outputs, results
 

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import files_named_in, note, print_json, progress, say, write_by_rename
-from piga.cli.options import ForceOption
+from piga.cli.common import ForceOption, files_named_in, note, print_json, progress, say, write_by_rename
 from piga.errors import ArgumentError
 from piga.output import check_outputs
 
 if TYPE_CHECKING:
-    from piga.compensation import Phase
-    from piga.records import Calibration
+    from piga.compensation import Compensated, Mounted, Phase
+    from piga.records import Calibration, Run
 
 
 def compensate(
@@ -254,10 +253,8 @@ def _single(
     resampler = None if options.period is None else Resampler(options.period)
     report, watch = None, None
     if page is not None:
-        from piga.cli.compensate_report import Report
-
-        report = Report(page, record.kind, calibration, (run, run.parent / data.file, source))
-        watch = report.found.piece
+        report = _Report(page, record.kind, calibration, (run, run.parent / data.file, source))
+        watch = report.outline.piece
         if record.size <= HELD_ROWS:
             report.take(record, compensate(record, calibration, **options.arguments()))
             watch = None
@@ -321,10 +318,8 @@ def _together(
         )
     report = None
     if page is not None:
-        from piga.cli.compensate_report import SetReport
-
         named = [*runs, *paths, *sources, *(calibration_files(runs[0]) if len(runs) == 1 else [])]
-        report = SetReport(page, paths, mounted, named)
+        report = _SetReport(page, paths, mounted, named)
     found: dict[str, Any] = {}
 
     def write(path: Path) -> None:
@@ -333,7 +328,7 @@ def _together(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
                     force=options.force, period=options.period, method=options.method or "exact", advance=advance,
-                    watch=None if report is None else report.found.piece,
+                    watch=None if report is None else report.outline.piece,
                 )
             )  # fmt: skip
 
@@ -341,6 +336,64 @@ def _together(
     if report is not None:
         report.write({"method": options.method or "exact"} | options.common())
     return found
+
+
+class _Report:
+    """Watches one compensation; ``files`` are the run file, its data and the calibration record."""
+
+    def __init__(self, page: Path, kind: str, calibration: Calibration, files: tuple[Path, ...]) -> None:
+        self._page, self._calibration, self._files = page, calibration, files
+        from piga.reports.compensation.outline import outline_of
+
+        self._whole: tuple[Run, Compensated] | None = None
+        self.outline = outline_of(kind, calibration)
+
+    def take(self, record: Run, result: Compensated) -> None:
+        """Take a whole record."""
+        from piga.records.spool import give_back
+
+        give_back()
+        self._whole = record, result
+        self.outline.record(record, result)
+
+    def write(self, options: dict[str, str], repairs: dict[str, int]) -> None:
+        """Write the page by rename."""
+        from piga.records.spool import give_back
+        from piga.reports.compensation.page import CompensationFacts, write_compensation_report
+
+        give_back()
+        facts = CompensationFacts(self._calibration, self._files, options, repairs)
+        write_by_rename(
+            self._page,
+            lambda path: write_compensation_report(self.outline, facts, path, self._whole),
+            "--report",
+        )
+
+
+class _SetReport:
+    """Watches the compensation of a set; ``runs`` are its run files, ``files`` all that is named on the page."""
+
+    def __init__(self, page: Path, runs: list[Path], mounted: list[Mounted], files: list[Path]) -> None:
+        from piga.records import read_run_file
+        from piga.reports.compensation.outline import SetOutline
+
+        self._page = page
+        kinds = [read_run_file(run).data for run in runs]
+        self._files = [*files, *(run.parent / data.file for run, data in zip(runs, kinds, strict=True))]
+        serials = [item.calibration.serial for item in mounted]
+        self._names = tuple(
+            f"{run.stem} ({serial})" if serial else run.stem for run, serial in zip(runs, serials, strict=True)
+        )
+        self.outline = SetOutline("rate" if kinds[0].output.kind == "rate" else "angle", mounted)
+
+    def write(self, options: dict[str, str]) -> None:
+        """Write the page by rename."""
+        from piga.records.spool import give_back
+        from piga.reports.compensation.page import SetFacts, write_set_report
+
+        give_back()
+        facts = SetFacts(self._names, tuple(dict.fromkeys(self._files)), options)
+        write_by_rename(self._page, lambda path: write_set_report(self.outline, facts, path), "--report")
 
 
 def _live(

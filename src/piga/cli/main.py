@@ -13,12 +13,10 @@ import typer
 
 from piga._version import __version__
 from piga.cli import certificate, platform, records, trend
-from piga.cli.calibrate import calibrate
+from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert
-from piga.cli.common import note, prepare_output
+from piga.cli.common import Group, note, prepare_output
 from piga.cli.compensate import compensate
-from piga.cli.demo import demo
-from piga.cli.groups import Group
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, say, write_text
-from piga.cli.options import ForceOption, JsonOption
+from piga.cli.common import ForceOption, JsonOption, files_named_in, print_json, progress, say, write_text
 from piga.output import results
 
 RESULTS = ("scenario.toml", "plan.json", "report.html")

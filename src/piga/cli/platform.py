@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, say, write_text
-from piga.cli.groups import Group
-from piga.cli.options import ForceOption
+from piga.cli.common import ForceOption, Group, files_named_in, print_json, progress, say, write_text
 from piga.output import results
 
 if TYPE_CHECKING:

@@ -9,9 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import note, output_directory, print_json, print_json_list, progress, say
-from piga.cli.groups import Group
-from piga.cli.options import JsonOption, RunFileArgument
+from piga.cli.common import (
+    Group,
+    JsonOption,
+    RunFileArgument,
+    note,
+    output_directory,
+    print_json,
+    print_json_list,
+    progress,
+    say,
+)
 from piga.errors import PigaError
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import note, print_json, progress, say
-from piga.cli.options import ForceOption
+from piga.cli.common import ForceOption, note, print_json, progress, say
 from piga.output import results
 
 if TYPE_CHECKING:

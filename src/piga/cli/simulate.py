@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from piga.cli.common import files_named_in, print_json, progress, say, write_text
-from piga.cli.options import ForceOption
+from piga.cli.common import ForceOption, files_named_in, print_json, progress, say, write_text
 from piga.output import results
 
 RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")

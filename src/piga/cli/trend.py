@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import print_json, progress, say, write_text
-from piga.cli.options import ForceOption, JsonOption
+from piga.cli.common import ForceOption, JsonOption, print_json, progress, say, write_text
 from piga.errors import PigaError
 from piga.output import is_staged, results
 

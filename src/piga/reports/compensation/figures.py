@@ -134,13 +134,15 @@ def error_spectrum_figure(
     """Amplitude of the error in revolution order, one panel per component; a line at an order is a missed term."""
     panels = []
     for name, residuals in errors.items():
-        found = order_spectrum(in_windows(residuals), scale_factor, noise=noise)
+        spectrum = order_spectrum(in_windows(residuals), scale_factor, noise=noise)
         curves: tuple[Series, ...] = (
-            Series(found.order, found.before / MICRO_G, "as indicated", role="before"),
-            Series(found.order, found.after / MICRO_G, "compensated", role="after"),
+            Series(spectrum.order, spectrum.before / MICRO_G, "as indicated", role="before"),
+            Series(spectrum.order, spectrum.after / MICRO_G, "compensated", role="after"),
         )
         if any(noise):
-            expected = Series(found.order, found.noise / MICRO_G, "noise alone", role="muted", dashed=True)
+            expected = Series(
+                spectrum.order, spectrum.noise / MICRO_G, "noise alone", role="muted", dashed=True
+            )
             curves = (*curves, expected)
         amplitude = Axis(f"amplitude of the error of {name}", "µg", log=True)
         panels.append(Panel(Axis("revolution order", "1"), amplitude, curves))
@@ -157,26 +159,26 @@ TIME = Axis("time since the first row", "s")
 _FLAG_ROLES: dict[str, Role] = {"no_increment": "muted", "near_critical": "model", "age": "reference"}
 
 
-def force_figure(found: CompensationOutline) -> Figure:
+def force_figure(outline: CompensationOutline) -> Figure:
     """Indicated and compensated specific force, their difference, and the uncertainty, against time."""
-    force = (_curve(found, "indicated", G0, "before"), _curve(found, "ax", G0, "after", "compensated"))
+    force = (_curve(outline, "indicated", G0, "before"), _curve(outline, "ax", G0, "after", "compensated"))
     panels = [
         Panel(TIME, Axis("specific force a_x", "g"), force),
         Panel(
             TIME,
             Axis("correction of a_x", "µg"),
-            (_curve(found, "correction", MICRO_G, "data", "indicated less compensated"),),
+            (_curve(outline, "correction", MICRO_G, "data", "indicated less compensated"),),
         ),
     ]
-    if found.counts["u_ax"]:
-        highest = float(np.nanmax(found.outline.rows["u_ax"])) / MICRO_G
+    if outline.counts["u_ax"]:
+        highest = float(np.nanmax(outline.outline.rows["u_ax"])) / MICRO_G
         axis = Axis("uncertainty u(a_x)", "µg", limits=(0.0, 1.15 * highest or 1.0))
         panels.append(
-            Panel(TIME, axis, (_curve(found, "u_ax", MICRO_G, "model", "standard uncertainty per row"),))
+            Panel(TIME, axis, (_curve(outline, "u_ax", MICRO_G, "model", "standard uncertainty per row"),))
         )
     shown = (
         ""
-        if found.size <= POINTS
+        if outline.size <= POINTS
         else f"Outlines of at most {POINTS} points; lowest and highest values are kept."
     )
     return Figure(
@@ -191,7 +193,7 @@ def force_figure(found: CompensationOutline) -> Figure:
     )
 
 
-def correction_spectrum(found: CompensationOutline) -> tuple[Array, Array]:
+def correction_spectrum(outline: CompensationOutline) -> tuple[Array, Array]:
     """Revolution orders, and the amplitude of the correction [m/s^2] at each, from the leading rows.
 
     The correction holds no noise to speak of, so it is demodulated by the output angle as it is: windows of at most
@@ -199,7 +201,7 @@ def correction_spectrum(found: CompensationOutline) -> tuple[Array, Array]:
     that turn less than half as far as the farthest, or show less than two cycles of an order, are left out.
     Changes of attitude leak as the inverse of the order only. Own derivation.
     """
-    leading, order = in_windows(found.leading()), order_grid()
+    leading, order = in_windows(outline.leading()), order_grid()
     power, time = np.zeros(order.size), np.zeros(order.size)
     parts = [part for part in segment_slices(leading.segment) if part.stop - part.start > 8]
     turns = [float(np.ptp(leading.psi[part])) / (2.0 * np.pi) for part in parts]
@@ -207,7 +209,7 @@ def correction_spectrum(found: CompensationOutline) -> tuple[Array, Array]:
         shown = order * some >= TURNS_NEEDED
         if some < 0.499 * max(turns) or not shown.any():
             continue
-        amplitude, duration = _demodulated(leading, part, found.scale_factor, order)
+        amplitude, duration = _demodulated(leading, part, outline.scale_factor, order)
         power[shown] += duration * amplitude[shown] ** 2
         time[shown] += duration
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -272,17 +274,17 @@ def orders_figure(panels: tuple[Panel, ...]) -> Figure:
     )
 
 
-def flag_figure(found: CompensationOutline | SetOutline) -> Figure | None:
+def flag_figure(outline: CompensationOutline | SetOutline) -> Figure | None:
     """Where every raised flag stands; None when no flag is raised."""
     series = []
-    for name, marks in found.marks.items():
+    for name, marks in outline.marks.items():
         if marks.count:
             place = FLAGS[name].bit_length() - 1
             bit = np.full(marks.t.size, float(place))
             rows = "1 row" if marks.count == 1 else f"{marks.count} rows"
             role = _FLAG_ROLES.get(name, "warning")
             series.append(
-                Series(marks.t - found.start, bit, f"{place} {name}: {rows}", mark="points", role=role)
+                Series(marks.t - outline.start, bit, f"{place} {name}: {rows}", mark="points", role=role)
             )
     if not series:
         return None
@@ -296,30 +298,32 @@ def flag_figure(found: CompensationOutline | SetOutline) -> Figure | None:
     )
 
 
-def _curve(found: CompensationOutline, name: str, unit: float, role: Role, title: str = "") -> Series:
-    y = found.outline.rows[name]
-    rows = envelope_rows(y)
-    return Series(found.outline.rows["t"][rows] - found.start, y[rows] / unit, title or name, role=role)
+def _curve(
+    outline: CompensationOutline | SetOutline, name: str, unit: float, role: Role, title: str = ""
+) -> Series:
+    t, y = outline.curve(name)
+    rows = envelope_rows(np.nan_to_num(y) if np.isnan(y).all() else y)
+    return Series(t[rows], y[rows] / unit, title or name, role=role)
 
 
 ROLES: dict[str, Role] = {"x": "x", "y": "y", "z": "z"}
 
 
-def set_force_figure(found: SetOutline) -> Figure:
+def set_force_figure(outline: SetOutline) -> Figure:
     """Indicated and compensated components, and what lies between them."""
     panels = [
         Panel(
             TIME,
             Axis(f"specific force f_{axis}", "g"),
             (
-                _set_curve(found, raw, G0, "before", "as indicated"),
-                _set_curve(found, force, G0, "after", "compensated"),
+                _curve(outline, raw, G0, "before", "as indicated"),
+                _curve(outline, force, G0, "after", "compensated"),
             ),
         )
         for axis, raw, force in zip(AXES, RAW, FORCE, strict=True)
     ]
     lines = tuple(
-        _set_curve(found, name, MICRO_G, ROLES[axis], axis) for axis, name in zip(AXES, CORRECTION, strict=True)
+        _curve(outline, name, MICRO_G, ROLES[axis], axis) for axis, name in zip(AXES, CORRECTION, strict=True)
     )
     panels.append(Panel(TIME, Axis("correction", "µg"), lines))
     return Figure(
@@ -330,23 +334,23 @@ def set_force_figure(found: SetOutline) -> Figure:
         "for more than three). The correction, indicated less compensated, is the cross-coupling and the error terms of all "
         "instruments.",
         height=2.1,
-        notes=() if found.size <= POINTS else (f"Outlines of at most {POINTS} points; extremes are kept.",),
+        notes=() if outline.size <= POINTS else (f"Outlines of at most {POINTS} points; extremes are kept.",),
     )
 
 
-def misfit_figure(found: SetOutline, names: tuple[str, ...]) -> Figure:
+def misfit_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure:
     """Residual of a redundant set, and how far each instrument is from the force that fits all."""
     panels = [
         Panel(
             TIME,
             Axis("residual of the set", "µg"),
-            (_set_curve(found, "residual", MICRO_G, "data", "residual: root of the summed squares"),),
+            (_curve(outline, "residual", MICRO_G, "data", "residual: root of the summed squares"),),
         )
     ]
     panels += [
-        Panel(TIME, Axis(f"misfit of {name}", "µg"), (_set_curve(found, misfit, MICRO_G, "model", "misfit"),))
-        for name, misfit in zip(names, found.misfits, strict=True)
-        if found.counts[misfit]
+        Panel(TIME, Axis(f"misfit of {name}", "µg"), (_curve(outline, misfit, MICRO_G, "model", "misfit"),))
+        for name, misfit in zip(names, outline.misfits, strict=True)
+        if outline.counts[misfit]
     ]
     return Figure(
         "set-misfit",
@@ -358,19 +362,11 @@ def misfit_figure(found: SetOutline, names: tuple[str, ...]) -> Figure:
     )
 
 
-def set_orders_figure(found: SetOutline, names: tuple[str, ...]) -> Figure | None:
+def set_orders_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure | None:
     """What was taken out of every instrument, by the order of its own revolution; None when nothing turns far enough."""
     panels = []
-    for name, single in zip(names, found.instruments, strict=True):
+    for name, single in zip(names, outline.instruments, strict=True):
         order, amplitude = correction_spectrum(single)
         if (amplitude > 0.0).any():
             panels.append(order_panel(order, amplitude, name))
     return orders_figure(tuple(panels)) if panels else None
-
-
-def _set_curve(found: SetOutline, name: str, unit: float, role: Role, title: str) -> Series:
-    rows = found.outlines[name].rows
-    shown = (
-        envelope_rows(np.nan_to_num(rows[name])) if np.isnan(rows[name]).all() else envelope_rows(rows[name])
-    )
-    return Series(rows["t"][shown] - found.start, rows[name][shown] / unit, title, role=role)

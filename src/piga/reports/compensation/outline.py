@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.sets.set_files import Rows
 from piga.compensation.step import NO_RATES, NONE, Chunk
-from piga.records.calibration import Residuals
+from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
 from piga.records.terms import si_factor
@@ -86,7 +86,38 @@ class Marks:
             self.row, self.t = self.row[some], self.t[some]
 
 
-class CompensationOutline:
+class Watch:
+    """What every outline keeps: rows, flags, and sums of squares by name."""
+
+    def __init__(self, kind: str, sums: tuple[str, ...]) -> None:
+        self.kind, self.marks = kind, {name: Marks() for name in FLAGS}
+        self.size, self.flagged, self.start = 0, 0, math.nan
+        self.squares, self.counts = dict.fromkeys(sums, 0.0), dict.fromkeys(sums, 0)
+
+    def rms(self, name: str) -> float:
+        """Root mean square of a curve over all rows that have a value [m/s^2]; nan where there is none."""
+        return math.sqrt(self.squares[name] / self.counts[name]) if self.counts[name] else math.nan
+
+    def _rows(self, t: Array) -> dict[str, Array]:
+        """Numbers and times of the rows that come next."""
+        if self.size == 0:
+            self.start = float(t[0])
+        return {"row": np.arange(self.size, self.size + t.size, dtype=float), "t": t}
+
+    def _sum(self, rows: dict[str, Array], curves: dict[str, Array], flags: NDArray[np.integer]) -> None:
+        """Add to the sums and counts."""
+        for name in self.squares:
+            known = curves[name][np.isfinite(curves[name])]
+            self.squares[name] += float(known @ known)
+            self.counts[name] += known.size
+        for name, bit in FLAGS.items():
+            here = (flags & bit) != 0
+            self.marks[name].add(rows["row"][here], rows["t"][here])
+        self.flagged += int(np.count_nonzero(flags & ~FLAGS["no_increment"]))
+        self.size += rows["t"].size
+
+
+class CompensationOutline(Watch):
     """Watches a compensation piece by piece: what it indicated, what came out, and the flags.
 
     Parameters
@@ -100,11 +131,8 @@ class CompensationOutline:
     """
 
     def __init__(self, kind: str, scale_factor: float, curves: tuple[str, ...] = CURVES) -> None:
-        self.kind, self.scale_factor = kind, scale_factor
-        self.outline, self.marks = Outline(curves), {name: Marks() for name in FLAGS}
-        self.size, self.flagged, self.velocity, self.start = 0, 0, 0.0, math.nan
-        self.squares = {"correction": 0.0, "u_ax": 0.0}
-        self.counts = {"correction": 0, "u_ax": 0}
+        super().__init__(kind, ("correction", "u_ax"))
+        self.scale_factor, self.velocity, self.outline = scale_factor, 0.0, Outline(curves)
         self._first = Arrays(Path(tempfile.gettempdir())).growing(np.dtype(LEADING))
         self._leading, self._taken = np.empty(0, LEADING), 0
         self._t, self._output, self._omega = 0.0, 0.0, 0.0
@@ -119,8 +147,6 @@ class CompensationOutline:
         angle = self._angle + np.cumsum(turn - self.scale_factor * result.dv)
         self._angle = float(angle[-1])
         self._keep(chunk.t, psi, angle)
-        if self.size == 0:
-            self.start = float(chunk.t[0])
         self._count(chunk.t, indicated, result)
         return indicated
 
@@ -163,10 +189,6 @@ class CompensationOutline:
             self._first.append(rows)
             self._taken += rows.size
 
-    def rms(self, name: str) -> float:
-        """Root mean square of ``correction`` or ``u_ax`` over all rows that have one [m/s^2]."""
-        return math.sqrt(self.squares[name] / self.counts[name]) if self.counts[name] else math.nan
-
     def _indicated(self, chunk: Chunk, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Turn into each row [rad], indicated specific force [m/s^2] and output angle [rad]."""
         t, output = chunk.t, chunk.output
@@ -188,20 +210,16 @@ class CompensationOutline:
         return turn + base, indicated, psi
 
     def _count(self, t: Array, indicated: Array, result: Compensated) -> None:
-        row = np.arange(self.size, self.size + t.size, dtype=float)
         u = result.u_ax if result.u_ax.size else np.full(t.size, np.nan)
         curves = {"indicated": indicated, "ax": result.ax, "correction": indicated - result.ax, "u_ax": u}
-        self.outline.add({"row": row, "t": t, **curves})
-        for name in self.squares:
-            known = curves[name][np.isfinite(curves[name])]
-            self.squares[name] += float(known @ known)
-            self.counts[name] += known.size
-        for name, bit in FLAGS.items():
-            here = (result.flags & bit) != 0
-            self.marks[name].add(row[here], t[here])
-        self.flagged += int(np.count_nonzero(result.flags & ~FLAGS["no_increment"]))
+        rows = self._rows(t)
+        self.outline.add(rows | curves)
+        self._sum(rows, curves, result.flags)
         self.velocity += float(result.dv.sum())
-        self.size += t.size
+
+    def curve(self, name: str) -> tuple[Array, Array]:
+        """Times since the first row [s], and the outline of a curve."""
+        return self.outline.rows["t"] - self.start, self.outline.rows[name]
 
 
 def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> dict[str, Array]:
@@ -225,7 +243,7 @@ CURVE_KEPT = 1 << 13
 RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
 
 
-class SetOutline:
+class SetOutline(Watch):
     """Watches a set piece by piece.
 
     Parameters
@@ -237,63 +255,52 @@ class SetOutline:
     """
 
     def __init__(self, kind: str, instruments: Sequence[Mounted]) -> None:
-        self.kind, self.mounted = kind, tuple(instruments)
+        self.misfits = tuple(f"misfit_{i}" for i in range(len(instruments)))
+        super().__init__(kind, (*CORRECTION, "residual", *self.misfits))
+        self.mounted, self.velocity = tuple(instruments), np.zeros(3)
         self._axes = np.array([item.axes for item in instruments], dtype=float)
         self._raw = np.linalg.pinv(self._axes[:, 0, :])
-        self.instruments = [CompensationOutline(kind, _scale_factor(item), ()) for item in instruments]
-        self.misfits = tuple(f"misfit_{i}" for i in range(len(instruments)))
+        self.instruments = [outline_of(kind, item.calibration, ()) for item in instruments]
         curves = (*RAW, *FORCE, *CORRECTION, "residual", *self.misfits)
         self.outlines = {name: Outline((name,), CURVE_KEPT) for name in curves}
-        self.marks = {name: Marks() for name in FLAGS}
-        self.size, self.flagged, self.start, self.velocity = 0, 0, 0.0, np.zeros(3)
-        self.squares = dict.fromkeys((*CORRECTION, "residual", *self.misfits), 0.0)
-        self.counts = dict.fromkeys(self.squares, 0)
 
     @property
     def redundant(self) -> bool:
         """True when the set can contradict itself."""
         return len(self.mounted) > 3
 
-    def piece(self, label: str, rows: Rows, found: CompensatedSet) -> None:
+    def piece(self, label: str, rows: Rows, result: CompensatedSet) -> None:
         """Take what was read, and what became of it."""
         along = []
         for i, single in enumerate(self.instruments):
             base = np.zeros((0, 3)) if rows.base_rate is None else rows.base_rate[i]
             chunk = Chunk(rows.t, rows.output[i], NONE, NONE, rows.begins, base, NONE, NONE)
             axis = self._axes[i, 0]
-            flags = found.each[i] if found.each.size else found.flags
+            flags = result.each[i] if result.each.size else result.flags
             along.append(
-                single.piece(label, chunk, Compensated(rows.t, found.f @ axis, found.dv @ axis, NONE, flags))
+                single.piece(label, chunk, Compensated(rows.t, result.f @ axis, result.dv @ axis, NONE, flags))
             )
-        self._count(rows.t, self._raw @ np.array(along), found)
+        self._count(rows.t, self._raw @ np.array(along), result)
 
-    def rms(self, name: str) -> float:
-        """Root mean square of a correction, the residual or a misfit [m/s^2]; nan where there is none."""
-        return float(np.sqrt(self.squares[name] / self.counts[name])) if self.counts[name] else float("nan")
+    def curve(self, name: str) -> tuple[Array, Array]:
+        """Times since the first row [s], and the outline of a curve."""
+        return self.outlines[name].rows["t"] - self.start, self.outlines[name].rows[name]
 
-    def _count(self, t: Array, raw: Array, found: CompensatedSet) -> None:
-        if self.size == 0:
-            self.start = float(t[0])
-        row = np.arange(self.size, self.size + t.size, dtype=float)
-        curves = dict(zip((*RAW, *FORCE), (*raw, *found.f.T), strict=True))
-        curves |= {name: raw[k] - found.f[:, k] for k, name in enumerate(CORRECTION)}
+    def _count(self, t: Array, raw: Array, result: CompensatedSet) -> None:
+        curves = dict(zip((*RAW, *FORCE), (*raw, *result.f.T), strict=True))
+        curves |= {name: raw[k] - result.f[:, k] for k, name in enumerate(CORRECTION)}
         nothing = np.full((len(self.misfits), t.size), np.nan)
-        misfit = found.misfit if found.misfit.size else nothing
-        curves |= {"residual": found.residual} | dict(zip(self.misfits, misfit, strict=True))
+        misfit = result.misfit if result.misfit.size else nothing
+        curves |= {"residual": result.residual} | dict(zip(self.misfits, misfit, strict=True))
+        rows = self._rows(t)
         for name, outline in self.outlines.items():
-            outline.add({"row": row, "t": t, name: np.array(curves[name])})
-        for name in self.squares:
-            known = curves[name][np.isfinite(curves[name])]
-            self.squares[name] += float(known @ known)
-            self.counts[name] += known.size
-        for name, bit in FLAGS.items():
-            here = (found.flags & bit) != 0
-            self.marks[name].add(row[here], t[here])
-        self.flagged += int(np.count_nonzero(found.flags & ~FLAGS["no_increment"]))
-        self.velocity = self.velocity + found.dv.sum(axis=0)
-        self.size += t.size
+            outline.add(rows | {name: np.array(curves[name])})
+        self._sum(rows, curves, result.flags)
+        self.velocity = self.velocity + result.dv.sum(axis=0)
 
 
-def _scale_factor(item: Mounted) -> float:
-    values = [c.value for c in item.calibration.coefficients if c.name == "scale_factor"]
-    return values[0] * si_factor("scale_factor") if values else item.calibration.scale_factor_nominal
+def outline_of(kind: str, calibration: Calibration, curves: tuple[str, ...] = CURVES) -> CompensationOutline:
+    """A fresh outline for records of this kind (``"angle"`` or ``"rate"``) and calibration."""
+    values = [c.value for c in calibration.coefficients if c.name == "scale_factor"]
+    K = values[0] * si_factor("scale_factor") if values else calibration.scale_factor_nominal
+    return CompensationOutline(kind, K, curves)

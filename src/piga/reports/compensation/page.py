@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +14,7 @@ from piga.compensation import Compensated, Mounted
 from piga.compensation.flags import FLAGS, MEANING
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
-from piga.records.terms import shown_unit, si_factor
+from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import judgement
 from piga.reports.compensation.figures import (
     MICRO_G,
@@ -27,6 +28,7 @@ from piga.reports.compensation.figures import (
     set_orders_figure,
 )
 from piga.reports.compensation.outline import AXES, CORRECTION, CompensationOutline, SetOutline
+from piga.reports.render.figure import Figure
 from piga.reports.render.long_record import SHOWN
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
@@ -65,87 +67,96 @@ def coefficient_words(c: Coefficient) -> tuple[str, str]:
     return printed(rounded(c.value * scale, c.std * scale).concise), pretty_unit(unit)
 
 
-def outline_of(kind: str, calibration: Calibration) -> CompensationOutline:
-    """A fresh outline for records of this kind (``"angle"`` or ``"rate"``) and calibration."""
-    values = [c.value for c in calibration.coefficients if c.name == "scale_factor"]
-    K = values[0] * si_factor("scale_factor") if values else calibration.scale_factor_nominal
-    return CompensationOutline(kind, K)
-
-
 def write_compensation_report(
-    found: CompensationOutline,
+    outline: CompensationOutline,
     facts: CompensationFacts,
     path: Path,
     whole: tuple[Run, Compensated] | None = None,
 ) -> Path:
     """Write the page as one HTML file that opens offline; ``whole`` adds the error against the reference."""
-    return write_page(compensation_page(found, facts, whole), path)
+    return write_page(compensation_page(outline, facts, whole), path)
 
 
 def compensation_page(
-    found: CompensationOutline, facts: CompensationFacts, whole: tuple[Run, Compensated] | None = None
+    outline: CompensationOutline, facts: CompensationFacts, whole: tuple[Run, Compensated] | None = None
 ) -> Page:
     """The page of a compensation."""
     sections = [
-        Section("Specific force", "specific-force", (FigureBlock(force_figure(found)),)),
-        _orders(found),
-        _reference(found, facts.calibration, whole),
-        _flags(found),
+        Section("Specific force", "specific-force", (FigureBlock(force_figure(outline)),)),
+        _orders(outline),
+        _reference(outline, facts.calibration, whole),
+        _flags(outline),
         *_repairs(facts),
-        _provenance(facts, found.scale_factor),
+        _provenance(facts, outline.scale_factor),
     ]
     data = facts.files[1].name
+    return _page(
+        f"Compensation of {facts.calibration.serial}",
+        f"{data}, {count(outline.size)} rows; the instrument's output is its {outline.kind}.",
+        _tiles(outline),
+        tuple(sections),
+        judgement(facts.calibration, "The calibration that was used: "),
+    )
+
+
+def _page(
+    title: str, subtitle: str, tiles: tuple[Tile, ...], sections: tuple[Section, ...], judged: Judgement
+) -> Page:
     return Page(
-        title=f"Compensation of {facts.calibration.serial}",
-        subtitle=f"{data}, {count(found.size)} rows; the instrument's output is its {found.kind}.",
-        tiles=_tiles(found),
-        sections=tuple(sections),
-        judgement=judgement(facts.calibration, "The calibration that was used: "),
+        title=title,
+        subtitle=subtitle,
+        tiles=tiles,
+        sections=sections,
+        judgement=judged,
         kicker="piga · compensation",
         footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. This file holds all it "
         "shows: it opens without a network, and prints on A4.",
     )
 
 
-def _tiles(found: CompensationOutline) -> tuple[Tile, ...]:
+def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
     tiles = [
         Tile(
             "Velocity",
-            printed(short(found.velocity, 4)),
+            printed(short(outline.velocity, 4)),
             "m/s",
             "sum of dv, what lies between stretches left out",
         ),
-        Tile("Correction, rms", _micro_g(found.rms("correction")), "µg", "indicated less compensated"),
+        Tile("Correction, rms", _micro_g(outline.rms("correction")), "µg", "indicated less compensated"),
     ]
-    if found.counts["u_ax"]:
-        tiles.append(Tile("u(a_x), rms", _micro_g(found.rms("u_ax")), "µg", "standard, one row"))
-    share = 100.0 * found.flagged / max(found.size, 1)
-    tone: Tone = "good" if found.flagged == 0 else "doubtful"
-    detail = f"{short(share)} % of the rows, no_increment not counted"
-    tiles.append(Tile("Rows with a flag", count(found.flagged), "", detail, tone))
-    return tuple(tiles)
+    if outline.counts["u_ax"]:
+        tiles.append(Tile("u(a_x), rms", _micro_g(outline.rms("u_ax")), "µg", "standard, one row"))
+    return (*tiles, _flag_tile(outline))
+
+
+def _flag_tile(outline: CompensationOutline | SetOutline) -> Tile:
+    share = short(100.0 * outline.flagged / max(outline.size, 1))
+    tone: Tone = "good" if outline.flagged == 0 else "doubtful"
+    detail = f"{share} % of the rows, no_increment not counted"
+    return Tile("Rows with a flag", count(outline.flagged), "", detail, tone)
 
 
 def _micro_g(value: float) -> str:
     return short(value / MICRO_G) if math.isfinite(value) else "–"
 
 
-def _orders(found: CompensationOutline) -> Section:
-    order, amplitude = correction_spectrum(found)
-    blocks: list[Block] = []
-    if not (amplitude > 0.0).any():
-        blocks.append(
-            Notice("info", "No part of the record turns far enough, or nothing turns with the output.")
-        )
-    else:
-        blocks.append(FigureBlock(correction_figure(order, amplitude)))
-    if found.size > SHOWN:
+def _orders(outline: CompensationOutline) -> Section:
+    order, amplitude = correction_spectrum(outline)
+    figure = correction_figure(order, amplitude) if (amplitude > 0.0).any() else None
+    return _orders_section(
+        outline, figure, "No part of the record turns far enough, or nothing turns with the output."
+    )
+
+
+def _orders_section(outline: CompensationOutline | SetOutline, figure: Figure | None, nothing: str) -> Section:
+    blocks: list[Block] = [Notice("info", nothing) if figure is None else FigureBlock(figure)]
+    if outline.size > SHOWN:
         blocks.append(Text(f"Of the first {count(SHOWN)} rows. Figures against time show the whole record."))
     return Section("Revolution orders", "orders", tuple(blocks))
 
 
 def _reference(
-    found: CompensationOutline, calibration: Calibration, whole: tuple[Run, Compensated] | None
+    outline: CompensationOutline, calibration: Calibration, whole: tuple[Run, Compensated] | None
 ) -> Section:
     title, anchor = "Against the reference", "reference"
     if whole is None:
@@ -159,33 +170,43 @@ def _reference(
         "these are the errors against it; they hold the errors of that reference, too.",
         lead=True,
     )
-    figures = error_figures(*whole, found.scale_factor, noise)
+    figures = error_figures(*whole, outline.scale_factor, noise)
     return Section(title, anchor, (lead, *(FigureBlock(figure) for figure in figures)))
 
 
-def _flags(found: CompensationOutline) -> Section:
-    figure = flag_figure(found)
+def _flags(outline: CompensationOutline) -> Section:
+    counted = {
+        name: (str(FLAGS[name]), count(marks.count), short(100.0 * marks.count / outline.size))
+        for name, marks in outline.marks.items()
+        if marks.count
+    }
+    columns = (Column("bit"), Column("rows"), Column("share", "%"))
+    return _flag_section(outline, columns, counted, "Flags that were raised; times since the first row.")
+
+
+def _flag_section(
+    outline: CompensationOutline | SetOutline,
+    columns: tuple[Column, ...],
+    counted: Mapping[str, tuple[str, ...]],
+    caption: str,
+    notes: tuple[str, ...] = (),
+) -> Section:
+    """The figure of flags and their table: ``columns`` with the cells ``counted`` by flag, times and meaning."""
+    figure = flag_figure(outline)
     if figure is None:
         return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
-    columns = (
-        Column("flag", align="text"),
-        Column("bit"),
-        Column("rows"),
-        Column("share", "%"),
-        Column("first at", "s"),
-        Column("last at", "s"),
+    heads = (
+        Column("flag", align="text"), *columns, Column("first at", "s"), Column("last at", "s"),
         Column("meaning", align="text"),
-    )
+    )  # fmt: skip
     rows = tuple(
         (
-            name, str(FLAGS[name]), count(marks.count), short(100.0 * marks.count / found.size),
-            short(marks.first - found.start, 6), short(marks.last - found.start, 6), MEANING[name],
+            name, *cells, short(outline.marks[name].first - outline.start, 6),
+            short(outline.marks[name].last - outline.start, 6), MEANING[name],
         )
-        for name, marks in found.marks.items()
-        if marks.count
+        for name, cells in counted.items()
     )  # fmt: skip
-    table = Table(columns, rows, "Flags that were raised; times since the first row.")
-    return Section("Flags", "flags", (FigureBlock(figure), table))
+    return Section("Flags", "flags", (FigureBlock(figure), Table(heads, rows, caption, notes)))
 
 
 def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
@@ -198,33 +219,28 @@ def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
 
 def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
     cal = facts.calibration
-    text = (Column("", align="text"), Column("", align="text"))
-    made = cal.provenance
     options = {
-        "calibration of": f"{cal.serial}, by {made.software} on {made.created}",
+        "calibration of": f"{cal.serial}, by {cal.provenance.software} on {cal.provenance.created}",
         "phase of the calibration": cal.phase,
         "scale factor of the indication": f"{printed(short(scale_factor, 8))} (rad/s)/(m/s²)",
         **facts.options,
     }
-    digests = tuple((path.name, _digest(path)) for path in facts.files)
-    names = (Column("coefficient", align="text"), Column("value"), Column("unit", align="text"))
+    heads = (Column("coefficient", align="text"), Column("value"), Column("unit", align="text"))
     values = tuple((c.key, *coefficient_words(c)) for c in cal.coefficients)
+    coefficients = Table(heads, values, "Coefficients of the calibration, standard uncertainty in brackets.")
+    return _provenance_section(options, facts.files, coefficients)
+
+
+def _provenance_section(options: dict[str, str], files: tuple[Path, ...], *tables: Table) -> Section:
+    digests = []
+    for path in files:
+        with path.open("rb") as stream:
+            digests.append((path.name, hashlib.file_digest(stream, "sha256").hexdigest()))
+    heads = (Column("file", align="text"), Column("SHA-256", align="text"))
+    how = Table((Column("", align="text"),) * 2, tuple(options.items()), "How it was compensated.")
     return Section(
-        "Provenance",
-        "provenance",
-        (
-            Table(text, tuple(options.items()), "How it was compensated."),
-            Table(names, values, "Coefficients of the calibration, standard uncertainty in brackets."),
-            Table(
-                (Column("file", align="text"), Column("SHA-256", align="text")), digests, "Files.", code=True
-            ),
-        ),
+        "Provenance", "provenance", (how, *tables, Table(heads, tuple(digests), "Files.", code=True))
     )
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)
@@ -236,35 +252,33 @@ class SetFacts:
     options: dict[str, str]
 
 
-def write_set_report(found: SetOutline, facts: SetFacts, path: Path) -> Path:
+def write_set_report(outline: SetOutline, facts: SetFacts, path: Path) -> Path:
     """Write the page as one HTML file that opens offline."""
-    return write_page(set_page(found, facts), path)
+    return write_page(set_page(outline, facts), path)
 
 
-def set_page(found: SetOutline, facts: SetFacts) -> Page:
+def set_page(outline: SetOutline, facts: SetFacts) -> Page:
     """The page of a compensated set."""
-    return Page(
-        title=f"Compensation of {len(found.mounted)} instruments",
-        subtitle=f"{', '.join(facts.names)}; {count(found.size)} rows; their output is the {found.kind}.",
-        tiles=_set_tiles(found),
-        sections=(
-            Section("Specific force", "specific-force", (FigureBlock(set_force_figure(found)),)),
-            _misfit(found, facts),
-            _set_orders(found, facts),
-            _set_flags(found, facts),
-            _instruments(found, facts),
-            _set_provenance(facts),
-        ),
-        judgement=_judgement(found, facts),
-        kicker="piga · compensation",
-        footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. This file holds all it "
-        "shows: it opens without a network, and prints on A4.",
+    sections = (
+        Section("Specific force", "specific-force", (FigureBlock(set_force_figure(outline)),)),
+        _misfit(outline, facts),
+        _set_orders(outline, facts),
+        _set_flags(outline, facts),
+        _instruments(outline, facts),
+        _provenance_section(facts.options, facts.files),
+    )
+    return _page(
+        f"Compensation of {len(outline.mounted)} instruments",
+        f"{', '.join(facts.names)}; {count(outline.size)} rows; their output is the {outline.kind}.",
+        _set_tiles(outline),
+        sections,
+        _judgement(outline, facts),
     )
 
 
-def _judgement(found: SetOutline, facts: SetFacts) -> Judgement:
+def _judgement(outline: SetOutline, facts: SetFacts) -> Judgement:
     """The verdicts on all calibrations in one box, the worst on top; each doubt names its instrument."""
-    each = [judgement(item.calibration) for item in found.mounted]
+    each = [judgement(item.calibration) for item in outline.mounted]
     worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
     problems = tuple(
         (f"{name}: {what}", remedy)
@@ -280,37 +294,28 @@ def _judgement(found: SetOutline, facts: SetFacts) -> Judgement:
 _SEVERITY: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")
 
 
-def _set_tiles(found: SetOutline) -> tuple[Tile, ...]:
-    velocity = ", ".join(printed(short(float(v), 4)) for v in found.velocity)
-    corrections = math.sqrt(sum(found.rms(name) ** 2 for name in CORRECTION))
-    tone: Tone = "good" if found.flagged == 0 else "doubtful"
-    share = short(100.0 * found.flagged / max(found.size, 1))
+def _set_tiles(outline: SetOutline) -> tuple[Tile, ...]:
+    velocity = ", ".join(printed(short(float(v), 4)) for v in outline.velocity)
+    corrections = math.sqrt(sum(outline.rms(name) ** 2 for name in CORRECTION))
     tiles = [
         Tile("Velocity x, y, z", velocity, "m/s", "sums of dv, what lies between stretches left out"),
         Tile("Correction, rms", _micro_g(corrections), "µg", "all three components together"),
     ]
-    if found.redundant:
-        tiles.append(Tile("Residual, rms", _micro_g(found.rms("residual")), "µg", "of the redundant solution"))
-    return (
-        *tiles,
-        Tile(
-            "Rows with a flag",
-            count(found.flagged),
-            "",
-            f"{share} % of the rows, no_increment not counted",
-            tone,
-        ),
-    )
+    if outline.redundant:
+        tiles.append(
+            Tile("Residual, rms", _micro_g(outline.rms("residual")), "µg", "of the redundant solution")
+        )
+    return (*tiles, _flag_tile(outline))
 
 
-def _misfit(found: SetOutline, facts: SetFacts) -> Section:
+def _misfit(outline: SetOutline, facts: SetFacts) -> Section:
     title, anchor = "Instruments against each other", "misfit"
-    if not found.redundant:
+    if not outline.redundant:
         text = "Three instruments fit any force exactly: nothing is left over that could contradict it."
         return Section(title, anchor, (Notice("info", text),))
-    if not found.counts[found.misfits[0]]:
+    if not outline.counts[outline.misfits[0]]:
         return Section(title, anchor, (Notice("info", "The published formula gives no misfits."),))
-    faults = found.marks["fault"].count
+    faults = outline.marks["fault"].count
     said = (
         Notice("good", "No row contradicts itself beyond the uncertainties of the calibrations.")
         if faults == 0
@@ -318,43 +323,26 @@ def _misfit(found: SetOutline, facts: SetFacts) -> Section:
             "warning", f"{count(faults)} rows contradict themselves beyond the uncertainties (flag fault)."
         )
     )
-    return Section(title, anchor, (said, FigureBlock(misfit_figure(found, facts.names))))
+    return Section(title, anchor, (said, FigureBlock(misfit_figure(outline, facts.names))))
 
 
-def _set_orders(found: SetOutline, facts: SetFacts) -> Section:
-    figure = set_orders_figure(found, facts.names)
-    if figure is None:
-        text = "No part of the record turns far enough, or nothing turns with the outputs."
-        return Section("Revolution orders", "orders", (Notice("info", text),))
-    blocks: tuple[Block, ...] = (FigureBlock(figure),)
-    if found.size > SHOWN:
-        blocks += (Text(f"Of the first {count(SHOWN)} rows. Figures against time show the whole record."),)
-    return Section("Revolution orders", "orders", blocks)
+def _set_orders(outline: SetOutline, facts: SetFacts) -> Section:
+    nothing = "No part of the record turns far enough, or nothing turns with the outputs."
+    return _orders_section(outline, set_orders_figure(outline, facts.names), nothing)
 
 
-def _set_flags(found: SetOutline, facts: SetFacts) -> Section:
-    figure = flag_figure(found)
-    if figure is None:
-        return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
-    columns = (
-        Column("flag", align="text"), Column("set"), *(Column(name) for name in facts.names),
-        Column("first at", "s"), Column("last at", "s"), Column("meaning", align="text"),
-    )  # fmt: skip
-    rows = tuple(
-        (
-            name, count(marks.count), *(count(single.marks[name].count) for single in found.instruments),
-            short(marks.first - found.start, 6), short(marks.last - found.start, 6), MEANING[name],
-        )
-        for name, marks in found.marks.items()
+def _set_flags(outline: SetOutline, facts: SetFacts) -> Section:
+    counted = {
+        name: (count(marks.count), *(count(single.marks[name].count) for single in outline.instruments))
+        for name, marks in outline.marks.items()
         if marks.count
-    )  # fmt: skip
+    }
+    columns = (Column("set"), *(Column(name) for name in facts.names))
     notes = ("Rows; a row of the set carries the flags of all its instruments. A fault is one of the set.",)
-    return Section(
-        "Flags", "flags", (FigureBlock(figure), Table(columns, rows, "Flags that were raised.", notes))
-    )
+    return _flag_section(outline, columns, counted, "Flags that were raised.", notes)
 
 
-def _instruments(found: SetOutline, facts: SetFacts) -> Section:
+def _instruments(outline: SetOutline, facts: SetFacts) -> Section:
     mounting = (
         Column("instrument", align="text"), *(Column(f"X0 along {axis}") for axis in AXES),
         Column("correction, rms", "µg"), Column("misfit, rms", "µg"),
@@ -363,10 +351,10 @@ def _instruments(found: SetOutline, facts: SetFacts) -> Section:
     coefficients = (Column("instrument", align="text"), *(Column(name) for name in names))
     placed, known = [], []
     for name, item, single, misfit in zip(
-        facts.names, found.mounted, found.instruments, found.misfits, strict=True
+        facts.names, outline.mounted, outline.instruments, outline.misfits, strict=True
     ):
         axis = (printed(short(float(v), 6)) for v in item.axes[0])
-        shown = _micro_g(found.rms(misfit)) if found.redundant else "–"
+        shown = _micro_g(outline.rms(misfit)) if outline.redundant else "–"
         placed.append((name, *axis, _micro_g(single.rms("correction")), shown))
         known.append((name, *(_coefficient(item, key) for key in names)))
     return Section(
@@ -388,20 +376,3 @@ def _coefficient(item: Mounted, name: str) -> str:
         if c.name == name and c.segment in (None, item.segment):
             return " ".join(coefficient_words(c)).rstrip()
     return "–"
-
-
-def _set_provenance(facts: SetFacts) -> Section:
-    text = (Column("", align="text"), Column("", align="text"))
-    digests = []
-    for path in facts.files:
-        with path.open("rb") as stream:
-            digests.append((path.name, hashlib.file_digest(stream, "sha256").hexdigest()))
-    columns = (Column("file", align="text"), Column("SHA-256", align="text"))
-    return Section(
-        "Provenance",
-        "provenance",
-        (
-            Table(text, tuple(facts.options.items()), "How it was compensated."),
-            Table(columns, tuple(digests), "Files.", code=True),
-        ),
-    )
