@@ -20,6 +20,15 @@ G0 = 9.80665
 ARCSEC = math.pi / 648000.0
 """One second of arc [rad]."""
 
+ARCMIN = 60.0 * ARCSEC
+"""One minute of arc [rad]."""
+
+MICRO_G = 1e-6 * G0
+"""A millionth of standard gravity [m/s^2]: the unit of figures and tables."""
+
+DAY = 86400.0
+"""One day [s]."""
+
 _BASE = ("m", "s", "rad", "kg", "K", "V", "count")
 _DIMENSIONLESS = (0.0,) * len(_BASE)
 

@@ -11,7 +11,7 @@ import pytest
 
 from piga._kernels.arithmetic import double_double as dd
 from piga._kernels.arithmetic.trig import double_arctangent
-from piga._kernels.motion import blocks, increments
+from piga._kernels.motion import increments
 from piga._kernels.motion import transfer as block
 from piga._kernels.motion.sensitivity import unimodular_functions
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
@@ -119,21 +119,6 @@ def test_large_steps_are_counted_out():
     w[block.STEP_A + 17] = 1.5
     w[block.STEP_Y + 200] = math.nan
     assert block.matrices(w, 256) == 254
-
-
-def test_the_product_of_large_steps_is_that_of_the_exponentials():
-    w = _filled(4, 3.0)
-    usable, u, v, x, y = blocks.multiply_steps(w, 4)
-    assert usable
-    product = mp.eye(2)
-    for j in range(4):
-        A, Y, Z = (mp.mpf(w[row + j]) / 2 for row in (block.STEP_A, block.STEP_Y, block.STEP_Z))
-        product = mp.expm(mp.matrix([[Y, A - Z], [-(A + Z), -Y]])) * product
-    size = mp.norm(product) / mp.norm(mp.matrix([[u, x], [v, y]]))
-    for value, entry in zip((u, x, v, y), product, strict=True):
-        assert abs(value - entry / size) < 1e-14
-    w[block.STEP_Z + 2] = math.nan
-    assert not blocks.multiply_steps(w, 4)[0]
 
 
 @pytest.mark.parametrize("A", [1.9, -1.9, 0.4, 3.0, -7.5, 40.0])

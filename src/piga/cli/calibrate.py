@@ -209,9 +209,7 @@ def demo(
 def copy_example(folder: Path) -> Path:
     """Copy the shipped record and its run file into ``folder``; returns the run file."""
     source = files("piga.data")
-    (folder / f"{EXAMPLE}.csv").write_bytes(
-        gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes())
-    )
+    (folder / f"{EXAMPLE}.csv").write_bytes(gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes()))
     run = folder / f"{EXAMPLE}.toml"
     run.write_bytes(source.joinpath(f"{EXAMPLE}.toml").read_bytes())
     return run

@@ -31,7 +31,7 @@ from piga.reports.render.page import (
 )
 from piga.stand.simulate import SimulatedTest
 from piga.stand.write_run import TrueValue, coefficients, imperfection_values, predictions
-from piga.units import ARCSEC, G0
+from piga.units import ARCSEC, G0, MICRO_G
 
 _POINTS = 801
 _ROLES: tuple[Role, ...] = ("x", "y", "z", "data")
@@ -108,7 +108,6 @@ def _spread(limit: float, border: float) -> NDArray[np.float64]:
 Array = NDArray[np.float64]
 
 _NAMES: tuple[tuple[str, Role], ...] = (("X0", "x"), ("Y0", "y"), ("Z0", "z"))
-_MICRO_G = 1e-6 * G0
 
 
 def simulation_figures(test: SimulatedTest) -> tuple[Figure, ...]:
@@ -154,7 +153,7 @@ def stand_figure(test: SimulatedTest) -> Figure:
 def imperfection_figure(test: SimulatedTest) -> Figure:
     """Specific force that the instrument feels, less the reference."""
     t, unit = _time(test)
-    change = (test.profile.force - test.profile.reference) / _MICRO_G
+    change = (test.profile.force - test.profile.reference) / MICRO_G
     panel = Panel(Axis("time", unit), Axis("true less reference", "ug"), _components(t, change))
     caption = "What the imperfections change: the instrument feels it, the log does not show it."
     return Figure("imperfections", "Imperfections of the stand", (panel,), caption)
@@ -172,7 +171,7 @@ def output_figure(test: SimulatedTest) -> Figure:
     turns = Series(*thin(t, test.alpha / (2.0 * math.pi)), name="gimbal angle")
     p = test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]
-    recorded = np.where(p.recorded, error / _MICRO_G, np.nan)
+    recorded = np.where(p.recorded, error / MICRO_G, np.nan)
     indicated = Series(*thin(t, recorded), name="indicated less true", role="model")
     return Figure(
         "output",

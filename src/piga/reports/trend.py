@@ -30,6 +30,7 @@ from piga.reports.render.page import (
 )
 from piga.trend.history import YEAR, CoefficientTrend, Trend
 from piga.trend.trend_line import LIMIT, Forecast
+from piga.units import DAY
 
 _GRID = 80
 
@@ -68,7 +69,7 @@ DATE = Axis("date", "", dates=True)
 
 def _dates(start: dt.datetime, years: np.ndarray | float) -> np.ndarray:
     """Positions on the axis of times in years since the start."""
-    return start.timestamp() / 86400.0 + np.asarray(years, dtype=float) * YEAR / 86400.0
+    return start.timestamp() / DAY + np.asarray(years, dtype=float) * YEAR / DAY
 
 
 def trend_figure(found: Trend, trend: CoefficientTrend, ahead: float | None) -> Figure:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.earth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, Site
+from piga.units import ARCSEC, DAY
 
 Array = NDArray[np.float64]
 
@@ -44,8 +45,7 @@ TERRESTRIAL_LESS_UTC = 69.0
 """Terrestrial time less UTC [s], rounded: the Moon goes 0.5 arcsec a second."""
 
 _J2000 = dt.datetime(2000, 1, 1, 12, tzinfo=dt.UTC)
-_CENTURY = 36525.0 * 86400.0
-_ARCSEC = math.pi / 648000.0
+_CENTURY = 36525.0 * DAY
 
 _LONGITUDE = (
     (22640, 1, 0, 0, 0), (769, 2, 0, 0, 0), (-4586, 1, 0, 0, -2), (2370, 0, 0, 0, 2), (-668, 0, 1, 0, 0),
@@ -91,10 +91,10 @@ def moon(centuries: Array) -> Body:
         np.radians(93.27283 + 483202.01873 * T),
         np.radians(297.85027 + 445267.11135 * T),
     )
-    off = _ARCSEC * _series(_LONGITUDE, arguments, np.sin)
+    off = ARCSEC * _series(_LONGITUDE, arguments, np.sin)
     _, sun, node, _ = arguments
-    main = 18520.0 * np.sin(node + off + _ARCSEC * (412.0 * np.sin(2.0 * node) + 541.0 * np.sin(sun)))
-    latitude = _ARCSEC * (main + _series(_LATITUDE, arguments, np.sin))
+    main = 18520.0 * np.sin(node + off + ARCSEC * (412.0 * np.sin(2.0 * node) + 541.0 * np.sin(sun)))
+    latitude = ARCSEC * (main + _series(_LATITUDE, arguments, np.sin))
     return Body(mean + off, latitude, 1e3 * (385000.0 + _series(_DISTANCE, arguments, np.cos)))
 
 
@@ -103,7 +103,7 @@ def sun(centuries: Array) -> Body:
     T = centuries
     anomaly = np.radians(357.5256 + 35999.049 * T)
     longitude = math.radians(282.9400) + anomaly + PRECESSION * T
-    longitude = longitude + _ARCSEC * (6892.0 * np.sin(anomaly) + 72.0 * np.sin(2.0 * anomaly))
+    longitude = longitude + ARCSEC * (6892.0 * np.sin(anomaly) + 72.0 * np.sin(2.0 * anomaly))
     distance = 1e9 * (149.619 - 2.499 * np.cos(anomaly) - 0.021 * np.cos(2.0 * anomaly))
     return Body(longitude, np.zeros_like(T), distance)
 
@@ -120,7 +120,7 @@ def sidereal_time(centuries: Array) -> Array:
     """Greenwich mean sidereal time [rad] at Julian centuries of universal time since J2000 (n,)."""
     T = centuries
     seconds = 67310.54841 + (876600.0 * 3600.0 + 8640184.812866) * T + 0.093104 * T**2
-    return np.asarray(np.mod(seconds, 86400.0) * (2.0 * math.pi / 86400.0))
+    return np.asarray(np.mod(seconds, DAY) * (2.0 * math.pi / DAY))
 
 
 @dataclass(frozen=True)

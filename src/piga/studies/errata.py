@@ -22,8 +22,9 @@ from piga.studies.case import (
     record,
 )
 from piga.studies.constant import EXAMPLES
-from piga.studies.platform import ARCMIN, CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
+from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
 from piga.studies.recursion import PUBLISHED_PHASE, misread_phase_error, phase_walk
+from piga.units import ARCMIN
 
 _T = np.linspace(0.0, 60.0, 1201)
 _WRONG = "the publication is wrong here, so that its number is not one to be met"

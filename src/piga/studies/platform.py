@@ -19,11 +19,10 @@ from piga.platform.runs.chain import Comparison, compare
 from piga.reports.platform.figures import lines_figure, published_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.studies.case import Case, Chapter
-from piga.units import ARCSEC
+from piga.units import ARCMIN, DAY
 
 Array = NDArray[np.float64]
 
-ARCMIN = 60.0 * ARCSEC
 CASE_RATE = 2.0 * math.pi / 480.0
 GRAVITY_OF_TABLE = 9.8
 """g of the publication's relations [m/s^2]."""
@@ -299,7 +298,7 @@ def scenario(*, wobble: bool) -> Scenario:
     models: tuple[Model, ...] = ("A", "B", "C") if wobble else ("A", "B")
     return Scenario(
         Place(LATITUDE, math.radians(116.0)),
-        duration=_DAYS * 86400.0,
+        duration=_DAYS * DAY,
         step=STEP,
         polar_rotation=Rotation(CASE_RATE),
         equatorial_rotation=Rotation(CASE_RATE),
@@ -338,7 +337,7 @@ def last_lines(comparison: Comparison, model: Model) -> dict[str, float]:
 
 def formula(channel: str) -> float:
     """The publication's own formula at the end of day ten (SI): g d cos(L)/w_c, d sin(L), d cos(L), d = m1 tan(eta)."""
-    turn = 4.0 * ARCMIN * math.tan(_DRIFT * _DAYS * 86400.0)
+    turn = 4.0 * ARCMIN * math.tan(_DRIFT * _DAYS * DAY)
     return {
         "east_velocity": GRAVITY_OF_TABLE * turn * math.cos(LATITUDE) / CASE_RATE,
         "heading": turn * math.sin(LATITUDE),

@@ -22,7 +22,7 @@ from piga.platform.identification.observation import (
     gimbal_rows,
     names,
 )
-from piga.platform.model.geometry import geodetic_to_earth, local_axes, specific_force_at_rest
+from piga.platform.model.geometry import geodetic_to_earth, local_axes, specific_force_at_rest, wrapped
 from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Place
 from piga.platform.model.simulate import Readouts
@@ -77,7 +77,7 @@ class Alignment:
         for k, turn in enumerate(1e-6 * to_level.T):
             ahead, behind = (rotation_vector_to_matrix(sign * turn) @ self.base for sign in (1.0, -1.0))
             difference = _angles(ahead) - _angles(behind)
-            jacobian[:, k] = (np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) / 2e-6
+            jacobian[:, k] = wrapped(difference) / 2e-6
         return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
 
     def start(self, *, with_drift: bool) -> Start:

@@ -25,7 +25,7 @@ from piga.platform.identification.observation import (
     misalignment_regressors,
     names,
 )
-from piga.platform.model.geometry import geodetic_to_earth, specific_force_at_rest
+from piga.platform.model.geometry import geodetic_to_earth, specific_force_at_rest, wrapped
 from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Gyro, Place
 from piga.platform.model.simulate import Readouts
@@ -127,7 +127,7 @@ def _parameters(vector: Array, covariance: Array, orders: int, with_eta: bool) -
         step = np.zeros(len(vector))
         step[k] = max(1e-4 * np.sqrt(covariance[k, k]), 1e-13)
         difference = converted(vector + step) - converted(vector - step)
-        jacobian[:, k] = np.where(labels_are_angles(labels), _wrapped(difference), difference) / (2.0 * step[k])
+        jacobian[:, k] = np.where(labels_are_angles(labels), wrapped(difference), difference) / (2.0 * step[k])
     stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:tips, :tips], jacobian))
     stds = np.where(labels_are_angles(labels), np.minimum(stds, UNKNOWN_PHASE), stds)
     found = [Parameter(n, float(v), float(s), "rad") for n, v, s in zip(labels, values, stds, strict=True)]
@@ -151,10 +151,6 @@ def _labels(orders: int) -> list[str]:
 def labels_are_angles(labels: Sequence[str]) -> NDArray[np.bool_]:
     """Which of the parameter names are phases (to be compared modulo a turn)."""
     return np.array([name.endswith("phase") for name in labels])
-
-
-def _wrapped(angle: Array) -> Array:
-    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
 def _notes(vector: Array, covariance: Array, orders: int) -> tuple[str, ...]:

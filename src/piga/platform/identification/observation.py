@@ -29,7 +29,7 @@ from piga._kernels.platform.geometry import exact_geometry_series
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.platform.identification.estimate import Group
-from piga.platform.model.geometry import gimbal_attitude, turns_to_gimbals
+from piga.platform.model.geometry import gimbal_attitude, turns_to_gimbals, wrapped
 from piga.platform.model.scenario import Gyro, Harmonic
 from piga.platform.model.simulate import Readouts
 
@@ -184,7 +184,7 @@ def gimbal_rows(x: Unknowns, readouts: Readouts) -> tuple[Array, Array]:
     to_platform = attitude @ triad_at(x, t) @ earth_to_inertial(t)
     e, _ = misalignment_regressors(x, t, readouts.encoder1, readouts.encoder2)
     turn = np.concatenate([e, attitude, attitude * t[:, None, None], -to_platform[:, :, :2]], axis=2)
-    residual = np.remainder(readouts.gimbals - gimbals_of(to_platform @ x.base) + np.pi, 2.0 * np.pi) - np.pi
+    residual = wrapped(readouts.gimbals - gimbals_of(to_platform @ x.base))
     return residual, turns_to_gimbals(readouts.gimbals, turn)
 
 

@@ -181,6 +181,11 @@ def turns_to_gimbals(gimbals: ArrayLike, turn: Array) -> Array:
     return out
 
 
+def wrapped(angle: ArrayLike) -> Array:
+    """Angles [rad] brought to one turn about zero, -pi to pi."""
+    return np.remainder(np.asarray(angle) + np.pi, 2.0 * np.pi) - np.pi
+
+
 def encoder_angle(rotation: Rotation, times: ArrayLike) -> Array:
     """Angle of the case encoder [rad] at ``times`` [s]: ``rate t``, folded back every ``turns`` turns."""
     angle = rotation.rate * np.asarray(times, dtype=float)

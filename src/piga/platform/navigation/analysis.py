@@ -15,10 +15,10 @@ from piga.platform.model.geometry import gravity, misalignment
 from piga.platform.model.models import Compensator, Knowledge
 from piga.platform.model.scenario import Gyro, Scenario
 from piga.platform.navigation.navigator import Errors
+from piga.units import DAY
 
 Array = NDArray[np.float64]
 
-DAY = 86400.0
 CHANNELS = ("east_velocity", "north_velocity", "heading", "roll", "pitch")
 _SCHULER = float(np.sqrt(earth.GM / earth.SEMI_MAJOR_AXIS**3))
 _ALIKE = 1e-9

@@ -33,6 +33,7 @@ from piga.platform.model.geometry import (
     gravitation,
     local_axes,
     specific_force_at_rest,
+    wrapped,
 )
 from piga.platform.model.models import Compensator, modelled_angles
 from piga.platform.model.scenario import Place
@@ -219,8 +220,8 @@ def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
     place, velocity = _cut(truth.motion.place, node), _cut(truth.motion.velocity, node)
     attitude, shown = _cut(truth.motion.attitude, node), navigation.table
     radii = earth_radii(place[:, 0])
-    turn = np.remainder(shown[:, 6:9] - attitude + np.pi, 2.0 * np.pi) - np.pi
-    longitude = np.remainder(shown[:, 1] - place[:, 1] + np.pi, 2.0 * np.pi) - np.pi
+    turn = wrapped(shown[:, 6:9] - attitude)
+    longitude = wrapped(shown[:, 1] - place[:, 1])
     return Errors(
         times=navigation.times,
         north=(shown[:, 0] - place[:, 0]) * (radii[0] + place[:, 2]),

@@ -34,6 +34,7 @@ from piga.platform.model.simulate import (
 )
 from piga.platform.navigation.navigator import Errors, errors, navigate
 from piga.platform.runs.chain import Preparation, prepare
+from piga.units import DAY
 
 Array = NDArray[np.float64]
 
@@ -159,9 +160,7 @@ def _outcome(run: Run, reading: Reading, preparation: Preparation) -> Outcome:
     )
     axes = np.eye(3) if reading.sensors is None else mounting_axes(reading.sensors)[:, 0, :]
     inside = (
-        np.zeros(3)
-        if reading.sensors is None
-        else locked(reading.sensors, run.truth.force).mean(axis=0) * 86400.0
+        np.zeros(3) if reading.sensors is None else locked(reading.sensors, run.truth.force).mean(axis=0) * DAY
     )
     return Outcome(
         reading,

@@ -24,10 +24,9 @@ from piga.platform.navigation.analysis import (
     theory_lines,
 )
 from piga.platform.navigation.navigator import Errors, Navigation, Start, errors, navigate, true_start
+from piga.units import ARCMIN
 
 Array = NDArray[np.float64]
-
-ARCMIN = np.pi / 10800.0
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from piga.platform.identification.identify import UNKNOWNS as MISALIGNMENTS
 from piga.platform.identification.identify import Identification, Observability
 from piga.platform.model.simulate import Readouts, Run
 from piga.platform.runs.budget import BudgetRow, LineRow, Scatter
-from piga.platform.runs.chain import ARCMIN, ModelRun, finite
+from piga.platform.runs.chain import ModelRun, finite
+from piga.units import ARCMIN
 
 if TYPE_CHECKING:
     import pyarrow as pa

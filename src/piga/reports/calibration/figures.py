@@ -18,7 +18,7 @@ from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.long_record import leading_part, outline
 from piga.reports.render.numbers import pretty_unit
 from piga.reports.render.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
-from piga.units import ARCSEC, G0, conversion_factor
+from piga.units import ARCSEC, G0, MICRO_G, conversion_factor
 
 
 def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: float = 0.0) -> Figure | None:
@@ -84,8 +84,6 @@ def _begins(residuals: Residuals) -> NDArray[np.bool_]:
 
 
 Array = NDArray[np.float64]
-
-MICRO_G = G0 * 1e-6
 
 
 def spectrum_figure(spectrum: OrderSpectrum) -> Figure:

@@ -11,9 +11,8 @@ from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import count, printed, rounded, short, signed
 from piga.reports.render.page import Cell, Column, FigureBlock, Section, Table, Text
-from piga.units import G0
+from piga.units import MICRO_G
 
-MICRO_G = G0 * 1e-6
 _PLAIN = str.maketrans("−–⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "---0123456789")
 HEADS = (
     "",

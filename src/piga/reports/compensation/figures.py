@@ -20,11 +20,10 @@ from piga.reports.render.decimate import POINTS, envelope_rows
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.long_record import leading_part
 from piga.reports.render.orders import TURNS_NEEDED, order_grid, order_spectrum, segment_slices
-from piga.units import G0
+from piga.units import G0, MICRO_G
 
 Array = NDArray[np.float64]
 
-MICRO_G = 1e-6 * G0
 ERROR_POINTS = 1500
 WINDOW = 16
 """Turns of the output that a spectrum looks at together."""

@@ -17,7 +17,6 @@ from piga.records.run import Run
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import judgement
 from piga.reports.compensation.figures import (
-    MICRO_G,
     correction_figure,
     correction_spectrum,
     error_figures,
@@ -45,6 +44,7 @@ from piga.reports.render.page import (
     Tone,
     write_page,
 )
+from piga.units import MICRO_G
 
 
 @dataclass(frozen=True)

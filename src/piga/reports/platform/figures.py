@@ -16,12 +16,11 @@ from piga.platform.navigation.analysis import case_rates, spectrum
 from piga.platform.runs.capstone import Capstone
 from piga.platform.runs.chain import Comparison, ModelRun
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.units import ARCSEC
+from piga.units import ARCMIN, ARCSEC, DAY
 
 Array = NDArray[np.float64]
 
-DAY, HOUR, MINUTE = 86400.0, 3600.0, 60.0
-ARCMIN = 60.0 * ARCSEC
+HOUR, MINUTE = 3600.0, 60.0
 
 
 def time_axis(span: float) -> tuple[Axis, float]:

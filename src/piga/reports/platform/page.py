@@ -14,7 +14,7 @@ from piga.platform.identification.identify import (
     Observability,
     Parameter,
 )
-from piga.platform.model.geometry import apparent_gyro, averaged_drift
+from piga.platform.model.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.model.scenario import Gyro, Scenario
 from piga.platform.model.simulate import Run
 from piga.platform.navigation.analysis import case_rates
@@ -22,7 +22,6 @@ from piga.platform.runs.budget import BudgetRow, LineRow, Scatter, last_east_lin
 from piga.platform.runs.capstone import Capstone
 from piga.platform.runs.chain import Comparison, Preparation
 from piga.reports.platform.figures import (
-    ARCMIN,
     REFERENCE_MODEL,
     Case,
     capstone_figure,
@@ -41,7 +40,7 @@ from piga.reports.platform.figures import (
 )
 from piga.reports.render.numbers import fixed, short
 from piga.reports.render.page import Block, Cell, Column, FigureBlock, Notice, Page, Section, Table, Text, Tile
-from piga.units import ARCSEC
+from piga.units import ARCMIN, ARCSEC, DAY
 
 _FOOTER = (
     "Simulated with the exact geometry of both nulled pick-offs; compensated with the small-angle matrices."
@@ -50,7 +49,7 @@ _FOOTER = (
 
 def page(title: str, s: Scenario, tiles: tuple[Tile, ...], sections: tuple[Section, ...]) -> Page:
     """A page with the run in its subtitle."""
-    length = f"{s.duration / 86400.0:.4g} d at {s.step:g} s"
+    length = f"{s.duration / DAY:.4g} d at {s.step:g} s"
     where = f"{np.degrees(s.place.latitude):.3f} deg latitude, {length}, base {s.motion.kind}"
     return Page(title, where, tiles, sections, "piga platform", _FOOTER)
 
@@ -86,7 +85,7 @@ def _parameter_row(p: Parameter, true: float | None) -> tuple[str, ...]:
     off = "–"
     if true is not None:
         difference = p.value - true
-        difference = float(np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi) if phase else difference
+        difference = float(wrapped(difference)) if phase else difference
         off = f"{difference / p.std:+.2f}" if p.std > 1e-11 else f"{difference / scale:+.1e}"
     return name, f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off
 
@@ -110,7 +109,7 @@ def simulation_page(run: Run) -> Page:
     s = run.scenario
     drift = abs(float(run.truth.eta[-1] - run.truth.eta[0]))
     tiles = (
-        Tile("duration", short(s.duration / 86400.0), "d", f"{s.steps} steps of {short(s.step)} s"),
+        Tile("duration", short(s.duration / DAY), "d", f"{s.steps} steps of {short(s.step)} s"),
         Tile(
             "redundancy angle",
             short(np.degrees(run.truth.eta[-1])),
