@@ -15,7 +15,7 @@ import pytest
 from piga import output
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, results, settle
-from piga.records.toml_file import files_named_in
+from piga.records.text_files import files_named_in
 from tests.compensation.test_command import command as compensate
 from tests.compensation.test_command import write
 from tests.output.kills import kills

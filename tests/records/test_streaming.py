@@ -23,8 +23,8 @@ from piga.formats.text import source as text_source
 from piga.formats.text.reader import TextStream
 from piga.reading import raw_columns
 from piga.records import spool
-from piga.records.median import exact_median
 from piga.records.run_file import read_run_file
+from piga.records.spool import exact_median
 from tests.records.files import lines, write_log, write_run
 from tests.records.test_fuzz import LOG, NAMES, mutated, seeded
 
@@ -155,6 +155,6 @@ def test_median_of_numbers_that_do_not_fit(values: list[float], size: int) -> No
     expected = float(np.median(array)) if values else 0.0
     parts = [array[start : start + size] for start in range(0, array.size, size)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("piga.records.median.WHOLE", 0)
-        patch.setattr("piga.records.median._BITS", (12, 12, 12, 12, 16))
+        patch.setattr("piga.records.spool.WHOLE", 0)
+        patch.setattr("piga.records.spool._BITS", (12, 12, 12, 12, 16))
         assert exact_median(lambda: iter(parts)) == expected

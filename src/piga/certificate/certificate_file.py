@@ -19,7 +19,7 @@ import msgspec
 from piga.errors import UnitError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import SERVO_TERMS, meaning_of, unit_of
-from piga.records.toml_file import read_toml
+from piga.records.text_files import read_toml
 from piga.units import to_si
 
 MASKED = 0.05

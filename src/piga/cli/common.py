@@ -123,9 +123,9 @@ def output_directory(path: Path, option: str = "--out") -> Path:
 
 def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it leads to: what a command may read, and must not write over."""
-    from piga.records import toml_file
+    from piga.records.text_files import files_named_in
 
-    return toml_file.files_named_in(path)
+    return files_named_in(path)
 
 
 def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:

@@ -1,19 +1,314 @@
-"""Read a run: run file and data file to a :class:`~piga.records.run.Run`, everything found counted."""
+"""Read a run: from run file and data file to a run in SI, step by step; everything found on the way is counted.
+
+Works through the record in blocks, so that a record on disk needs no more memory than one in memory.
+"""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import chain, repeat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from piga.errors import RunFileError
+from piga.errors import DataError, RunFileError
 from piga.output import settle
-from piga.reading.assembly import Assembly, StandReference
-from piga.reading.raw_columns import read_columns
+from piga.reading.output_signal import Reading, Scale
+from piga.reading.raw_columns import RawColumns, read_columns, split_lost
+from piga.reading.signal_checks import (
+    Extremes,
+    beyond_limits,
+    largest_size,
+    mistaken_rate,
+    mistaken_unit,
+    sampled,
+    sequence_breaks,
+    stopped_output,
+    stuck_extremes,
+)
+from piga.records.calibration import Event, Quality
 from piga.records.run import Run
-from piga.records.run_file import read_run_file
-from piga.records.toml_file import toml_bytes
+from piga.records.run_file import RunFile, read_run_file
+from piga.records.spool import gathered, spans
+from piga.records.text_files import toml_bytes
+from piga.records.time_base import TimeBase, drop_repeats, examine_time
+from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
+
+Array = NDArray[np.float64]
+
+StandReference = Callable[
+    [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]
+]
+"""Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
+
+
+WHOLE = 1e-9
+"""Distance from a whole number of turns [rev] up to which a roll-over is one: units such as mrad make it inexact."""
+
+
+def _whole_turns(span: float, revolution: float) -> bool:
+    """True when a reading that rolls over at ``span`` keeps the phase: the span is a whole number of turns."""
+    turns = span / revolution
+    return abs(turns - round(turns)) <= WHOLE
+
+
+@dataclass
+class Assembly:
+    """The columns of one data file on their way to a run; ``rows_read`` of it, ``events`` so far."""
+
+    run_file: RunFile
+    raw: RawColumns
+    stand_reference: StandReference
+
+    def __post_init__(self) -> None:
+        self.rows_read = self.raw.count
+        self.events = self.raw.events
+
+    def run(self, path: Path) -> Run:
+        """The run; ``path`` is the run file."""
+        t = self._used_rows()
+        raw, arrays = self.raw, self.raw.arrays
+        base = examine_time(t, raw.segment, raw.rows, arrays)
+        self.events += base.events
+        self._check_enough(base, path)
+        sequence = self.run_file.data.sequence
+        if sequence is not None:
+            number = raw.numbers[sequence.column]
+            self.events += sequence_breaks(number, sequence.wraps_at, base.begins, raw.rows)
+        f, base_rate = self._reference(path, t)
+        a_x = f[:, 0]
+        largest = 1.2 * self._scale_factor * largest_size(a_x) * base.nominal
+        scale = self._scale()
+        output, lost = self._output(base, scale, largest)
+        self._reset_between(t, output, base, f, lost)
+        resolution = scale.factor if scale.counts else 0.0
+        self._check_plausible(t, output, f, base, resolution)
+        segment, labels, groups, found = split_lost(raw.segment, raw.labels, lost, raw.rows, arrays)
+        self.events += found
+        used = raw.count
+        return Run(
+            serial=self.run_file.instrument.serial,
+            scale_factor=self._scale_factor,
+            kind="rate" if self.run_file.data.output.kind == "rate" else "angle",
+            t=t,
+            output=output,
+            f=f,
+            base_rate=base_rate,
+            temperature=self._temperature(),
+            segment=segment,
+            labels=labels,
+            begins=base.begins,
+            phase_group=groups,
+            row=raw.rows,
+            resolution=resolution,
+            quality=Quality(self.rows_read, used, self.rows_read - used, tuple(self.events)),
+            model=self.run_file.model,
+            estimation=self.run_file.estimation,
+            uncertainty=self.run_file.uncertainty,
+            stand=self.run_file.stand,
+            servo=() if self.run_file.instrument.servo is None else self.run_file.instrument.servo.parameters(),
+            source=str(path),
+        )
+
+    @property
+    def _scale_factor(self) -> float:
+        return to_si(self.run_file.instrument.scale_factor, "rad/s/g")
+
+    def _used_rows(self) -> Array:
+        """Leave out the rows that cannot be used; the time [s] of the others."""
+        raw = self.raw
+        usable = raw.arrays.empty(raw.count, np.bool_)
+        for part in spans(raw.count):
+            usable[part] = raw.segment[part] >= 0
+        limits = self.run_file.data.range or {}
+        with ThreadPoolExecutor(2) as pool:
+            extremes = list(pool.map(Extremes.of, raw.numbers.values()))
+            for found in extremes:
+                found.mask(usable)
+            self._check_masked(usable)
+            declared = [limits.get(name, (-np.inf, np.inf)) for name in raw.numbers]
+            stuck = pool.map(
+                stuck_extremes,
+                raw.numbers,
+                raw.numbers.values(),
+                extremes,
+                repeat(raw.rows),
+                repeat(raw.segment),
+                declared,
+            )
+            self.events += chain.from_iterable(stuck)
+        if limits:
+            self.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
+            self._check_masked(usable)
+        t = self._time()
+        self.events += drop_repeats(t, raw.segment, usable, list(raw.numbers.values()), raw.rows)
+        if usable.all():
+            return t
+        raw.numbers = {name: self._kept(values, usable) for name, values in raw.numbers.items()}
+        raw.rows, raw.segment = self._kept(raw.rows, usable), self._kept(raw.segment, usable)
+        return self._kept(t, usable)
+
+    def _kept(self, values: NDArray[Any], usable: NDArray[np.bool_]) -> NDArray[Any]:
+        kept = self.raw.arrays.growing(values.dtype)
+        for part in spans(values.size):
+            kept.append(values[part][usable[part]])
+        return kept.finish()
+
+    def _check_masked(self, usable: NDArray[np.bool_]) -> None:
+        bad = usable.size - int(np.count_nonzero(usable))
+        if bad == usable.size:
+            raise DataError(
+                f"{self.raw.path}: no row has all needed values", remedy="check the columns in [data]"
+            )
+        reasons = ("missing-value", "saturated", "no-segment", "not-finite")
+        if bad and not any(event.kind in reasons for event in self.events):
+            row = int(self.raw.rows[int(np.argmin(usable))])
+            self.events.append(Event("not-finite", bad, row, "the row is not used"))
+
+    def _time(self) -> Array:
+        data, raw = self.run_file.data, self.raw
+        if data.time is not None:
+            return self._scaled(
+                data.time.column, conversion_factor(self._unit(data.time.column, data.time.unit), "s")
+            )
+        assert data.sample_rate is not None  # noqa: S101 - read_run_file wants one of the two
+        rate = to_si(data.sample_rate, "Hz")
+        t: Array = raw.arrays.empty(raw.count)
+        for part in spans(raw.count):
+            t[part] = np.arange(part.start, part.stop) / rate
+        return t
+
+    def _scaled(self, name: str, factor: float, offset: float = 0.0) -> Array:
+        """A column times a factor, plus an offset."""
+        values = self.raw.numbers[name]
+        if factor == 1.0 and offset == 0.0:
+            return values
+        result: Array = self.raw.arrays.empty(values.size)
+        for part in spans(values.size):
+            result[part] = values[part] * factor + offset
+        return result
+
+    def _check_enough(self, base: TimeBase, path: Path) -> None:
+        if self.raw.count < 2 or base.nominal <= 0.0:
+            raise DataError(
+                f"{self.raw.path}: fewer than two usable rows with increasing time", remedy=f"check {path}"
+            )
+
+    def _unit(self, column: str, declared: str) -> str:
+        """The declared unit, checked against the one in the data file where it has one."""
+        found = self.raw.units.get(column)
+        if found is not None:
+            known, wanted = parse_unit(found), parse_unit(declared)
+            if known.dimension != wanted.dimension or known.factor != wanted.factor:
+                raise DataError(
+                    f"{self.raw.path}: column '{column}' is in '{found}' there, but in '{declared}' in the run file",
+                    remedy="correct the one that is wrong",
+                )
+        return declared
+
+    def _reference(self, path: Path, t: Array) -> tuple[Array, Array | None]:
+        """Specific force and base rate from the columns, or from the stand where there are none."""
+        data, stand = self.run_file.data, self.run_file.stand
+        f, base_rate = self._group(data.reference, "m/s^2"), self._group(data.base_rate, "rad/s")
+        if f is None and stand is not None:
+            f, stand_rate = self.stand_reference(stand, path.parent, t, self.raw.segment, self.raw.labels)
+            base_rate = stand_rate if base_rate is None else base_rate
+        return np.full((t.size, 3), np.nan) if f is None else f, base_rate
+
+    def _group(self, group: Any, unit: str) -> Array | None:
+        """Three columns as (n, 3), each of them contiguous."""
+        if group is None:
+            return None
+        result: Array = self.raw.arrays.empty((3, self.raw.count))
+        for axis, name in enumerate(group.columns):
+            factor = conversion_factor(self._unit(name, group.unit), unit)
+            for part in spans(self.raw.count):
+                np.multiply(self.raw.numbers[name][part], factor, out=result[axis, part])
+        return result.T
+
+    def _temperature(self) -> Array | None:
+        column = self.run_file.data.temperature
+        if column is None:
+            return None
+        unit = self._unit(column.column, column.unit)
+        return self._scaled(column.column, parse_unit(unit).factor, offset_to_si(unit))
+
+    def _scale(self) -> Scale:
+        """How the logged output becomes one in SI."""
+        instrument, output = self.run_file.instrument, self.run_file.data.output
+        if output.kind == "rate":
+            return Scale(conversion_factor(self._unit(output.column, str(output.unit)), "rad/s"))
+        if output.kind == "angle":
+            factor = conversion_factor(self._unit(output.column, str(output.unit)), "rad")
+            span = None if output.wraps_at is None else to_si(output.wraps_at, "rad") / factor
+            return Scale(factor, span, span is None or _whole_turns(span, 2.0 * np.pi / factor))
+        revolution = float(instrument.counts_per_revolution or 0.0)
+        span = None if instrument.counter_bits is None else 2.0**instrument.counter_bits
+        return Scale(
+            2.0 * np.pi / revolution, span, span is None or _whole_turns(span, revolution), counts=True
+        )
+
+    def _output(self, base: TimeBase, scale: Scale, largest: float) -> tuple[Array, NDArray[np.bool_]]:
+        """Output in SI, and the samples where the whole turns were lost."""
+        name, raw = self.run_file.data.output.column, self.raw
+        if self.run_file.data.output.kind == "rate":
+            return self._scaled(name, scale.factor), raw.arrays.zeros(raw.count, np.bool_)
+        reading = Reading(
+            raw.path, name, raw.numbers[name], raw.rows, base.begins, largest, base.nominal, scale
+        )
+        output, lost, found = reading.output(raw.arrays)
+        self.events += found
+        return output, lost
+
+    def _reset_between(self, t: Array, psi: Array, base: TimeBase, f: Array, lost: NDArray[np.bool_]) -> None:
+        """Stretches that begin with a counter that cannot have come from the reading before: phase lost.
+
+        Between segments the case may have been turned once about the input axis as well.
+        """
+        output, bits, segment = (
+            self.run_file.data.output,
+            self.run_file.instrument.counter_bits,
+            self.raw.segment,
+        )
+        if output.kind != "counts" or bits is not None or np.count_nonzero(base.begins) < 2:
+            return
+        force = np.sqrt(max(float(np.einsum("ij,ij->i", f[part], f[part]).max()) for part in spans(t.size)))
+        count, first = 0, 0
+        for part in spans(t.size):
+            at = part.start + np.flatnonzero(base.begins[part])
+            at = at[at > 0]
+            interval = t[at] - t[at - 1]
+            slack = np.where(segment[at] == segment[at - 1], 0.2, 7.0)
+            allowed = (1.5 * self._scale_factor * force + 1e-3) * interval + slack
+            gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > allowed)]
+            if gone.size:
+                first = first or int(self.raw.rows[gone[0]])
+                count += int(gone.size)
+                lost[gone] = True
+        if count:
+            self.events.append(Event("counter-reset", count, first, "between two stretches; the phase is new"))
+
+    def _check_plausible(self, t: Array, output: Array, f: Array, base: TimeBase, resolution: float) -> None:
+        """Units that are probably mistaken, and an output that does not turn: reported, nothing is changed."""
+        first, some = int(self.raw.rows[0]), sampled(t.size)
+        if self.run_file.data.reference is not None:
+            self.events += mistaken_unit(gathered(f, some), t.size, first)
+        if self.run_file.data.output.kind == "rate":
+            wanted, found = gathered(f[:, 0], some), gathered(output, some)
+            self.events += mistaken_rate(wanted, found, self._scale_factor, t.size, first)
+            return
+        at = some[~base.begins[some]]
+        turned, passed = (gathered(values, at) - gathered(values, at - 1) for values in (output, t))
+        rate = turned / passed
+        inside = t.size - int(np.count_nonzero(base.begins))
+        self.events += mistaken_rate(gathered(f[:, 0], at), rate, self._scale_factor, inside, first)
+        per_step = self._scale_factor / (resolution or 1e-3)
+        self.events += stopped_output(output, t, base.begins, f[:, 0], per_step, self.raw.rows)
 
 
 def read_record(

@@ -11,7 +11,7 @@ from piga.records.calibration import (
 )
 from piga.records.run import Run
 from piga.records.run_file import RunFile, read_run_file
-from piga.records.toml_file import read_toml
+from piga.records.text_files import read_toml
 
 __all__ = [
     "Calibration",

@@ -27,10 +27,10 @@ from piga.records.calibration import (
     SegmentSummary,
     TypeB,
 )
-from piga.records.json_file import JsonError, decode_json, schema_of
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import Method, Phase, PhaseSource
 from piga.records.terms import check_name, unit_of
+from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.units import conversion_factor, from_si
 
 Array = NDArray[np.float64]

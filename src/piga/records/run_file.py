@@ -15,7 +15,7 @@ from piga.errors import RunFileError, UnitError
 from piga.output import settle
 from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
 from piga.records.terms import check_terms
-from piga.records.toml_file import read_toml
+from piga.records.text_files import read_toml
 from piga.units import conversion_factor, to_si
 
 Quantity = str | float | int
@@ -279,7 +279,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     path:
         The file.
     raw:
-        Its bytes, where they were read already (:func:`piga.records.toml_file.toml_bytes`).
+        Its bytes, where they were read already (:func:`piga.records.text_files.toml_bytes`).
 
     Raises
     ------

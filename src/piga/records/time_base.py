@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.records.calibration import Event
-from piga.records.median import exact_median
-from piga.records.spool import Arrays, spans, steps
+from piga.records.spool import Arrays, exact_median, spans, steps
 
 Array = NDArray[np.float64]
 

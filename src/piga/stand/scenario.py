@@ -18,7 +18,7 @@ from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.instrument.twin.parameters import twin_parameters
 from piga.records.run_file import Column, Columns, Quantity, ServoTable, Table
 from piga.records.terms import UNITS, harmonic, unit_of
-from piga.records.toml_file import read_toml
+from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
 from piga.stand.machines.logged import read_profile
 from piga.stand.machines.turning import (

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.estimation.whitening import LANES, likelihoods
 from piga.calibration.model.workers import workers
-from piga.records.median import exact_median
-from piga.records.spool import spans
+from piga.records.spool import exact_median, spans
 
 Array = NDArray[np.float64]
 Information = Callable[[Array], Array]

@@ -12,7 +12,7 @@ from piga.compensation.mounting import Mounted
 from piga.errors import RunFileError
 from piga.records import Calibration, read_toml
 from piga.records.run_file import Quantity
-from piga.records.toml_file import toml_document
+from piga.records.text_files import toml_document
 from piga.units import to_si
 
 Row = tuple[float, float, float]

@@ -18,8 +18,8 @@ import msgspec
 
 from piga.errors import ArgumentError, StoreError
 from piga.ledger.store.file_names import safe_name
-from piga.records.json_file import JsonError, decode_json
 from piga.records.limits import check_label
+from piga.records.text_files import JsonError, decode_json
 
 IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
 MAX_TEXT = 2000
