@@ -33,8 +33,7 @@ import atheris
 
 with atheris.instrument_imports(include=["piga.records", "piga.units"]):
     from piga.formats.columns import RecordStream
-    from piga.formats.containers.container import read_container
-    from piga.formats.containers.container_child import READERS
+    from piga.formats.containers.container import READERS, read_container
     from piga.formats.containers.parquet_reader import ParquetStream
     from piga.formats.text.reader import TextStream
     from piga.records.calibration_json import read_calibration

@@ -35,7 +35,7 @@ MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperatur
 READ = """
 import sys
 from pathlib import Path
-from piga.formats.containers.container_child import READERS
+from piga.formats.containers.container import READERS
 path = Path(sys.argv[1])
 assert READERS[path.suffix](path, ("t", "psi", "fx", "fy", "fz"), None).rows == int(sys.argv[2])
 with open("/proc/self/status") as status:
@@ -102,8 +102,8 @@ def test_a_set_of_many_instruments(tmp_path: Path, page: bool) -> None:
 
 
 @pytest.mark.parametrize("kind", ["tdms", "one.tdms", "mat", "packed.mat"])
-def test_a_container_in_pieces(tmp_path: Path, kind: str) -> None:
-    """The process that reads 160 MB of numbers: less than they take; one channel in one piece at most."""
+def test_a_container(tmp_path: Path, kind: str) -> None:
+    """The process that reads 160 MB of numbers: channels in pieces, less than they take; MATLAB variables whole."""
     rows, data, path = 4_000_000, columns(4_000_000), tmp_path / f"run.{kind}"
     if kind.endswith("mat"):
         savemat(path, data, do_compression=kind.startswith("packed"))
@@ -117,4 +117,4 @@ def test_a_container_in_pieces(tmp_path: Path, kind: str) -> None:
                 )
     words = [sys.executable, "-c", READ, str(path), str(rows)]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert int(done.stdout) < 160_000_000
+    assert int(done.stdout) < (300_000_000 if kind.endswith("mat") else 160_000_000)

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from piga.formats.arrow_columns import label_column, number_column, text_column
+from piga.formats.parquet_writer import label_column, number_column, text_column
 
 
 @pytest.mark.parametrize("kind", ["float64", "int64", "int32"])
@@ -41,7 +41,7 @@ def test_labels() -> None:
 def test_pandas_is_not_loaded() -> None:
     """Half a second of every command that writes a table, where pandas is installed."""
     code = (
-        "import sys, numpy as np; from piga.formats.arrow_columns import label_column, number_column;"
+        "import sys, numpy as np; from piga.formats.parquet_writer import label_column, number_column;"
         "label_column(np.zeros(2, np.int32), ['a']); number_column(np.zeros(2));"
         "sys.exit('pandas' in sys.modules)"
     )

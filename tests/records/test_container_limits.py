@@ -15,7 +15,7 @@ from nptdms import ChannelObject, TdmsWriter
 from pyarrow import parquet
 
 import piga
-from piga.formats.containers.container_child import READERS
+from piga.formats.containers.container import READERS
 from tests.records.containers import columns, write_h5
 from tests.records.files import write_run
 
@@ -129,14 +129,13 @@ def test_parquet_that_does_not_fit(tmp_path: Path) -> None:
 def test_a_reader_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the system, when memory is short or the limit on computing time is reached."""
     folder = tmp_path / "fake" / "piga"
-    (folder / "records").mkdir(parents=True)
-    (folder / "__init__.py").write_text("")
-    (folder / "records" / "__init__.py").write_text("")
+    room = folder / "formats" / "containers"
+    room.mkdir(parents=True)
+    for package in (folder, room.parent, room):
+        (package / "__init__.py").write_text("")
     write_h5(tmp_path / "run.h5", columns())
     monkeypatch.setattr(sys, "path", [str(tmp_path / "fake"), *sys.path])
     for name in ("SIGKILL", "SIGXCPU"):
-        (folder / "records" / "container_child.py").write_text(
-            f"import os, signal\nos.kill(os.getpid(), signal.{name})\n"
-        )
+        (room / "container.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{name})\n")
         with pytest.raises(piga.DataError, match=r"took more than \d+ s of computing time"):
             piga.read_run(write_run(tmp_path, "run.h5"))

@@ -15,8 +15,9 @@ import pytest
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
 import piga
-from piga.formats.containers import array_columns, container, hdf5_reader, xlsx_reader
-from piga.formats.containers.container_child import READERS
+from piga.formats import columns as file_columns
+from piga.formats.containers import container, hdf5_reader
+from piga.formats.containers.container import READERS
 from piga.formats.containers.xlsx_reader import read_xlsx
 from piga.records import limits
 from piga.records.spool import arrays_like
@@ -205,7 +206,7 @@ def test_a_column_in_pieces(
                 out[name].attrs["MATLAB_class"] = np.bytes_("double")
     for rows in (64, 1 << 18):
         monkeypatch.setattr(hdf5_reader, "PIECE_ROWS", rows)
-        monkeypatch.setattr(array_columns, "PIECE_ROWS", rows)
+        monkeypatch.setattr(file_columns, "PIECE_ROWS", rows)
         found = READERS[".h5"](tmp_path / "a.h5", ("plain", "packed"), None).numbers
         for name in ("plain", "packed"):
             assert found[name].dtype == ("f8" if kind.startswith("f") else "i8")
@@ -230,7 +231,7 @@ def test_a_channel_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ki
         whole = source["log"]["n"][:]
     assert (whole.size < 700) == (cut > 0)
     for rows in (64, 1 << 18):
-        monkeypatch.setattr(array_columns, "PIECE_ROWS", rows)
+        monkeypatch.setattr(file_columns, "PIECE_ROWS", rows)
         found = READERS[".tdms"](path, ("n",), None).numbers["n"]
         assert found.dtype == ("f8" if kind.startswith("f") else "i8")
         assert (arrays_like(found).folder is not None) == (rows == 64)
@@ -247,10 +248,8 @@ def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
     assert table.file_rows(slice(0, 2)).tolist() == [4, 6]
 
 
-@pytest.mark.parametrize("held", [7, 8, 100])
-def test_a_sheet_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, held: int) -> None:
-    """What is written down on the way is what was in the cells: numbers, labels, missing ones and where they stood."""
-    monkeypatch.setattr(xlsx_reader, "HELD_ROWS", held)
+def test_cells_of_a_sheet(tmp_path: Path) -> None:
+    """What is read is what was in the cells: numbers, labels, missing ones and where they stood."""
     book = openpyxl.Workbook()
     book.active.append(["t", "n", "part"])
     for i in range(40):
@@ -268,7 +267,6 @@ def test_a_sheet_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, held
     assert [(e.kind, e.count, e.first_row, e.detail) for e in table.events] == [
         ("missing-value", 2, 11, "column 'n'")
     ]
-    assert all(arrays_like(column).folder is not None for column in table.numbers.values())
 
 
 def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:
@@ -284,10 +282,11 @@ def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="no resource limits there")
 def test_the_reading_process_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "fake" / "piga"
-    (folder / "records").mkdir(parents=True)
-    (folder / "__init__.py").write_text("")
-    (folder / "records" / "__init__.py").write_text("")
-    child = folder / "records" / "container_child.py"
+    room = folder / "formats" / "containers"
+    room.mkdir(parents=True)
+    for package in (folder, room.parent, room):
+        (package / "__init__.py").write_text("")
+    child = room / "container.py"
     path = tmp_path / "run.h5"
     path.write_bytes(b"x")
     monkeypatch.setattr(sys, "path", [str(tmp_path / "fake"), *sys.path])
@@ -312,7 +311,7 @@ def test_memory_of_the_reading_process_is_limited() -> None:
     import subprocess
 
     code = (
-        "from piga.formats.containers.container_child import limit_resources; import numpy as np\n"
+        "from piga.formats.containers.container import limit_resources; import numpy as np\n"
         "limit_resources(5.0)\n"
         "try:\n    np.zeros(1 << 40)\nexcept MemoryError:\n    print('refused')\n"
     )

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.formats.containers.container_child import READERS
+from piga.formats.containers.container import READERS
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
 from tests.records.containers import WRITERS, columns

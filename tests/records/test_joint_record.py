@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from piga.errors import CalibrationError
-from piga.formats.residuals_parquet import write_residuals
+from piga.formats.parquet_writer import write_residuals
 from piga.records import calibration_json
 from piga.records.calibration import (
     Calibration,

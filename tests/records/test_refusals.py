@@ -18,12 +18,12 @@ from scipy.io import savemat
 
 import piga
 from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi
-from piga.formats.containers.array_columns import label_text
-from piga.formats.containers.container import read_container
-from piga.formats.containers.container_child import READERS
+from piga.formats.columns import label_text
+from piga.formats.containers.container import READERS, read_container
+from piga.reading.output_signal import Reading, Scale
 from piga.records import Run, read_run_file
-from piga.records.counter import unwrap
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
+from piga.records.spool import Arrays
 from piga.records.terms import check_terms, meaning_of
 from piga.units import G0
 from tests.records.containers import columns, write_h5, write_tdms, write_xlsx
@@ -136,11 +136,14 @@ def test_time_may_begin_anew_with_a_segment() -> None:
 
 
 def test_an_unwrapped_reading_takes_the_nearest_turn() -> None:
+    values = np.array([250.0, 4.0, 10.0, 200.0, 190.0])
     begins = np.array([True, False, False, True, False])
-    found = unwrap(np.array([250.0, 4.0, 10.0, 200.0, 190.0]), 256.0, begins)
-    np.testing.assert_array_equal(found.value, [250.0, 260.0, 266.0, 200.0, 190.0])
-    assert found.wraps == 1
-    np.testing.assert_array_equal(found.lost, [False, False, False, True, False])
+    scale = Scale(0.5, 256.0, keeps_phase=False, counts=True)
+    reading = Reading(Path("run.csv"), "n", values, np.arange(5), begins, 40.0, 1.0, scale)
+    output, lost, events = reading.output(Arrays(None))
+    np.testing.assert_array_equal(output, [125.0, 130.0, 133.0, 100.0, 95.0])
+    assert [(event.kind, event.count) for event in events] == [("counter-roll-over", 1)]
+    np.testing.assert_array_equal(lost, [False, False, False, True, False])
 
 
 @pytest.mark.parametrize("name", ["run.h5", "run.tdms", "run.xlsx"])

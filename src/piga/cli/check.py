@@ -71,7 +71,7 @@ def convert(
 
     Units and everything that was found are in the file, too.
     """
-    from piga.formats.run_parquet import data_table, write_run_parquet
+    from piga.formats.parquet_writer import data_table, write_run_parquet
     from piga.stand import read_run
 
     if out.suffix != ".parquet":

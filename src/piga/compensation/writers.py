@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from piga.compensation.flags import FLAGS, MEANING
 from piga.errors import ArgumentError
-from piga.formats.arrow_columns import number_column
+from piga.formats.parquet_writer import number_column
 from piga.records.coverage import TYPE_A_ONLY
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}

@@ -378,8 +378,7 @@ def _read(
         profile.reference_rate[rows],
         kelvin[rows] - errors.temperature,
     )
-    lost = np.diff(t, prepend=t[0]) > 1.5 * e.interval
-    return log, output_phases(e, angle, output, segment, lost)
+    return log, output_phases(e, angle, output, segment)
 
 
 def _labels(

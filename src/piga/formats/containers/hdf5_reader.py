@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import RawTable
-from piga.formats.containers.array_columns import (
+from piga.formats.columns import (
     PIECE_ROWS,
     Label,
+    RawTable,
     as_label,
     as_numbers,
     label_text,

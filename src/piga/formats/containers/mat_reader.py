@@ -1,4 +1,4 @@
-"""MATLAB files: v7.3 as the HDF5 that it is, columns of v5 to v7 piece by piece, v4 and all else through SciPy."""
+"""MATLAB files: v7.3 as the HDF5 that it is, v4 to v7 through SciPy."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import RawTable
-from piga.formats.containers.array_columns import (
+from piga.formats.columns import (
     Label,
+    RawTable,
     as_label,
     as_numbers,
     make_table,
@@ -22,7 +22,6 @@ from piga.formats.containers.array_columns import (
     vector,
 )
 from piga.formats.containers.hdf5_reader import read_hdf5
-from piga.formats.containers.mat_elements import MatColumns, OtherKindError
 from piga.records.limits import check_unpacked, first_line, open_regular
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
@@ -49,31 +48,16 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
         head = stream.read(520)
     if HDF5_MARK in (head[:8], head[512:520]):
         return read_hdf5(path, numeric, label)
-    numbers: dict[str, NDArray] = {}
     if head[:4].isascii() and head[:6] == b"MATLAB":
         _check_unpacked(path, head)
-        numbers = _in_pieces(path, "<" if head[126:128] == b"IM" else ">", numeric, label)
-    wanted = [name for name in numeric if name not in numbers]
     variables = _load(
-        path, [split_name(name)[0].split(".")[0] for name in (*wanted, *([label] if label else []))]
+        path, [split_name(name)[0].split(".")[0] for name in (*numeric, *([label] if label else []))]
     )
-    for name in dict.fromkeys(wanted):
-        numbers[name] = as_numbers(path, name, _column(path, variables, name))
+    numbers = {name: as_numbers(path, name, _column(path, variables, name)) for name in dict.fromkeys(numeric)}
     labels: dict[str, Label] = {}
     if label is not None:
         labels[label] = as_label(_cells(_column(path, variables, label)))
     return make_table(path, numbers, labels, {})
-
-
-def _in_pieces(path: Path, order: str, numeric: tuple[str, ...], label: str | None) -> dict[str, NDArray]:
-    """All number columns without holding them; none when one is not plain, or the label is no variable."""
-    try:
-        source = MatColumns(path, order)
-        if label is not None and label not in source.plain:
-            return {}
-        return {name: source.column(name) for name in dict.fromkeys(numeric)}
-    except (OtherKindError, zlib.error):
-        return {}
 
 
 def _load(path: Path, names: list[str]) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,16 +12,12 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from piga.errors import DataError
-from piga.formats.columns import RawTable, column_letter
-from piga.formats.containers.array_columns import label_codes
+from piga.formats.columns import RawTable, as_label, column_letter
 from piga.formats.text.convention import INFINITE, MISSING, check_names, is_units_row, units_in_names
 from piga.records.calibration import Event
 from piga.records.limits import MAX_MEMBERS, check_unpacked, extra_missing, first_line, open_regular
-from piga.records.spool import Arrays
 
 MAX_LISTED = 100
-HELD_ROWS = 1 << 14
-"""Rows whose cells are held as the library gives them."""
 _DOCTYPE = re.compile(rb"<!\s*(DOCTYPE|ENTITY)|<\0!\0D\0O\0|\0<\0!\0D\0O", re.IGNORECASE)
 _FORMULA = re.compile(rb"<f[ />]")
 _HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
@@ -139,7 +134,7 @@ def _sheet(path: Path, book: Any, name: str | None) -> Any:
 
 
 class _Sheet:
-    """Rows of a sheet to columns, long ones on disk; bad cells are collected, then reported together."""
+    """Rows of a sheet to columns; bad cells are collected, then reported together."""
 
     def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None, events: list[Event]) -> None:
         self.path, self.numeric, self.label, self.events = path, tuple(dict.fromkeys(numeric)), label, events
@@ -149,11 +144,6 @@ class _Sheet:
         self.values: dict[str, list[float]] = {name: [] for name in self.numeric}
         self.labels: list[object] = []
         self.numbers: list[int] = []
-        self.rows = 0
-        self.label_names: dict[str, int] = {}
-        folder = Arrays(Path(tempfile.gettempdir()))
-        self.columns = {name: folder.growing(np.float64) for name in self.numeric}
-        self.codes, self.places = folder.growing(np.int32), folder.growing(np.int64)
 
     def read(self, rows: Iterator[tuple[Any, ...]]) -> RawTable:
         filled = ((at, row) for at, row in enumerate(rows, 1) if any(cell is not None for cell in row))
@@ -170,29 +160,15 @@ class _Sheet:
         names, units = units_in_names(names)
         where = self._places(names, at)
         for number, row in filled:
-            if not self.rows and is_units_row(["" if cell is None else str(cell) for cell in row]):
+            if not self.numbers and is_units_row(["" if cell is None else str(cell) for cell in row]):
                 units |= {n: str(u).strip("[]()（） ") for n, u in zip(names, row, strict=False) if n and u}
                 continue
-            self.rows += 1
             self.numbers.append(number)
             for name in self.numeric:
                 self.values[name].append(self._number(row, where[name], name, number))
             if self.label is not None:
                 self.labels.append(row[where[self.label]] if where[self.label] < len(row) else None)
-            if self.rows % HELD_ROWS == 0:
-                self._put()
-        self._put()
         return self._table(units)
-
-    def _put(self) -> None:
-        """Put the cells that are held to the end of the columns: a number in a list takes 32 bytes."""
-        for name, held in self.values.items():
-            self.columns[name].append(np.array(held, dtype=np.float64))
-            held.clear()
-        self.codes.append(label_codes(self.labels, self.label_names))
-        self.places.append(np.array(self.numbers, dtype=np.int64))
-        self.labels.clear()
-        self.numbers.clear()
 
     def _places(self, names: tuple[str, ...], at: int) -> dict[str, int]:
         wanted = [*self.numeric, *([self.label] if self.label else [])]
@@ -228,20 +204,19 @@ class _Sheet:
                 f"{self.path}: {'; '.join(self.bad)}{more}",
                 remedy="set the format of these cells to number and enter them again; dates: export seconds",
             )
-        if not self.rows:
+        if not self.numbers:
             raise DataError(f"{self.path}: a header but no data", remedy="check that the logger wrote data")
         for name in self.numeric:
             if name in self.missing:
                 count, first = self.missing[name]
                 self.events.append(Event("missing-value", count, first, f"column '{name}'"))
-        places = self.places.finish()
         return RawTable(
             self.path,
-            {name: column.finish() for name, column in self.columns.items()},
-            {self.label: (self.codes.finish(), tuple(self.label_names))} if self.label is not None else {},
-            self.rows,
-            int(places[0]),
+            {name: np.array(cells) for name, cells in self.values.items()},
+            {} if self.label is None else {self.label: as_label(self.labels)},
+            len(self.numbers),
+            self.numbers[0],
             {name: unit for name, unit in units.items() if name in self.numeric},
             tuple(self.events),
-            places,
+            np.array(self.numbers),
         )

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.records.counter import unwrap
 
 Array = NDArray[np.float64]
 Kind = Literal["counts", "angle", "rate"]
@@ -136,17 +135,17 @@ def read_output(e: Electronics, alpha: Array, rate: Array, rng: np.random.Genera
 
 
 def output_phases(
-    e: Electronics, alpha: Array, output: NDArray, segment: NDArray[np.int32], lost: NDArray[np.bool_]
+    e: Electronics, alpha: Array, output: NDArray, segment: NDArray[np.int32]
 ) -> tuple[float, ...]:
     """Phase ``phi = alpha - psi`` [rad] in (-pi, pi] of the output zero in each segment.
 
-    ``lost`` is true where a gap lies before a sample: a wrapping counter then has a new, unknown zero.
+    A counter that wraps unseen in a gap has a new zero behind it.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     if e.kind != "counts" or e.counter_bits is None:
         zero = 0.0 if e.kind == "rate" else e.zero
         return (math.remainder(zero, 2.0 * math.pi),) * starts.size
     scale, span = 2.0 * math.pi / e.counts_per_revolution, float(1 << e.counter_bits)
-    reading = unwrap(output.astype(float), span, lost).value[starts]
+    reading = np.unwrap(output, period=1 << e.counter_bits)[starts]
     folds = np.round(((alpha[starts] - e.zero) / scale - reading) / span)
     return tuple(math.remainder(e.zero + fold * span * scale, 2.0 * math.pi) for fold in folds)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.formats.arrow_columns import number_column
+from piga.formats.parquet_writer import number_column
 from piga.platform.identification.alignment import UNKNOWNS, Alignment
 from piga.platform.identification.identify import UNKNOWNS as MISALIGNMENTS
 from piga.platform.identification.identify import Identification, Observability

@@ -1,0 +1,151 @@
+"""Parquet files of a run and of its residuals, and Arrow arrays made from the memory of columns."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import CalibrationError
+from piga.records.calibration import Calibration
+from piga.records.run import Run
+from piga.records.spool import trim
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def number_column(values: NDArray, empty_cells: bool = False) -> pa.Array:
+    """Array over the memory of numbers (n,); with ``empty_cells`` it is null where they are nan."""
+    import pyarrow as pa
+
+    held = np.ascontiguousarray(values)
+    known = pa.py_buffer(np.packbits(~np.isnan(held), bitorder="little")) if empty_cells else None
+    return pa.Array.from_buffers(pa.from_numpy_dtype(held.dtype), held.size, [known, pa.py_buffer(held)])
+
+
+def text_column(values: Sequence[str]) -> pa.StringArray:
+    """Array of texts."""
+    import pyarrow as pa
+
+    encoded = [value.encode() for value in values]
+    ends = np.cumsum([0, *(len(value) for value in encoded)], dtype=np.int32)
+    return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded)))
+
+
+def label_column(codes: NDArray, labels: Sequence[str]) -> pa.DictionaryArray:
+    """Array of texts by their index (n,) in ``labels``."""
+    import pyarrow as pa
+
+    return pa.DictionaryArray.from_arrays(number_column(codes), text_column(labels))
+
+
+GROUP_ROWS = 1 << 20
+"""Rows written at a time, as a row group."""
+
+
+def write_run_parquet(run: Run, path: Path) -> None:
+    """Write the used samples of a run.
+
+    Every column's field has ``unit``; the schema holds ``serial``, ``source``, ``input_sha256`` and
+    ``quality`` (everything that was found and repaired, as JSON).
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    fields = [
+        pa.field(name, array.type, metadata={"unit": unit})
+        for name, (array, unit) in _columns(run, slice(0, 0)).items()
+    ]
+    metadata = {
+        "serial": run.serial,
+        "source": Path(run.source).name,
+        "input_sha256": json.dumps(run.input_sha256),
+        "quality": json.dumps(msgspec.to_builtins(run.quality)),
+    }
+    schema = pa.schema(fields, metadata=metadata)
+    with parquet.ParquetWriter(path, schema, compression="zstd") as out:
+        for start in range(0, run.size, GROUP_ROWS):
+            trim()
+            found = _columns(run, slice(start, start + GROUP_ROWS))
+            out.write_table(pa.Table.from_arrays([array for array, _ in found.values()], schema=schema))
+
+
+def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
+    """Arrow arrays of a slice of rows with their units, by name."""
+    columns: dict[str, tuple[Any, str]] = {
+        "t": (number_column(run.t[part]), "s"),
+        "output": (number_column(run.output[part]), output_unit(run)),
+    }
+    columns |= {f"f{axis}": (number_column(run.f[part, i]), "m/s^2") for i, axis in enumerate("xyz")}
+    if run.base_rate is not None:
+        columns |= {
+            f"w{axis}": (number_column(run.base_rate[part, i]), "rad/s") for i, axis in enumerate("xyz")
+        }
+    if run.temperature is not None:
+        columns["temperature"] = (number_column(run.temperature[part]), "K")
+    columns["segment"] = (label_column(run.segment[part].astype(np.int32), run.labels), "1")
+    return columns | {"row": (number_column(run.row[part]), "1")}
+
+
+def output_unit(run: Run) -> str:
+    """Unit of the output column: rad, or rad/s for a rate log."""
+    return "rad/s" if run.kind == "rate" else "rad"
+
+
+def data_table(run: Run, file: str) -> str:
+    """The ``[data]`` table of a run file that reads the Parquet back."""
+    lines = [
+        "[data]",
+        f"file = {json.dumps(file, ensure_ascii=False)}",
+        'time = { column = "t", unit = "s" }',
+        f'output = {{ column = "output", kind = "{run.kind}", unit = "{output_unit(run)}" }}',
+        'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }',
+    ]
+    if run.base_rate is not None:
+        lines.append('base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }')
+    if run.temperature is not None:
+        lines.append('temperature = { column = "temperature", unit = "K" }')
+    return "\n".join([*lines, 'segment = "segment"'])
+
+
+def write_residuals(calibration: Calibration, path: Path) -> None:
+    """Write the residuals of a fresh calibration.
+
+    Columns: ``row`` (file row), ``segment``, ``t`` [s], ``psi``, ``a_x``, ``before``, ``after`` and
+    ``innovation``; for a joint calibration also ``run``.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    found = calibration.residuals
+    if found is None:
+        raise CalibrationError(
+            "this calibration was read from a file and holds no residuals", remedy="calibrate again"
+        )
+    rate = calibration.diagnostics.get("residual_kind") == "rate"
+    angle = "rad/s" if rate else "rad"
+    labels = [segment.label for segment in calibration.segments]
+    columns = {
+        "row": (number_column(found.row), "1"),
+        "segment": (label_column(found.segment, labels), "1"),
+        "t": (number_column(found.t), "s"),
+        "psi": (number_column(found.psi), angle),
+        "a_x": (number_column(found.a_x), "m/s^2"),
+        "before": (number_column(found.before), angle),
+        "after": (number_column(found.after), angle),
+        "innovation": (number_column(found.innovation), "1"),
+    }
+    if found.run is not None:
+        columns["run"] = (label_column(found.run, [run.name for run in calibration.runs]), "1")
+    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
+    schema = pa.schema(
+        fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}
+    )
+    table = pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema)
+    parquet.write_table(table, path, compression="zstd")
