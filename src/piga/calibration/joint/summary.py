@@ -33,12 +33,12 @@ from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Event, Outlier, Quality, Residuals, SegmentSummary
-from piga.records.json_file import JsonError, decode_json, schema_of
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
 from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
+from piga.records.text_files import JsonError, decode_json, schema_of
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, CalibrationError
-from piga.records.median import exact_median
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
-from piga.records.spool import arrays_like, means, spans, steps
+from piga.records.spool import arrays_like, exact_median, means, spans, steps
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 from piga.units import to_si
 
