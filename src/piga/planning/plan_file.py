@@ -16,7 +16,7 @@ from piga.calibration.model.request import Request, check_servo
 from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, Table, UncertaintyTable
 from piga.records.terms import check_terms, si_factor, unit_of
-from piga.records.toml_file import read_toml
+from piga.records.text_files import read_toml
 from piga.stand.scenario import (
     CentrifugeTable,
     CompositeTable,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.formats.arrow_columns import label_column, number_column
+from piga.formats.parquet_writer import label_column, number_column
 from piga.instrument.twin.linear import (
     predicted_k2,
     predicted_rate_error,

@@ -11,7 +11,7 @@ from msgspec import Meta, Struct
 from msgspec import field as table_field
 
 from piga.errors import RunFileError
-from piga.records.toml_file import read_toml
+from piga.records.text_files import read_toml
 from piga.units import to_si
 
 Quantity = str | float
