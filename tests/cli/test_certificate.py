@@ -5,9 +5,11 @@ from __future__ import annotations
 import datetime as dt
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
+from piga.certificate.certificate_file import read_certificate_file
 from piga.records.calibration_json import to_document
 from tests.cli.test_commands import piga
 from tests.reports.certificate_data import EXAMPLE, budgeted, complete, key_pair
@@ -77,6 +79,26 @@ def test_refused_with_the_whole_list(lab, tmp_path):
     assert "[people.authorised] name and role" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "o").exists()
+
+
+def test_a_file_without_a_date_is_issued_today(lab, tmp_path):
+    """The shipped example, with a calibration made now: a date in the file would be before its evaluation."""
+    assert read_certificate_file(EXAMPLE).certificate.issued is None
+    before = dt.datetime.now().astimezone().date()
+    now = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    cal = budgeted(calibration(serial="tumble-a", with_residuals=False))
+    fresh = tmp_path / "calibration.json"
+    replace(cal, provenance=replace(cal.provenance, created=now)).to_json(fresh)
+    done = piga("certificate", fresh, "--data", EXAMPLE, "--out", tmp_path / "o")
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "o" / "certificate.html").read_text(encoding="utf-8")
+    (issued,) = re.findall(r"Issued.{0,40}?(\d{4}-\d\d-\d\d)", page, re.DOTALL)
+    assert before <= dt.date.fromisoformat(issued) <= dt.datetime.now().astimezone().date()
+    dated = tmp_path / "dated.toml"
+    dated.write_text(EXAMPLE.read_text(encoding="utf-8").replace("# issued =", "issued ="), encoding="utf-8")
+    refused = piga("certificate", fresh, "--data", dated, "--out", tmp_path / "p")
+    assert refused.returncode == 2
+    assert "2026-03-09 is before the evaluation" in refused.stderr
 
 
 def test_options_that_belong_together(lab, tmp_path):

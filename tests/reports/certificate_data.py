@@ -16,7 +16,7 @@ SCHEMAS = Path(__file__).parents[3] / "shared" / "reference" / "dcc"
 
 def complete(serial="G-0417") -> CertificateFile:
     data = read_certificate_file(EXAMPLE)
-    return changed(data, item={"serial": serial})
+    return changed(data, certificate={"issued": dt.date(2026, 3, 9)}, item={"serial": serial})
 
 
 def changed(data: CertificateFile, **tables) -> CertificateFile:

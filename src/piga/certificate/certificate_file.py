@@ -39,7 +39,10 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class CertificateTable(_Table, frozen=True):
-    """``[certificate]``: its unique number, date of issue, and what it replaces."""
+    """``[certificate]``: its unique number, date of issue, and what it replaces.
+
+    ``piga certificate`` puts today where the file has no ``issued``; in Python it must be set.
+    """
 
     number: str = ""
     issued: dt.date | None = None

@@ -74,7 +74,7 @@ def issue(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the certificate goes.")],
     issued: Annotated[
         str | None,
-        typer.Option("--issued", metavar="YYYY-MM-DD | today", help="Date of issue, instead of the file's."),
+        typer.Option("--issued", metavar="YYYY-MM-DD | today", help="Date of issue; without it the file's, or today."),
     ] = None,
     dcc: Annotated[bool, typer.Option("--dcc", help="Write certificate.xml too: DCC 3.3.0.")] = False,
     key: Annotated[
@@ -128,11 +128,13 @@ def issue(
 
 
 def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
-    """The administrative part with another date of issue."""
+    """The administrative part with its date of issue: the one asked for, else the file's own, else today."""
     from msgspec.structs import replace
 
     if date is None:
-        return file
+        if file.certificate.issued is not None:
+            return file
+        date = "today"
     try:
         day = dt.datetime.now().astimezone().date() if date == "today" else dt.date.fromisoformat(date)
     except ValueError:
