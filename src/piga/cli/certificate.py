@@ -74,7 +74,9 @@ def issue(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the certificate goes.")],
     issued: Annotated[
         str | None,
-        typer.Option("--issued", metavar="YYYY-MM-DD | today", help="Date of issue; without it the file's, or today."),
+        typer.Option(
+            "--issued", metavar="YYYY-MM-DD | today", help="Date of issue; without it the file's, or today."
+        ),
     ] = None,
     dcc: Annotated[bool, typer.Option("--dcc", help="Write certificate.xml too: DCC 3.3.0.")] = False,
     key: Annotated[
