@@ -96,13 +96,16 @@ def test_twin_of_the_campaign_is_the_rigid_body():
         assert np.ptp((alpha - own)[2:]) < 1e-8
 
 
+TWIN_RECORDS = 1000
+
+
 @pytest.mark.slow
 @pytest.mark.only_compiled
 @pytest.mark.parametrize("terms", [campaign.WITH, campaign.WITHOUT], ids=["with", "without"])
 def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
-    """94 to 96 % wanted with the terms, 93 % and more without; three standard deviations of 1000 records aside."""
-    found = campaign.figures([campaign.one_test(seed, terms) for seed in range(1000)])
-    low, high = (0.92, 0.98) if terms == campaign.WITH else (0.906, 1.0)
+    """The seeds are fixed: 95.2 % with the terms."""
+    found = campaign.figures([campaign.one_test(seed, terms) for seed in range(TWIN_RECORDS)])
+    low, high = (0.94, 0.96) if terms == campaign.WITH else (0.93, 1.0)
     assert low <= found["scale_factor"]["coverage"] <= high
 
 

@@ -166,7 +166,11 @@ def simulated(step: float = 30.0) -> dict[tuple[str, float], Errors]:
 
 
 def lines(e: Errors, latitude: float) -> dict[str, np.ndarray]:
-    """Amplitudes at W1 and W2 (2,) of every channel, by least squares with what else is there."""
+    """Amplitudes at W1 and W2 (2,) of every channel, by least squares with what else is there.
+
+    Rows times ``sin^2`` over the day. Without that the Schuler oscillation of 1.5 m/s, whose rate the columns have to 0.15 %,
+    leaks into lines below 1 mm/s.
+    """
     t = e.times - e.times.mean()
     schuler, split = np.sqrt(GM / A**3), OMEGA * np.sin(latitude * DEG)
     rates = (W1, W2, W1 - OMEGA, W1 + OMEGA, 2 * W1, 2 * W2, W1 + W2, W1 - W2, schuler, schuler - split,
@@ -175,16 +179,17 @@ def lines(e: Errors, latitude: float) -> dict[str, np.ndarray]:
     columns += [t / DAY * column for column in columns[:4]]
     columns += [(t / DAY) ** k for k in range(5)]
     named = dict(zip(CHANNELS, (e.velocity[:, 1], e.velocity[:, 0], *e.attitude.T[[2, 0, 1]]), strict=True))
-    solved = np.linalg.lstsq(np.stack(columns, axis=1), np.stack(list(named.values()), axis=1), rcond=None)[0]
+    weights = np.sin(np.pi * (np.arange(len(t)) + 0.5) / len(t))[:, None] ** 2
+    design, values = np.stack(columns, axis=1), np.stack(list(named.values()), axis=1)
+    solved = np.linalg.lstsq(weights * design, weights * values, rcond=None)[0]
     amplitude = np.hypot(solved[0:4:2], solved[1:4:2])
     return {name: amplitude[:, k] for k, name in enumerate(named)}
 
 
-def close(seen: dict, reference: dict, extra: float = 2e-6) -> None:
-    """Every channel at both rates within 1 % (north velocity: and ``extra`` [m/s], where it is below 0.1 mm/s)."""
+def close(seen: dict, reference: dict, part: float = 0.01) -> None:
+    """Every channel at both rates within 1 %."""
     for name, values in reference.items():
-        tolerance = 0.01 * values + (extra if name == "north_velocity" else 0.0)
-        assert np.all(np.abs(seen[name] - values) < tolerance), (name, seen[name], values)
+        assert np.all(np.abs(seen[name] - values) < part * values), (name, seen[name] / values - 1.0)
 
 
 def both(lines_of_day) -> dict[str, np.ndarray]:
@@ -203,12 +208,10 @@ def test_the_daily_fit_takes_both_lines(model, latitude):
 @pytest.mark.parametrize("latitude", LATITUDES)
 @pytest.mark.parametrize("model", ["none", "A"])
 def test_the_closed_form_gives_both_lines(model, latitude):
-    """North velocity: of the second order is the east line turned by the meridians, 1.6 km apart at most."""
     s, e = unequal(latitude), simulated()[model, latitude]
     known, reference = true_knowledge(s), lines(e, latitude)
     theory = theory_lines(s, compensator(model, known, None), known, [slice(0, len(e.times))], e.times)
-    turned = 1e3 / A * np.tan(latitude * DEG) * reference["east_velocity"].max()
-    close(both(theory), reference, extra=turned + 5e-6)
+    close(both(theory), reference, part=0.002)
 
 
 @pytest.mark.compiled
@@ -218,7 +221,7 @@ def test_the_navigated_run_shows_both_lines(latitude):
     truth = Compensation(models=("none", "A"), misalignment="true", attitude="true")
     found = compare(unequal(latitude, step=4.0, compensation=truth))
     for model, run in found.models.items():
-        close(both(run.lines), lines(simulated()[model, latitude], latitude), extra=2e-5)
+        close(both(run.lines), lines(simulated()[model, latitude], latitude))
 
 
 EQUATORIAL = {
@@ -288,6 +291,17 @@ def test_lines_are_found_beside_all_that_is_known_to_be_there(ratio):
     wave += 0.4 * np.cos((W1 + OMEGA) * t) + 0.8 * np.sin(1.2394e-3 * t) + 1e-5 * t
     seen = fitted_lines(t, wave[:, None], (W1, w2), 0.7)[:, 0]
     np.testing.assert_allclose(seen, [0.02, 0.5 + 1e-7 * t.mean()], rtol=2e-3)
+
+
+@pytest.mark.parametrize("latitude", LATITUDES)
+def test_a_schuler_oscillation_does_not_leak_into_the_lines(latitude):
+    """1.5 m/s at rates that the columns have to 0.15 %, split by Foucault's turn, beside lines of 0.1 and 1 mm/s."""
+    t, split = np.arange(4320) * 20.0, OMEGA * np.sin(latitude * DEG)
+    schuler = 1.0015 * np.sqrt(GM / A**3)
+    wave = 1.5 * np.cos(schuler * t + 0.4) * np.cos(split * t) + 0.8 * np.cos((W1 - OMEGA) * t + 1.0)
+    wave += 1e-4 * np.cos(W1 * t + 0.3) + 1e-3 * np.sin(W2 * t)
+    seen = fitted_lines(t, wave[:, None], (W1, W2), latitude * DEG)[:, 0]
+    np.testing.assert_allclose(seen, [1e-4, 1e-3], rtol=2e-3)
 
 
 def test_the_budget_shows_the_lines_of_each_misalignment():

@@ -49,7 +49,8 @@ def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude
 
     All are fitted together with what else is known to be there: the growth of each line over the stretch, the
     neighbours of the first (the polar gyro's) at ``rate +- Earth rate`` (on stretches of half a day and more), twice
-    each rate, sum and difference of two, the Schuler oscillation with its Foucault split, and a cubic. A rate of zero
+    each rate, sum and difference of two, the Schuler oscillation with its Foucault split, and a cubic. Samples weigh by a
+    Hann window: what the Schuler oscillation has beside its columns does not leak into the lines. A rate of zero
     has no line: NaN. So have two rates that the stretch cannot tell apart (:func:`separable`).
     """
     n = len(times)
@@ -87,7 +88,7 @@ def _is_long(stretch: float) -> bool:
 def _line_design(
     n: int, step: float, rates: tuple[float, ...], polar: float, latitude: float
 ) -> tuple[Array, Array, Array]:
-    """Scaled regressors, their Gram matrix and their norms for ``n`` samples about mid-stretch.
+    """Weighted regressors, their Gram matrix and their norms for ``n`` samples about mid-stretch.
 
     Beside two rates, a wave within half a beat of one of them (twice one rate may be the other) is not taken again.
     """
@@ -106,9 +107,11 @@ def _line_design(
     waves = [f(w * t) for w in (*rates, *others) for f in (np.cos, np.sin)]
     growth = [x * wave for wave in waves[: 2 * len(rates)]]
     design = np.stack([*waves, *growth, np.ones_like(x), x, x * x, x**3], axis=1)
-    norms = np.linalg.norm(design, axis=0)
+    weights = np.sin(np.pi / n * (np.arange(n) + 0.5)) ** 2
+    norms = np.sqrt(weights @ (design * design))
     design /= norms
-    return design, design.T @ design, norms
+    weighted = weights[:, None] * design
+    return weighted, design.T @ weighted, norms
 
 
 @dataclass(frozen=True)
