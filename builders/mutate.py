@@ -148,11 +148,11 @@ PLATFORM_ROOM = {
     "platform/runs/chain platform/runs/output": TRIADS,
 }
 KERNELS = {
-    "_kernels/compensation/compensate _kernels/compensation/bow "
-    "_kernels/compensation/layout _kernels/compensation/near _kernels/compensation/record "
-    "_kernels/compensation/terms _kernels/compensation/uncertainty "
+    "_kernels/compensation/indication "
+    "_kernels/compensation/layout _kernels/compensation/record "
+    "_kernels/compensation/terms "
     "_kernels/arithmetic/sine_cosine _kernels/arithmetic/smooth": [*COMPENSATED, *SETS],
-    "_kernels/compensation/set _kernels/compensation/set_record": SETS,
+    "_kernels/compensation/set": SETS,
     "_kernels/estimation/counting": COUNTED,
     "_kernels/estimation/published": FIT,
     "_kernels/arithmetic/double_double _kernels/estimation/regressors "

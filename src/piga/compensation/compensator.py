@@ -200,6 +200,8 @@ def _check_finite(samples: Chunk) -> None:
     }
     named |= {"base_rate": samples.base_rate, "temperature": samples.temperature, "angle": samples.angle}
     for name, values in named.items():
+        if values.size == 0:
+            continue
         fits = np.abs(values) <= LARGEST_SAMPLE
         if not fits.all():
             index = int(np.argwhere(~fits)[0][0])

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.compensation import layout as at
+from piga._kernels.compensation.record import Instrument
 from piga.compensation.validity import Limits
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
@@ -45,6 +46,13 @@ class Model:
     formula: int
     base_flag: int
     needs_temperature: bool
+
+    @property
+    def instrument(self) -> Instrument:
+        """The arrays, as the kernels take them."""
+        return Instrument(
+            self.parameters, self.orders, self.sines, self.cosines, self.codes, self.factor, self.limits
+        )
 
     @property
     def scale_factor(self) -> float:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.record import compensate_angles, compensate_rates
+from piga._kernels.compensation.record import Rows, Samples, Settings, compensate_record
 from piga.compensation.model import Model
 from piga.records.time_base import begins_stretch
 
@@ -60,8 +59,9 @@ def find_begins(state: Array, t: Array) -> NDArray[np.bool_]:
 
     Where ``state`` holds no nominal interval yet, the first one forward is taken and kept there.
     """
-    before = state[at.S_TIME] if state[at.S_VALID] else t[:1]
-    steps = np.diff(t, prepend=before)
+    steps = np.empty_like(t)
+    steps[:1] = t[:1] - state[at.S_TIME] if state[at.S_VALID] else 0.0
+    np.subtract(t[1:], t[:-1], out=steps[1:])
     forward = steps[steps > 0.0]
     if state[at.S_NOMINAL] == 0.0 and forward.size:
         state[at.S_NOMINAL] = forward[0]
@@ -123,14 +123,15 @@ def run_kernel(
     model: Model, state: Array, chunk: Chunk, kind: str, typical_step: float, work: Array, result: Step
 ) -> None:
     """Fill ``result`` and move ``state`` on."""
-    common: tuple[Any, ...] = (
-        model.parameters, model.has_terms, model.orders, model.sines, model.cosines, model.codes, model.factor,
-        model.limits, model.base_flag, state, work, result.ax, result.dv, result.u_ax, result.flags,
-    )  # fmt: skip
-    inputs: tuple[Any, ...] = (
-        chunk.t, chunk.output, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature,
-    )  # fmt: skip
-    if kind == "rate":
-        compensate_rates(*(*inputs, typical_step, chunk.angle, *common))
-    else:
-        compensate_angles(*(*inputs, model.formula, *common))
+    rate = chunk.output if kind == "rate" else None
+    angle = chunk.angle if chunk.angle.size else None
+    compensate_record(
+        Samples(chunk.t, chunk.a_Y, chunk.a_Z, chunk.begins, chunk.base_rate, chunk.temperature),
+        chunk.output if rate is None else angle,
+        rate,
+        model.instrument,
+        Settings(model.has_terms, model.formula, model.base_flag, typical_step),
+        state,
+        work,
+        Rows(result.ax, result.dv, result.u_ax, result.flags),
+    )

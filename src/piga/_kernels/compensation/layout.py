@@ -42,6 +42,7 @@ MEAN_T = 21 * STRIDE
 CHANGE_T = 22 * STRIDE
 MEAN_TIME = 23 * STRIDE
 DERIVATIVE = 24 * STRIDE  # of a_x by the indicated force [1]
+KNOWN_TO = 25 * STRIDE  # standard uncertainty of a_x [m/s^2]
 SQUARE = 26 * STRIDE
 PARTIAL = 27 * STRIDE
 ANGLE = 28 * STRIDE  # effective angle [rad]

@@ -1,138 +1,315 @@
-"""Drivers: a chunk of any size through the stages, block by block, state in and state out."""
+"""One instrument: a chunk of any size through the stages, block by block, state in and state out.
+
+Angles and rates take the same kernel. What a chunk does not hold (angle or rate) is None: the compiler leaves out what
+belongs to it. Everything else that is absent is an empty array.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic.sine_cosine import LIMIT, fast_sine_cosine, sine_cosine
-from piga._kernels.compensation import bow as between
-from piga._kernels.compensation import compensate as angle
+from piga._kernels.arithmetic.sine_cosine import sine_cosine
+from piga._kernels.compensation import indication as indicated
 from piga._kernels.compensation import layout as at
-from piga._kernels.compensation import near, terms
-from piga._kernels.compensation import uncertainty as known
-from piga._kernels.jit import exact, kernel
+from piga._kernels.compensation import terms
+from piga._kernels.compensation.indication import padded
+from piga._kernels.jit import exact
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
 
 Array = NDArray[np.float64]
 
 
-@exact
-def finish_block(
-    n: int, per: int, p: Array, has_terms: bool, codes: NDArray[np.int64], factor: Array, limits: Array,
-    base_flag: int, warm: bool, w: Array, u: Array, flags: NDArray[np.int32],
-) -> None:  # fmt: skip
-    """Error model, uncertainty and flags of a block whose indicated force is known."""
-    if has_terms:
-        terms.invert_terms(n, p, per == at.PER, w)
-    else:
-        terms.take_input(n, w)
-    if u.size:
-        known.find_uncertainty(n, per, has_terms, p, codes, factor, w, u)
-    if flags.size:
-        known.find_flags(n, p[at.P_TAN_BETA], limits, w, base_flag, warm, flags)
+class Samples(NamedTuple):
+    """Known inputs: time [s], transverse force [m/s^2], stretches, base rate (n, 3) [rad/s], temperature [K].
+
+    All but ``t`` may be empty.
+    """
+
+    t: Array
+    y: Array
+    z: Array
+    begins: NDArray[np.bool_]
+    base_rate: Array
+    temperature: Array
+
+
+class Instrument(NamedTuple):
+    """Coefficients of an instrument, as :class:`piga.compensation.model.Model` holds them."""
+
+    parameters: Array
+    orders: Array
+    sines: Array
+    cosines: Array
+    codes: NDArray[np.int64]
+    factor: Array
+    limits: Array
+
+
+class Settings(NamedTuple):
+    """Whether there is an error model; formula; flags of every row; time of a rate that begins a stretch [s]."""
+
+    has_terms: bool
+    formula: int
+    base_flag: int
+    typical: float
+
+
+class Rows(NamedTuple):
+    """Results (n,): ``ax`` [m/s^2], ``dv`` [m/s], ``u`` [m/s^2] and flags; the last two may be empty."""
+
+    ax: Array
+    dv: Array
+    u: Array
+    flags: NDArray[np.int32]
 
 
 @exact
-def indicate_intervals(n: int, formula: int, phi: float, K: float, w: Array) -> None:
-    """Indicated mean force of every interval for inputs that are linear in it, and the angle in the middle."""
-    if formula == at.PUBLISHED:
-        near.find_nodes(angle.padded(n + 1), phi, w)
-        angle.find_angles(1, angle.padded(n) + 1, phi, w)
-        near.find_early(n + 1, w)
-        angle.take_early(n, w)
-        angle.published_formula(n, K, w)
-        return
-    stop = angle.padded(n) + 1
-    near.find_nodes(angle.padded(n + 1), phi, w)
-    far = near.find_early(stop, w)
-    if far:
-        angle.find_angles(0, angle.padded(n + 1), phi, w)
-        angle.estimate_first(0, angle.padded(n + 1), w)
-        angle.invert_motion(stop, K, w)
-    near.invert_near(stop, K, w)
-    if far:
-        near.take_far(stop, w)
-    near.middle_angles(n, phi, w)
-
-
-@exact
-def compensate_angles(
-    t: Array,
-    psi: Array,
-    y: Array,
-    z: Array,
-    begins: NDArray[np.bool_],
-    omega: Array,
-    temperature: Array,
-    formula: int,
-    p: Array,
-    has_terms: bool,
-    orders: Array,
-    sines: Array,
-    cosines: Array,
-    codes: NDArray[np.int64],
-    factor: Array,
-    limits: Array,
-    base_flag: int,
+def compensate_record(
+    samples: Samples,
+    psi: Array | None,
+    rate: Array | None,
+    instrument: Instrument,
+    settings: Settings,
     state: Array,
     w: Array,
-    ax: Array,
-    dv: Array,
-    u: Array,
-    flags: NDArray[np.int32],
+    rows: Rows,
 ) -> None:
-    """Angle record (n,) to ``ax`` [m/s^2] and ``dv`` [m/s] of the interval that ends at each sample.
+    """Compensate angles ``psi`` [rad], or rates [rad/s] with or without recorded angles, (n,).
 
-    Empty ``begins``, ``omega``, ``temperature``, ``u`` and ``flags`` mean: none, not wanted.
+    Without a rate: mean force and increment of the interval that ends at each sample. With a rate: force at the samples,
+    and increments of a force that is linear between them.
     """
-    K = p[at.P_K]
-    light = not (has_terms or orders.size or u.size or flags.size)
-    full = has_terms or temperature.size > 0 or known.needs_time(codes)
-    for start in range(0, t.size, at.BLOCK):
-        n = min(at.BLOCK, t.size - start)
-        stop = start + n
+    p, orders = instrument.parameters, instrument.orders
+    K, warm = p[at.P_K], samples.temperature.size > 0
+    light = not (settings.has_terms or orders.size or rows.u.size or rows.flags.size)
+    full = settings.has_terms or warm or terms.needs_time(instrument.codes)
+    per = at.INVERSE
+    for start in range(0, samples.t.size, at.BLOCK):
+        n = at.BLOCK if samples.t.size - start > at.BLOCK else samples.t.size - start
         valid = state[at.S_VALID] != 0.0
-        if formula == at.PUBLISHED and not valid:
-            state[at.S_START] = psi[start]
-        angle.load_block(
-            t[start:stop], psi[start:stop], y[start:stop], z[start:stop], omega[start:stop],
-            temperature[start:stop], p, light, state, w,
-        )  # fmt: skip
-        angle.find_steps(n, begins[start:stop], valid, w)
-        indicate_intervals(n, formula, p[at.P_PHI] - state[at.S_START], K, w)
-        between.find_bows(n, omega.shape[0] > 0, state, w)
-        if formula == at.PUBLISHED:
-            between.straighten(n, w)
-        if u.size:
-            between.find_doubt(n, K, state, w)
-        between.add_bows(n, K, w)
-        if not light:
-            angle.describe_means(n, K, w)
-            if full:
-                angle.describe_changes(n, w)
-        terms.subtract_harmonics(n, orders, sines, cosines, w)
-        finish_block(
-            n, at.INVERSE, p, has_terms, codes, factor, limits, base_flag, temperature.size > 0,
-            w, u[start:stop], flags[start:stop],
-        )  # fmt: skip
-        write_intervals(n, w, ax[start:stop], dv[start:stop], u[start:stop], flags[start:stop])
-        angle.save_last(n, y[start:stop], z[start:stop], omega[start:stop], state, w)
+        load_block(start, n, samples, psi, p, light, state, w)
+        if rate is None:
+            published = settings.formula == at.PUBLISHED
+            if published and not valid:
+                state[at.S_START] = w[at.PSI + 1]
+            indicated.indicate_intervals(n, published, p[at.P_PHI] - state[at.S_START], K, w)
+            indicated.find_bows(n, samples.base_rate.shape[0] > 0, published, state, w)
+            if rows.u.size:
+                indicated.find_doubt(n, K, state, w)
+            indicated.add_bows(n, K, w)
+            if not light:
+                describe_intervals(n, K, full, w)
+            if orders.size:
+                terms.subtract_harmonics(n, orders, instrument.sines, instrument.cosines, w)
+            terms.invert_terms(n, p, settings.has_terms, False, w)
+        else:
+            per, rates = at.PER, rate[start : start + n]
+            if psi is None:
+                follow_rate(n, rates, p, valid, state, w)
+            else:
+                take_rates(n, rates, at.FIRST, w)
+                indicated.find_samples(padded(n), p[at.P_PHI], w)
+            indicated.indicate_samples(n, K, w)
+            if not light:
+                find_inverse(n, w)
+                describe_samples(n, full, rates, K, settings.typical, w)
+            if orders.size:
+                terms.sample_harmonics(n, orders, instrument.sines, instrument.cosines, w)
+            terms.invert_terms(n, p, settings.has_terms, True, w)
+        if rows.u.size:
+            terms.find_variance(n, instrument.codes, instrument.factor, p, w)
+            terms.find_uncertainty(n, per, settings.has_terms, p, w)
+        if rows.flags.size:
+            terms.find_flags(
+                n,
+                p[at.P_TAN_BETA],
+                instrument.limits,
+                w,
+                settings.base_flag,
+                warm,
+                rows.flags[start : start + n],
+            )
+        if rate is None:
+            write_intervals(start, n, w, rows)
+        else:
+            write_samples(start, n, w, rows)
+        save_last(start, n, samples, state, w)
 
 
 @exact
-def write_intervals(n: int, w: Array, ax: Array, dv: Array, u: Array, flags: NDArray[np.int32]) -> None:
+def load_block(
+    start: int, n: int, samples: Samples, psi: Array | None, p: Array, light: bool, state: Array, w: Array
+) -> None:
+    """Bring a block of samples and what came before it into the work array; ``light``: less of it."""
+    K, tangent = p[at.P_K], p[at.P_TAN_BETA]
+    coupling, offset_y, offset_z = K * tangent, p[at.P_OFFSET_Y], p[at.P_OFFSET_Z]
+    load_past(coupling, offset_y, offset_z, tangent, state, w)
+    stop, tail = start + n, padded(n)
+    t, y, z = samples.t[start:stop], samples.y[start:stop], samples.z[start:stop]
+    omega, warmth = samples.base_rate[start:stop], samples.temperature[start:stop]
+    for j in range(n):
+        w[at.TIME + 1 + j] = t[j]
+    if psi is not None:
+        angles = psi[start:stop]
+        for j in range(n):
+            w[at.PSI + 1 + j] = angles[j]
+        for j in range(n, tail):
+            w[at.PSI + 1 + j] = w[at.PSI + n]
+    for j in range(0 if y.size else n):
+        w[at.RATE_Y + 1 + j], w[at.RATE_Z + 1 + j] = offset_y, offset_z
+    for j in range(y.size):
+        w[at.RATE_Y + 1 + j] = coupling * y[j] + offset_y
+    for j in range(z.size):
+        w[at.RATE_Z + 1 + j] = coupling * z[j] + offset_z
+    for j in range(0 if light else y.size):
+        w[at.FORCE_Y + 1 + j], w[at.FORCE_Z + 1 + j] = y[j], z[j]
+    for j in range(0 if omega.shape[0] else n):
+        w[at.OMEGA_X + 1 + j] = w[at.OMEGA_Y + 1 + j] = w[at.OMEGA_Z + 1 + j] = 0.0
+    for j in range(omega.shape[0]):
+        w[at.OMEGA_X + 1 + j], w[at.OMEGA_Y + 1 + j], w[at.OMEGA_Z + 1 + j] = (
+            omega[j, 0],
+            omega[j, 1],
+            omega[j, 2],
+        )
+        w[at.RATE_Y + 1 + j] -= tangent * omega[j, 1]
+        w[at.RATE_Z + 1 + j] -= tangent * omega[j, 2]
+    for j in range(warmth.size):
+        w[at.WARMTH + 1 + j] = warmth[j] - p[at.P_TEMPERATURE_REFERENCE]
+    for j in range(1 + n, 1 + tail):
+        w[at.TIME + j], w[at.OMEGA_X + j], w[at.WARMTH + j] = (
+            w[at.TIME + n],
+            w[at.OMEGA_X + n],
+            w[at.WARMTH + n],
+        )
+        w[at.RATE_Y + j], w[at.RATE_Z + j] = w[at.RATE_Y + n], w[at.RATE_Z + n]
+        w[at.FORCE_Y + j], w[at.FORCE_Z + j] = w[at.FORCE_Y + n], w[at.FORCE_Z + n]
+    find_steps(start, n, samples.begins, state[at.S_VALID] != 0.0, w)
+
+
+@exact
+def load_past(
+    coupling: float, offset_y: float, offset_z: float, tangent: float, state: Array, w: Array
+) -> None:  # fmt: skip
+    """What the block needs of the samples and intervals before it."""
+    w[at.TIME], w[at.PSI], w[at.PSI - 1] = state[at.S_TIME], state[at.S_PSI], state[at.S_PSI_BEFORE]
+    w[at.FORCE_Y], w[at.FORCE_Z] = state[at.S_FORCE_Y], state[at.S_FORCE_Z]
+    w[at.OMEGA_X], w[at.WARMTH] = state[at.S_OMEGA_X], state[at.S_WARMTH]
+    w[at.OMEGA_Y], w[at.OMEGA_Z] = state[at.S_OMEGA_Y], state[at.S_OMEGA_Z]
+    w[at.RATE_Y] = coupling * state[at.S_FORCE_Y] + offset_y - tangent * state[at.S_OMEGA_Y]
+    w[at.RATE_Z] = coupling * state[at.S_FORCE_Z] + offset_z - tangent * state[at.S_OMEGA_Z]
+    for k in range(2):
+        w[at.OMEGA_X - 1 - k] = state[at.S_OMEGA_X_BEFORE + k]
+        w[at.RATE_Y - 1 - k] = state[at.S_RATE_Y_BEFORE + k]
+        w[at.RATE_Z - 1 - k] = state[at.S_RATE_Z_BEFORE + k]
+    w[at.FIRST], w[at.FORCE] = state[at.S_FIRST], state[at.S_FORCE]
+    for k in range(3):
+        step = state[at.S_STEPS + k]
+        w[at.EARLY - k], w[at.STEP - k] = state[at.S_EARLY + k], step
+        w[at.INVERSE - k] = 1.0 / step if step != 0.0 else 0.0
+
+
+@exact
+def find_steps(start: int, n: int, begins: NDArray[np.bool_], valid: bool, w: Array) -> None:
+    """Interval lengths; 0 where a stretch begins."""
+    for j in range(1, n + 1):
+        w[at.STEP + j] = w[at.TIME + j] - w[at.TIME + j - 1]
+    marks = begins[start : start + n]
+    for j in range(marks.size):
+        w[at.STEP + 1 + j] = 0.0 if marks[j] else w[at.STEP + 1 + j]
+    if not valid:
+        w[at.STEP + 1] = 0.0
+    for j in range(n + 1, padded(n) + 1):
+        w[at.STEP + j] = 0.0
+
+
+@exact
+def save_last(start: int, n: int, samples: Samples, state: Array, w: Array) -> None:
+    """Keep what the next block needs to know of this one."""
+    last, known = start + n - 1, samples.y.size > 0
+    state[at.S_VALID] = 1.0
+    state[at.S_TIME], state[at.S_PSI] = w[at.TIME + n], w[at.PSI + n]
+    state[at.S_PSI_BEFORE] = w[at.PSI + n - 1]
+    state[at.S_FORCE_Y], state[at.S_FORCE_Z] = (
+        samples.y[last] if known else 0.0,
+        samples.z[last] if known else 0.0,
+    )
+    state[at.S_WARMTH] = w[at.WARMTH + n]
+    state[at.S_FIRST], state[at.S_FORCE] = w[at.FIRST + n], w[at.FORCE + n]
+    for k in range(3):
+        state[at.S_EARLY + k], state[at.S_STEPS + k] = w[at.EARLY + n - k], w[at.STEP + n - k]
+    for axis in range(3):
+        state[at.S_OMEGA_X + axis] = samples.base_rate[last, axis] if samples.base_rate.shape[0] else 0.0
+
+
+@exact
+def describe_intervals(n: int, K: float, full: bool, w: Array) -> None:
+    """Means of the known inputs over every interval; ``full``: times, temperatures and changes, too."""
+    inverse = 1.0 / K
+    for j in range(1, n + 1):
+        w[at.MEAN_Y + j] = 0.5 * (w[at.FORCE_Y + j - 1] + w[at.FORCE_Y + j])
+        w[at.MEAN_Z + j] = 0.5 * (w[at.FORCE_Z + j - 1] + w[at.FORCE_Z + j])
+        w[at.TURN + j] = (w[at.PSI + j] - w[at.PSI + j - 1]) * w[at.INVERSE + j] * inverse
+    for j in range(1, n + 1 if full else 0):
+        w[at.MEAN_T + j] = 0.5 * (w[at.WARMTH + j - 1] + w[at.WARMTH + j])
+        w[at.CHANGE_Y + j] = w[at.FORCE_Y + j] - w[at.FORCE_Y + j - 1]
+        w[at.CHANGE_Z + j] = w[at.FORCE_Z + j] - w[at.FORCE_Z + j - 1]
+        w[at.CHANGE_T + j] = w[at.WARMTH + j] - w[at.WARMTH + j - 1]
+        w[at.MEAN_TIME + j] = 0.5 * (w[at.TIME + j - 1] + w[at.TIME + j])
+
+
+@exact
+def write_intervals(start: int, n: int, w: Array, rows: Rows) -> None:
     """Results of a block; rows without an increment hold no force, no uncertainty and no velocity."""
+    stop = start + n
+    ax, dv, u, flags = rows.ax[start:stop], rows.dv[start:stop], rows.u[start:stop], rows.flags[start:stop]
+    for j in range(n):
+        step = w[at.STEP + 1 + j]
+        ax[j] = w[at.FORCE + 1 + j] if step != 0.0 else math.nan
+        dv[j] = w[at.FORCE + 1 + j] * step + 0.0  # never a negative zero
+    for j in range(u.size):
+        u[j] = w[at.KNOWN_TO + 1 + j] if w[at.STEP + 1 + j] != 0.0 else math.nan
+    for j in range(flags.size):
+        flags[j] = flags[j] if w[at.STEP + 1 + j] != 0.0 else at.NO_INCREMENT
+
+
+@exact
+def write_samples(start: int, n: int, w: Array, rows: Rows) -> None:
+    """Results of a block of samples."""
+    stop = start + n
+    ax, dv, u, flags = rows.ax[start:stop], rows.dv[start:stop], rows.u[start:stop], rows.flags[start:stop]
+    for j in range(n):
+        step = w[at.STEP + 1 + j]
+        ax[j] = w[at.FORCE + 1 + j]
+        dv[j] = 0.5 * step * (w[at.FORCE + j] + w[at.FORCE + 1 + j]) if step != 0.0 else 0.0
+    for j in range(u.size):
+        u[j] = w[at.KNOWN_TO + 1 + j]
+    for j in range(flags.size):
+        if w[at.STEP + 1 + j] == 0.0:
+            flags[j] |= at.NO_INCREMENT
+
+
+@exact
+def take_rates(n: int, rate: Array, row: int, w: Array) -> None:
+    """Recorded rate into a row of the work array, the last sample repeated to the end of the tile."""
+    into = w[row + 1 : row + 1 + padded(n)]
+    for j in range(n):
+        into[j] = rate[j]
+    for j in range(n, into.size):
+        into[j] = rate[n - 1]
+
+
+@exact
+def find_inverse(n: int, w: Array) -> None:
+    """Inverse of the interval lengths; 0 where a stretch begins."""
     for j in range(1, n + 1):
         step = w[at.STEP + j]
-        ax[j - 1] = w[at.FORCE + j] if step != 0.0 else math.nan
-        dv[j - 1] = w[at.FORCE + j] * step + 0.0  # never a negative zero
-    for j in range(1, u.size + 1):
-        u[j - 1] = u[j - 1] if w[at.STEP + j] != 0.0 else math.nan
-    for j in range(1, flags.size + 1):
-        flags[j - 1] = flags[j - 1] if w[at.STEP + j] != 0.0 else at.NO_INCREMENT
+        w[at.INVERSE + j] = 1.0 / step if step != 0.0 else 0.0
+    for j in range(n + 1, padded(n) + 1):
+        w[at.INVERSE + j] = 0.0
 
 
 @exact
@@ -170,65 +347,6 @@ def follow_rate(n: int, rate: Array, p: Array, valid: bool, state: Array, w: Arr
 
 
 @exact
-def take_angles(n: int, psi: Array, rate: Array, w: Array) -> None:
-    """Recorded angle and rate into the work array, the last sample repeated to the end of the tile."""
-    for j in range(n):
-        w[at.PSI + 1 + j] = psi[j]
-        w[at.FIRST + 1 + j] = rate[j]
-    for j in range(n + 1, angle.padded(n) + 1):
-        w[at.PSI + j], w[at.FIRST + j] = psi[n - 1], rate[n - 1]
-
-
-@exact
-def take_rates(n: int, rate: Array, w: Array) -> None:
-    """Recorded rate of an instrument of a set, the last sample repeated to the end of the tile."""
-    for j in range(n):
-        w[at.HALF + 1 + j] = rate[j]
-    for j in range(n + 1, angle.padded(n) + 1):
-        w[at.HALF + j] = rate[n - 1]
-
-
-@kernel
-def find_samples(rows: int, phi: float, w: Array) -> None:
-    """Angle, its sine and cosine, and ``u_x`` at samples whose angle and rate are both recorded.
-
-    The angle stands in the row PSI, the rate in FIRST.
-    """
-    far = 0
-    for j in range(1, rows + 1):
-        alpha = phi + w[at.PSI + j]
-        w[at.ANGLE + j] = alpha
-        sine, cosine = fast_sine_cosine(alpha)
-        w[at.SINE + j], w[at.COSINE + j] = sine, cosine
-        far |= abs(alpha) > LIMIT
-    if far:
-        angle.library_angles(1, rows + 1, w)
-    for j in range(1, rows + 1):
-        w[at.FIRST + j] -= w[at.RATE_Y + j] * w[at.SINE + j] - w[at.RATE_Z + j] * w[at.COSINE + j]
-
-
-@exact
-def indicate_samples(n: int, K: float, w: Array) -> None:
-    """Indicated specific force at the samples [m/s^2]."""
-    inverse = 1.0 / K
-    for j in range(1, n + 1):
-        w[at.BASE_X + j] = w[at.OMEGA_X + j]
-        w[at.INPUT + j] = (w[at.FIRST + j] + w[at.OMEGA_X + j]) * inverse
-
-
-@exact
-def write_samples(n: int, w: Array, ax: Array, dv: Array, flags: NDArray[np.int32]) -> None:
-    """Results of a block of samples."""
-    for j in range(1, n + 1):
-        ax[j - 1] = w[at.FORCE + j]
-        step = w[at.STEP + j]
-        dv[j - 1] = 0.5 * step * (w[at.FORCE + j - 1] + w[at.FORCE + j]) if step != 0.0 else 0.0
-    for j in range(1, flags.size + 1):
-        if w[at.STEP + j] == 0.0:
-            flags[j - 1] |= at.NO_INCREMENT
-
-
-@exact
 def describe_samples(n: int, full: bool, rate: Array, K: float, typical: float, w: Array) -> None:
     """The inputs at the samples, in the rows that hold means for intervals; ``full``: for the error model, too."""
     inverse, usual = 1.0 / K, 1.0 / typical
@@ -240,74 +358,3 @@ def describe_samples(n: int, full: bool, rate: Array, K: float, typical: float, 
         for j in range(1, n + 1):
             w[at.CHANGE_Y + j] = w[at.CHANGE_Z + j] = w[at.CHANGE_T + j] = w[at.SLOPE + j] = 0.0
             w[at.MEAN_T + j], w[at.MEAN_TIME + j] = w[at.WARMTH + j], w[at.TIME + j]
-
-
-@exact
-def sample_harmonics(n: int, orders: Array, sines: Array, cosines: Array, w: Array) -> None:
-    """Second and higher harmonics of the output angle at the samples."""
-    for k in range(orders.size):
-        for j in range(1, n + 1):
-            angle_k = orders[k] * w[at.ANGLE + j]
-            w[at.INPUT + j] -= sines[k] * math.sin(angle_k) + cosines[k] * math.cos(angle_k)
-
-
-@exact
-def compensate_rates(
-    t: Array,
-    rate: Array,
-    y: Array,
-    z: Array,
-    begins: NDArray[np.bool_],
-    omega: Array,
-    temperature: Array,
-    typical: float,
-    psi: Array,
-    p: Array,
-    has_terms: bool,
-    orders: Array,
-    sines: Array,
-    cosines: Array,
-    codes: NDArray[np.int64],
-    factor: Array,
-    limits: Array,
-    base_flag: int,
-    state: Array,
-    w: Array,
-    ax: Array,
-    dv: Array,
-    u: Array,
-    flags: NDArray[np.int32],
-) -> None:
-    """Rate record (n,) to ``ax`` at the samples and ``dv`` over the interval before (ax linear in it).
-
-    ``psi`` holds the recorded angle; empty: the angle follows from the rate.
-    """
-    light = not (has_terms or orders.size or u.size or flags.size)
-    full = has_terms or temperature.size > 0 or known.needs_time(codes)
-    for start in range(0, t.size, at.BLOCK):
-        n = min(at.BLOCK, t.size - start)
-        stop = start + n
-        valid = state[at.S_VALID] != 0.0
-        angle.load_block(
-            t[start:stop], rate[start:stop], y[start:stop], z[start:stop], omega[start:stop],
-            temperature[start:stop], p, light, state, w,
-        )  # fmt: skip
-        angle.find_steps(n, begins[start:stop], valid, w)
-        if psi.size:
-            take_angles(n, psi[start:stop], rate[start:stop], w)
-            find_samples(angle.padded(n), p[at.P_PHI], w)
-        else:
-            follow_rate(n, rate[start:stop], p, valid, state, w)
-        indicate_samples(n, p[at.P_K], w)
-        if u.size:
-            between.no_doubt(n, w)
-        if not light:
-            angle.find_inverse(n, w)
-            describe_samples(n, full, rate[start:stop], p[at.P_K], typical, w)
-        sample_harmonics(n, orders, sines, cosines, w)
-        finish_block(
-            n, at.PER, p, has_terms, codes, factor, limits, base_flag, temperature.size > 0, w,
-            u[start:stop], flags[start:stop],
-        )  # fmt: skip
-        write_samples(n, w, ax[start:stop], dv[start:stop], flags[start:stop])
-        angle.save_last(n, y[start:stop], z[start:stop], omega[start:stop], state, w)

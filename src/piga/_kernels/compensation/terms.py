@@ -1,4 +1,9 @@
-"""The error model inverted, on rows of interval means."""
+"""The error model inverted, and the uncertainty and validity of what comes out, on rows of interval means (or samples).
+
+The covariance of the coefficients stands in a triangular factor ``R`` (``R'R`` is the covariance), so the variance
+``|R x|^2`` of the regressors ``x`` of a row is a sum of squares. What is rare (the dead zone) is done row by row, and only
+in blocks where it occurs.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +14,12 @@ from numpy.typing import NDArray
 
 from piga._kernels.compensation import layout as at
 from piga._kernels.estimation.regressors import half_angle_moments
-from piga._kernels.jit import exact
+from piga._kernels.jit import exact, inline
 
 Array = NDArray[np.float64]
 
+NEAR = 1.25
+"""Near-critical: ``|a_x|`` below this multiple of ``a_t tan(beta)``."""
 ITERATIONS = 4
 """Newton steps: the error model is nearly linear, each step squares a relative error below 1e-2."""
 K0, K1, K2, K3, K2O, M_Y, M_Z, K_XY, K_XZ, K_YY, K_ZZ, K_YZ, K0_T, K0_TEMP, K1_TEMP, SERVO, SERVO_DAMPING = (
@@ -53,11 +60,15 @@ def odd_square_mean(a: float, change: float) -> float:
 
 
 @exact
-def invert_terms(n: int, p: Array, sampled: bool, w: Array) -> None:
+def invert_terms(n: int, p: Array, has_terms: bool, sampled: bool, w: Array) -> None:
     """Specific force ``a_x`` from the indicated one, to rounding: solved for the terms that are linear in it first.
 
-    ``sampled``: rows are samples, not intervals.
+    ``has_terms`` False: without error terms it is the indicated one. ``sampled``: rows are samples, not intervals.
     """
+    if not has_terms:
+        for j in range(1, n + 1):
+            w[at.FORCE + j] = w[at.INPUT + j]
+        return
     reference = p[at.P_TIME_REFERENCE]
     twelfth = 1.0 / 12.0
     for j in range(1, n + 1):
@@ -138,7 +149,193 @@ def invert_odd_square(n: int, p: Array, w: Array) -> None:
 
 
 @exact
-def take_input(n: int, w: Array) -> None:
-    """Without error terms the indicated force is the compensated one."""
+def sample_harmonics(n: int, orders: Array, sines: Array, cosines: Array, w: Array) -> None:
+    """Second and higher harmonics of the output angle at the samples."""
+    for k in range(orders.size):
+        for j in range(1, n + 1):
+            angle_k = orders[k] * w[at.ANGLE + j]
+            w[at.INPUT + j] -= sines[k] * math.sin(angle_k) + cosines[k] * math.cos(angle_k)
+
+
+ONE = 0
+"""In place of a row: 1."""
+FIRST_FACTOR = np.array([
+    ONE, at.FORCE, at.FORCE, at.FORCE, at.FORCE, at.MEAN_Y, at.MEAN_Z, at.FORCE, at.FORCE, at.MEAN_Y, at.MEAN_Z,
+    at.MEAN_Y, at.MEAN_TIME, at.MEAN_T, at.FORCE,
+])  # fmt: skip
+SECOND_FACTOR = np.array([
+    ONE, ONE, at.FORCE, at.FORCE, at.FORCE, ONE, ONE, at.MEAN_Y, at.MEAN_Z, at.MEAN_Y, at.MEAN_Z,
+    at.MEAN_Z, ONE, ONE, at.MEAN_T,
+])  # fmt: skip
+"""Rows whose product is the regressor of a term, in the order of ``layout.TERMS`` up to ``k1_T``; k3 has ``a`` once more."""
+
+
+@exact
+def fill_regressor(code: int, n: int, p: Array, w: Array, x: Array) -> None:
+    """Derivative of the indicated force by one coefficient, for every row of the block, into ``x``."""
+    inverse = 1.0 / p[at.P_K]
+    if code == at.SCALE_FACTOR:
+        for j in range(1, n + 1):
+            x[j] = (w[at.TURN + j] + w[at.BASE_X + j] * inverse) * inverse
+    elif code == at.TAN_BETA:
+        for j in range(1, n + 1):
+            x[j] = w[at.MEAN_Y + j] * w[at.SINE + j] - w[at.MEAN_Z + j] * w[at.COSINE + j]
+    elif code == at.PHI:
+        for j in range(1, n + 1):
+            x[j] = (w[at.RATE_Y + j] * w[at.COSINE + j] + w[at.RATE_Z + j] * w[at.SINE + j]) * inverse
+    elif code >= at.HARMONIC:
+        order, even = (code - at.HARMONIC) // 2, code % 2 == 0
+        for j in range(1, n + 1):
+            if order == 1:  # its sine and cosine are there already
+                x[j] = w[at.SINE + j] if even else w[at.COSINE + j]
+            else:
+                angle = order * w[at.ANGLE + j]
+                x[j] = math.sin(angle) if even else math.cos(angle)
+    elif code >= SERVO:
+        for j in range(1, n + 1):  # at the means of an interval
+            v, y, z, s, c = w[at.TURN + j], w[at.MEAN_Y + j], w[at.MEAN_Z + j], w[at.SINE + j], w[at.COSINE + j]
+            across, along = y * s - z * c, y * c + z * s
+            x[j] = -2.0 * v * across * across if code == SERVO else -v * v * along
+    elif code == K0:
+        for j in range(1, n + 1):
+            x[j] = 1.0
+    else:
+        fill_product(code, n, p, w, x)
+
+
+@exact
+def fill_product(code: int, n: int, p: Array, w: Array, x: Array) -> None:
+    """The same for a term that is a product of inputs."""
+    first, second = FIRST_FACTOR[code - at.P_TERMS], SECOND_FACTOR[code - at.P_TERMS]
+    reference = p[at.P_TIME_REFERENCE] if code == K0_T else 0.0
+    one, other = w[first : first + n + 1], w[second : second + n + 1]
     for j in range(1, n + 1):
-        w[at.FORCE + j] = w[at.INPUT + j]
+        x[j] = one[j] - reference
+    for j in range(1, n + 1 if second != ONE else 1):
+        x[j] *= abs(other[j]) if code == K2O else other[j]
+    for j in range(1, n + 1 if code == K3 else 1):
+        x[j] *= w[at.FORCE + j]
+
+
+@exact
+def needs_time(codes: NDArray[np.int64]) -> bool:
+    """True when a regressor holds time or temperature."""
+    needed = False
+    for code in codes:
+        needed |= (code == K0_T) | (code == K0_TEMP) | (code == K1_TEMP)
+    return needed
+
+
+@exact
+def find_variance(n: int, codes: NDArray[np.int64], factor: Array, p: Array, w: Array) -> None:
+    """Variance of the indicated force by the coefficients, row SQUARE; ``factor`` (rank, coefficients) triangular."""
+    count, square, part = codes.size, w[at.SQUARE : at.SQUARE + n + 1], w[at.PARTIAL : at.PARTIAL + n + 1]
+    for k in range(count):
+        fill_regressor(codes[k], n, p, w, regressor(n, k, count, w))
+    for j in range(square.size):
+        square[j] = 0.0
+    last = count - 4 if count > 4 else 0
+    for i in range(last if last < factor.shape[0] else factor.shape[0]):
+        for j in range(square.size):
+            part[j] = 0.0
+        for k in range(i, count, 4):
+            a, b, c, d = four(factor, i, k)
+            x, y = regressor(n, k, count, w), regressor(n, k + 1, count, w)
+            z, v = regressor(n, k + 2, count, w), regressor(n, k + 3, count, w)
+            for j in range(square.size):
+                part[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * v[j])
+        for j in range(square.size):
+            square[j] += part[j] * part[j]
+    if factor.shape[0] <= last:
+        return
+    a, b, c, d = four(factor, last, last)
+    e, f, g, _ = four(factor, last + 1, last + 1)
+    h, i, _, _ = four(factor, last + 2, last + 2)
+    k, _, _, _ = four(factor, last + 3, last + 3)
+    x, y = regressor(n, last, count, w), regressor(n, last + 1, count, w)
+    z, v = regressor(n, last + 2, count, w), regressor(n, last + 3, count, w)
+    for j in range(square.size):
+        first, second = (a * x[j] + b * y[j]) + (c * z[j] + d * v[j]), e * y[j] + (f * z[j] + g * v[j])
+        third, fourth = h * z[j] + i * v[j], k * v[j]
+        square[j] += (first * first + second * second) + (third * third + fourth * fourth)
+
+
+@exact
+def four(factor: Array, i: int, k: int) -> tuple[float, float, float, float]:
+    """Four elements of a row of the triangular factor; 0 beyond it."""
+    left = factor.shape[1] - k if i < factor.shape[0] else 0
+    return (
+        factor[i, k] if left > 0 else 0.0, factor[i, k + 1] if left > 1 else 0.0,
+        factor[i, k + 2] if left > 2 else 0.0, factor[i, k + 3] if left > 3 else 0.0,
+    )  # fmt: skip
+
+
+@exact
+def regressor(n: int, k: int, count: int, w: Array) -> Array:
+    """Row of a regressor, the last one for all behind it."""
+    start = at.REGRESSORS + (k if k < count else count - 1) * at.STRIDE
+    return w[start : start + n + 1]
+
+
+@exact
+def find_uncertainty(n: int, per: int, scaled: bool, p: Array, w: Array) -> None:
+    """Standard uncertainty of ``a_x`` [m/s^2], row KNOWN_TO, from the variance by the coefficients (row SQUARE).
+
+    Noise and the unknown between samples are added.
+
+    ``per`` is the row that holds 1 over the time of a row in the noise. ``scaled``: by the row DERIVATIVE.
+    """
+    tangent, inverse = p[at.P_TAN_BETA], 1.0 / (p[at.P_K] * p[at.P_K])
+    white, walk = 2.0 * p[at.P_WHITE] * inverse, p[at.P_WALK] * inverse
+    near, zone = (NEAR * tangent) ** 2, 0
+    rates, u = w[per + 1 : per + 1 + n], w[at.KNOWN_TO + 1 : at.KNOWN_TO + 1 + n]
+    for j in range(u.size):
+        rate, doubt = rates[j], w[at.DOUBT + 1 + j]
+        a, y, z = w[at.FORCE + 1 + j], w[at.MEAN_Y + 1 + j], w[at.MEAN_Z + 1 + j]
+        u[j] = math.sqrt(w[at.SQUARE + 1 + j] + (white * rate + walk) * rate + doubt * doubt)
+        zone |= a * a < near * (y * y + z * z)
+    if scaled:
+        for j in range(u.size):
+            u[j] *= abs(w[at.DERIVATIVE + 1 + j])
+    if zone:
+        for j in range(1, n + 1):
+            w[at.KNOWN_TO + j] = widened(
+                w[at.KNOWN_TO + j], w[at.FORCE + j], w[at.MEAN_Y + j], w[at.MEAN_Z + j], tangent
+            )
+
+
+@exact
+def widened(u: float, a: float, y: float, z: float, tangent: float) -> float:
+    """Standard uncertainty with the dead zone, falling to nothing where ``|a|`` reaches ``NEAR`` times its half-width."""
+    dead, size = tangent * math.sqrt(y * y + z * z), abs(a)
+    if size >= NEAR * dead:
+        return u
+    share = 1.0 if size <= dead else (NEAR * dead - size) / ((NEAR - 1.0) * dead)
+    return math.sqrt(u * u + dead * dead / 3.0 * share)
+
+
+@inline
+def flag_of(a: float, y: float, z: float, dead: float, low: float, high: float, most: float) -> int:
+    """Validity of a row by its force; ``dead`` squared tangent, ``most`` squared limit of the transverse force."""
+    square, across = a * a, y * y + z * z
+    flag = at.LOCKED if square < dead * across else 0
+    flag |= at.NEAR_CRITICAL if (square >= dead * across) & (square < NEAR * NEAR * dead * across) else 0
+    return flag | (at.OUT_OF_RANGE if (a < low) | (a > high) | (across > most) else 0)
+
+
+@exact
+def find_flags(
+    n: int, tangent: float, limits: Array, w: Array, base: int, warm: bool, flags: NDArray[np.int32]
+) -> None:
+    """Validity of every row; ``limits``: a_x low, high, a_t high; temperature low, high above reference."""
+    dead, most = tangent * tangent, limits[2] * limits[2]
+    low, high, cold, hot = limits[0], limits[1], limits[3], limits[4]
+    for j in range(n):
+        a, y, z = w[at.FORCE + 1 + j], w[at.MEAN_Y + 1 + j], w[at.MEAN_Z + 1 + j]
+        turn = w[at.PSI + 1 + j] - w[at.PSI + j]
+        coarse = at.COARSE if (abs(turn) > 1.0) & (w[at.STEP + 1 + j] != 0.0) else 0
+        flags[j] = base | flag_of(a, y, z, dead, low, high, most) | coarse
+    if warm:
+        for j in range(n):
+            warmth = w[at.MEAN_T + 1 + j]
+            flags[j] |= at.TEMPERATURE if (warmth < cold) | (warmth > hot) else 0

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.set import SET_STATE, SET_WORK
-from piga._kernels.compensation.set_record import compensate_set as set_kernel
+from piga._kernels.compensation.set import SET_STATE, SET_WORK, SetModels, SetRows, SetSamples, SetWork
+from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga.compensation.model import Model, make_model
 from piga.compensation.mounting import Mounted, check_spread, rotation
 from piga.compensation.result import CompensatedSet
@@ -79,14 +79,11 @@ class SetCompensator:
         for item in instruments:
             self._flag |= age_flag(item.calibration, max_age_days)
         self._count = len(models)
-        self._arrays = stacked(models)
+        self._arrays = stacked(models, self._axes)
         self._threshold = fault_threshold(self._count - 3)
         self._states = np.zeros((self._count, at.STATE))
         self._set_state = np.zeros(SET_STATE)
-        self._weights = np.ones((self._count, at.STRIDE))
-        self._scratch = np.zeros(at.BLOCK)
-        self._work = np.zeros((self._count, at.WORK))
-        self._common = np.zeros(SET_WORK)
+        self._work = set_work(self._count)
 
     def push(
         self,
@@ -138,12 +135,10 @@ class SetCompensator:
             np.empty((count, n if self._details else 0)),
             np.zeros((count, n if self._details else 0), np.int32),
         )
-        parameters, has_terms, orders, sines, cosines, codes, factors, limits = self._arrays
         set_kernel(
-            time, psi, rates, marks, omega, warm, parameters, self._axes, has_terms, orders, sines, cosines,
-            codes, factors, limits, self._flag, self._threshold, self._states, self._set_state, self._weights,
-            self._scratch, self._work, self._common, found.f, found.dv, found.u_f, found.residual, found.flags,
-            found.misfit, found.each,
+            SetSamples(time, marks, psi, rates, omega, warm, np.zeros(0)), self._arrays, self._flag, self._threshold,
+            self._states, self._set_state, self._work,
+            SetRows(found.f, found.dv, found.u_f, found.residual, found.flags, found.misfit, found.each),
         )  # fmt: skip
         last = psi[:, -1:].sum() + (found.f if self._sampled else found.dv).sum()
         if not math.isfinite(last):
@@ -181,7 +176,7 @@ def _check_finite(**columns: Array) -> None:
             )
 
 
-def stacked(models: list[Model]) -> tuple[NDArray, ...]:
+def stacked(models: list[Model], axes: Array) -> SetModels:
     """Arrays of all instruments, padded to one size: order 1 and amplitude 0, code of k0 and weight 0."""
     count = len(models)
     harmonics = max(model.orders.size for model in models)
@@ -198,7 +193,13 @@ def stacked(models: list[Model]) -> tuple[NDArray, ...]:
         sines[i, : model.orders.size], cosines[i, : model.orders.size] = model.sines, model.cosines
         codes[i, : model.codes.size] = model.codes
         factors[i, : model.factor.shape[0], : model.codes.size] = model.factor
-    return (
-        np.array([model.parameters for model in models]), np.array([model.has_terms for model in models]),
+    return SetModels(
+        np.array([model.parameters for model in models]), axes, np.array([model.has_terms for model in models]),
         orders, sines, cosines, codes, factors, np.array([model.limits for model in models]),
     )  # fmt: skip
+
+
+def set_work(count: int) -> SetWork:
+    """Scratch memory for ``count`` instruments."""
+    w, weights = np.zeros((count, at.WORK)), np.ones((count, at.STRIDE))
+    return SetWork(w, weights, np.zeros(SET_WORK), np.zeros(at.BLOCK, dtype=np.int32), np.zeros((3, at.STRIDE)))
