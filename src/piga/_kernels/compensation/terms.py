@@ -250,13 +250,13 @@ def find_variance(n: int, codes: NDArray[np.int64], factor: Array, p: Array, w: 
         return
     a, b, c, d = four(factor, last, last)
     e, f, g, _ = four(factor, last + 1, last + 1)
-    h, i, _, _ = four(factor, last + 2, last + 2)
-    k, _, _, _ = four(factor, last + 3, last + 3)
+    h, o, _, _ = four(factor, last + 2, last + 2)
+    q, _, _, _ = four(factor, last + 3, last + 3)
     x, y = regressor(n, last, count, w), regressor(n, last + 1, count, w)
     z, v = regressor(n, last + 2, count, w), regressor(n, last + 3, count, w)
     for j in range(square.size):
         first, second = (a * x[j] + b * y[j]) + (c * z[j] + d * v[j]), e * y[j] + (f * z[j] + g * v[j])
-        third, fourth = h * z[j] + i * v[j], k * v[j]
+        third, fourth = h * z[j] + o * v[j], q * v[j]
         square[j] += (first * first + second * second) + (third * third + fourth * fourth)
 
 
