@@ -72,11 +72,9 @@ def remarks(run: piga.Run, terms: tuple[str, ...]) -> tuple[str, str, list[str]]
     except PigaError as error:
         text = str(error)
         return ("advice" if "not applied" in text else "none"), text, []
-    advice = found.diagnostics.get("advice", [])
-    missing = found.diagnostics.get("missing_terms", [])
-    suggested = [
-        name for entry in missing[:1] for name in (*entry["terms"], *", ".join(entry["alike"]).split(", "))
-    ]
+    advice = found.diagnostics.advice
+    missing = found.diagnostics.missing_terms
+    suggested = [name for entry in missing[:1] for name in (*entry.terms, *", ".join(entry.alike).split(", "))]
     if advice:
         return "advice", " | ".join(advice), suggested
     moved = [note for note in found.notes if "without segment" in note]

@@ -23,7 +23,7 @@ STRONG = Scenario(
 def told(run, terms=TERMS):
     """All that is advised: by the result, or by the remedy of a refusal."""
     try:
-        return " | ".join(piga.calibrate(run, terms).diagnostics.get("advice", ()))
+        return " | ".join(piga.calibrate(run, terms).diagnostics.advice)
     except PigaError as error:
         return str(error)
 
@@ -169,15 +169,15 @@ def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(go
         found = piga.calibrate(wrong(good), TERMS)
     except PigaError:
         return
-    assert "missing_terms" not in found.diagnostics
+    assert not found.diagnostics.missing_terms
     assert not any("without segment" in note or "missing term" in note for note in found.notes)
-    assert found.notes[0] == found.diagnostics["advice"][0]
+    assert found.notes[0] == found.diagnostics.advice[0]
 
 
 @pytest.mark.only_compiled
 def test_a_good_record_is_not_even_tried(good, monkeypatch):
     monkeypatch.setattr("piga.calibration.remarks.advice._trials", None)
-    assert "advice" not in piga.calibrate(good, TERMS).diagnostics
+    assert not piga.calibrate(good, TERMS).diagnostics.advice
 
 
 @pytest.mark.parametrize("name", ["static", "centrifuge", "near-critical"])

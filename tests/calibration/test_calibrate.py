@@ -10,6 +10,7 @@ import pytest
 import piga
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
+from piga.records.calibration import Amount
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0, parse_unit
 from tests.calibration.independent import Bench, head
@@ -51,7 +52,7 @@ def test_recursive_is_batch_and_has_a_history() -> None:
 @pytest.mark.parametrize("noise", ["white", "walk", "mixed"])
 def test_segments_of_a_right_model_scatter_as_the_noise_says(noise: str) -> None:
     calibration = piga.calibrate(record(np.random.default_rng(22), **NOISES[noise]), TERMS)
-    assert calibration.diagnostics["segment_scatter_ratio"] == pytest.approx(1.0, abs=0.4)
+    assert calibration.diagnostics.segment_scatter_ratio == pytest.approx(1.0, abs=0.4)
 
 
 def test_per_segment_phases_share_tan_beta() -> None:
@@ -302,26 +303,25 @@ def test_type_b_first_order() -> None:
     run = record(np.random.default_rng(17), white=1e-6)
     table = UncertaintyTable(reference_scale="10 ppm", reference_misalignment="2 arcsec", timing="1 ppm")
     plain, full = piga.calibrate(run, TERMS), piga.calibrate(replace(run, uncertainty=table), TERMS)
-    rows = {row["source"]: row for row in full.budget}
+    rows = {row.source: row for row in full.budget}
     assert set(rows) == {
         "fit residuals (repeatability)", "reference_scale", "timing",
         "reference_misalignment X0", "reference_misalignment Y0", "reference_misalignment Z0",
     }  # fmt: skip
-    scale = rows["reference_scale"]["contributions"]
+    scale = rows["reference_scale"].contributions
     assert scale["scale_factor"] == pytest.approx(-0.8884e-5, rel=1e-3)
-    assert rows["reference_misalignment Z0"]["contributions"]["m_Y"] == pytest.approx(
+    assert rows["reference_misalignment Z0"].contributions["m_Y"] == pytest.approx(
         2.0 * np.pi / 648000, rel=1e-3
     )
-    assert rows["timing"]["contributions"]["scale_factor"] == pytest.approx(-0.8884e-6, rel=1e-2)
-    sensitivity = rows["reference_scale"]["sensitivities"]["scale_factor"]
-    assert sensitivity == {
-        "value": pytest.approx(-0.8884e-6, rel=1e-3), "unit": "rad/s/g/ppm"
-    }  # fmt: skip
-    turned = rows["reference_misalignment Z0"]["sensitivities"]["m_Y"]
-    assert (turned["value"], turned["unit"]) == (pytest.approx(np.pi / 648000, rel=1e-3), "rad/arcsec")
-    assert all(parse_unit(s["unit"]) for row in full.budget for s in row.get("sensitivities", {}).values())
-    assert "sensitivities" not in rows["fit residuals (repeatability)"]
-    total = sum(row["contributions"]["scale_factor"] ** 2 for row in full.budget) ** 0.5
+    assert rows["timing"].contributions["scale_factor"] == pytest.approx(-0.8884e-6, rel=1e-2)
+    sensitivity = rows["reference_scale"].sensitivities["scale_factor"]
+    assert sensitivity == Amount(pytest.approx(-0.8884e-6, rel=1e-3), "rad/s/g/ppm")
+    turned = rows["reference_misalignment Z0"].sensitivities["m_Y"]
+    assert (turned.value, turned.unit) == (pytest.approx(np.pi / 648000, rel=1e-3), "rad/arcsec")
+    assert all(parse_unit(s.unit) for row in full.budget for s in row.sensitivities.values())
+    assert not rows["fit residuals (repeatability)"].sensitivities
+    assert "sensitivities" not in rows["fit residuals (repeatability)"].document()
+    total = sum(row.contributions["scale_factor"] ** 2 for row in full.budget) ** 0.5
     assert full["scale_factor"].std == pytest.approx(total, rel=1e-9)
     assert full["scale_factor"].std > 5.0 * plain["scale_factor"].std
     assert full["scale_factor"].value == plain["scale_factor"].value

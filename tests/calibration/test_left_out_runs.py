@@ -35,9 +35,9 @@ def two_heads(**options):
 
 def half_width(found, source, key="scale_factor"):
     """What a row of the budget holds on either side of a coefficient."""
-    rows = [row for row in found.budget if row["source"] == source]
+    rows = [row for row in found.budget if row.source == source]
     assert len(rows) == 1
-    return abs(rows[0]["contributions"][key]) * np.sqrt(3.0)
+    return abs(rows[0].contributions[key]) * np.sqrt(3.0)
 
 
 @pytest.mark.only_compiled
@@ -61,7 +61,7 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
 
 def test_two_heads_without_a_servo_have_no_such_row():
     found = calibrate(two_heads(s=0.0, d=0.0), PLAIN)
-    assert [row["type"] for row in found.budget] == ["A"]
+    assert [row.type for row in found.budget] == ["A"]
     assert not any("cube" in note or "servo" in note for note in found.notes)
 
 
@@ -101,4 +101,4 @@ def test_head_and_centrifuge_tell_what_the_model_lacks():
     note = next(note for note in found.notes if "signature of servo" in note)
     assert "Add 'servo' and 'servo_damping'" in note
     whole = calibrate(runs, TERMS)
-    assert source not in [row["source"] for row in whole.budget]
+    assert source not in [row.source for row in whole.budget]

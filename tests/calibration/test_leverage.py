@@ -36,7 +36,7 @@ def test_influence_is_that_of_a_calibration_without_the_segment(phase):
     run = known_noise(scenario.record(np.random.default_rng(2)))
     full = piga.calibrate(run, scenario.terms, phase=phase)
     for label in ("0", "7"):
-        row = full.diagnostics["leverage"][label]
+        row = full.diagnostics.leverage[label]
         rest = {
             c.name: c for c in piga.calibrate(without(run, label), scenario.terms, phase=phase).coefficients
         }
@@ -45,19 +45,19 @@ def test_influence_is_that_of_a_calibration_without_the_segment(phase):
                 continue
             exact = phase == "shared"
             shift = (rest[c.name].value - c.value) / c.std
-            assert row["shift"][c.name] == pytest.approx(shift, abs=1e-5 if exact else 0.1)
+            assert row.shift[c.name] == pytest.approx(shift, abs=1e-5 if exact else 0.1)
             share = 1.0 - (c.std / rest[c.name].std) ** 2
-            assert row["share"][c.name] == pytest.approx(share, abs=1e-6 if exact else 0.01)
+            assert row.share[c.name] == pytest.approx(share, abs=1e-6 if exact else 0.01)
 
 
 @pytest.mark.only_compiled
 def test_leverages_add_up_to_the_number_of_parameters():
     scenario = SCENARIOS["static"]
     run = scenario.record(np.random.default_rng(2))
-    table = piga.calibrate(run, scenario.terms).diagnostics["leverage"]
-    assert sum(row["leverage"] for row in table.values()) == pytest.approx(6.0, rel=1e-6)
-    table = piga.calibrate(run, scenario.terms, phase="per-segment").diagnostics["leverage"]
-    assert sum(row["leverage"] for row in table.values()) == pytest.approx(5.0 + len(table), rel=1e-6)
+    table = piga.calibrate(run, scenario.terms).diagnostics.leverage
+    assert sum(row.leverage for row in table.values()) == pytest.approx(6.0, rel=1e-6)
+    table = piga.calibrate(run, scenario.terms, phase="per-segment").diagnostics.leverage
+    assert sum(row.leverage for row in table.values()) == pytest.approx(5.0 + len(table), rel=1e-6)
 
 
 def test_a_coefficient_that_rests_on_one_position_is_said():
@@ -66,10 +66,10 @@ def test_a_coefficient_that_rests_on_one_position_is_said():
     terms = ("scale_factor", "tan_beta", "k0", "k2")
     scenario = Scenario("sole", forces, seconds=6.0, white=2.5e-5, walk=2e-5, terms=terms)
     found = scenario.calibrate(scenario.record(np.random.default_rng(1)))
-    row = found.diagnostics["leverage"]["8"]
-    assert row["share"]["k2"] == 1.0
-    assert row["shift"]["k2"] is None
-    assert row["share"]["scale_factor"] < 0.5
+    row = found.diagnostics.leverage["8"]
+    assert row.share["k2"] == 1.0
+    assert row.shift["k2"] is None
+    assert row.share["scale_factor"] < 0.5
     assert any("k2" in note and "rest on segment '8' alone" in note for note in found.notes)
 
 
@@ -91,7 +91,7 @@ def test_positions_that_all_scatter_are_not_named_one_by_one():
     run = scenario.record(np.random.default_rng(4))
     found = scenario.calibrate(run)
     notes = found.notes
-    shifts = [row["shift"]["scale_factor"] for row in found.diagnostics["leverage"].values()]
+    shifts = [row.shift["scale_factor"] for row in found.diagnostics.leverage.values()]
     assert max(map(abs, shifts)) < 3.0, "in units of the uncertainty with the scatter"
     assert any("the mean rates of the segments scatter" in note for note in notes)
     assert not any("without segment" in note for note in notes)
@@ -105,13 +105,13 @@ def test_one_segment_has_no_leverage():
     run = SCENARIOS["static"].record(np.random.default_rng(2))
     keep = run.segment == 0
     alone = piga.Run.from_arrays(run.t[keep], run.output[keep], run.f[keep], scale_factor=run.scale_factor)
-    assert "leverage" not in piga.calibrate(alone, ["k1"]).diagnostics
+    assert not piga.calibrate(alone, ["k1"]).diagnostics.leverage
 
 
 @pytest.mark.only_compiled
 def test_a_bias_drift_leaves_the_leverage_of_each_segment():
     scenario = SCENARIOS["drift"]
     found = scenario.calibrate(scenario.record(np.random.default_rng(0)))
-    table = found.diagnostics["leverage"]
-    assert sum(row["leverage"] for row in table.values()) == pytest.approx(6.0, rel=1e-6)
+    table = found.diagnostics.leverage
+    assert sum(row.leverage for row in table.values()) == pytest.approx(6.0, rel=1e-6)
     assert not any("alone" in note for note in found.notes)

@@ -24,12 +24,12 @@ SIZES = {
 def test_every_signature_is_recognised(name):
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), name, SIZES[name])
     found = piga.calibrate(run, TERMS)
-    first = found.diagnostics["missing_terms"][0]
-    assert name in first["terms"]
-    at = first["terms"].index(name)
-    miss = abs(first["estimate"][at] - SIZES[name]) / first["standard_uncertainty"][at]
+    first = found.diagnostics.missing_terms[0]
+    assert name in first.terms
+    at = first.terms.index(name)
+    miss = abs(first.estimate[at] - SIZES[name]) / first.standard_uncertainty[at]
     assert miss < 5.0
-    assert first["standard_uncertainty"][at] < 0.1 * abs(SIZES[name])
+    assert first.standard_uncertainty[at] < 0.1 * abs(SIZES[name])
     assert any("signature of a missing term" in note and name in note for note in found.notes)
     assert name not in [c.name for c in found.coefficients]
 
@@ -38,41 +38,41 @@ def test_every_signature_is_recognised(name):
 def test_the_bias_is_missed_too():
     run = EVERYWHERE.record(np.random.default_rng(5))
     found = piga.calibrate(run, ("scale_factor", "tan_beta"))
-    first = found.diagnostics["missing_terms"][0]
-    assert first["terms"] == ["k0"]
-    assert first["estimate"][0] == pytest.approx(1.6e-3, abs=5.0 * first["standard_uncertainty"][0])
+    first = found.diagnostics.missing_terms[0]
+    assert first.terms == ("k0",)
+    assert first.estimate[0] == pytest.approx(1.6e-3, abs=5.0 * first.standard_uncertainty[0])
 
 
 @pytest.mark.only_compiled
 def test_the_coupling_is_missed_too():
     run = replace(EVERYWHERE, forces=around(6), seconds=6.0).record(np.random.default_rng(6))
-    first = piga.calibrate(run, ("scale_factor", "k0")).diagnostics["missing_terms"][0]
-    assert first["terms"] == ["tan_beta"]
-    assert first["estimate"][0] == pytest.approx(3.6e-4, rel=0.05)
+    first = piga.calibrate(run, ("scale_factor", "k0")).diagnostics.missing_terms[0]
+    assert first.terms == ("tan_beta",)
+    assert first.estimate[0] == pytest.approx(3.6e-4, rel=0.05)
 
 
 @pytest.mark.only_compiled
 def test_a_phase_per_segment_hides_no_missing_term():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k_XY", 2e-4)
     found = piga.calibrate(run, TERMS, phase="per-segment")
-    assert found.diagnostics["missing_terms"][0]["terms"] == ["k_XY"]
+    assert found.diagnostics.missing_terms[0].terms == ("k_XY",)
 
 
 @pytest.mark.only_compiled
 def test_two_missing_terms_are_both_found():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     found = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
-    assert [m["terms"] for m in found.diagnostics["missing_terms"]] == [["k2"], ["k_YZ"]]
+    assert [m.terms for m in found.diagnostics.missing_terms] == [("k2",), ("k_YZ",)]
 
 
 @pytest.mark.only_compiled
 def test_adding_the_term_ends_the_suggestion_and_confirms_its_size():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
-    first = piga.calibrate(run, TERMS).diagnostics["missing_terms"][0]
+    first = piga.calibrate(run, TERMS).diagnostics.missing_terms[0]
     full = piga.calibrate(run, (*TERMS, "k2"))
-    assert "missing_terms" not in full.diagnostics
+    assert not full.diagnostics.missing_terms
     added = next(c for c in full.coefficients if c.name == "k2")
-    assert first["estimate"][0] == pytest.approx(added.value, abs=2.0 * first["standard_uncertainty"][0])
+    assert first.estimate[0] == pytest.approx(added.value, abs=2.0 * first.standard_uncertainty[0])
 
 
 @pytest.mark.only_compiled
@@ -81,8 +81,8 @@ def test_what_the_model_cannot_tell_apart_is_not_suggested():
     run = SCENARIOS["static"].record(np.random.default_rng(3))
     one = Scenario("one", tumble(12, side=0.0), white=2.5e-5, walk=2e-5, terms=(*TERMS, "k2"))
     found = piga.calibrate(with_term(one.record(np.random.default_rng(3)), "k_YY", 3e-4), one.terms)
-    assert not any("k_YY" in m["terms"] for m in found.diagnostics.get("missing_terms", ()))
-    assert "missing_terms" not in piga.calibrate(run, SCENARIOS["static"].terms).diagnostics
+    assert not any("k_YY" in m.terms for m in found.diagnostics.missing_terms)
+    assert not piga.calibrate(run, SCENARIOS["static"].terms).diagnostics.missing_terms
 
 
 @pytest.mark.only_compiled
@@ -93,7 +93,9 @@ def test_errors_of_single_positions_are_not_taken_for_a_term():
         rng = np.random.default_rng(seed)
         run = EVERYWHERE.record(rng)
         off = 2e-5 * G0 * rng.standard_normal((len(run.labels), 3))
-        alarms += "missing_terms" in piga.calibrate(replace(run, f=run.f + off[run.segment]), TERMS).diagnostics
+        alarms += bool(
+            piga.calibrate(replace(run, f=run.f + off[run.segment]), TERMS).diagnostics.missing_terms
+        )
     assert alarms == 0
 
 
@@ -102,7 +104,7 @@ def test_errors_of_single_positions_are_not_taken_for_a_term():
 def test_a_right_model_gets_no_suggestion(name):
     scenario = SCENARIOS[name]
     found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
-    assert "missing_terms" not in found.diagnostics
+    assert not found.diagnostics.missing_terms
 
 
 WARMING = Bench(
@@ -116,9 +118,9 @@ def test_a_bias_that_follows_the_temperature_is_suggested():
     """Of temperature and time, which explain much the same here, the one that was recorded for it comes first."""
     for warmth in (WARMING.warmth, lambda t: 3.0 * t / 400.0):
         run = replace(WARMING, warmth=warmth, k0_T=2e-5).record(1)
-        first = piga.calibrate(run, TERMS).diagnostics["missing_terms"][0]
-        assert first["terms"] == ["k0_T"]
-        assert first["estimate"][0] == pytest.approx(2e-5, abs=5.0 * first["standard_uncertainty"][0])
+        first = piga.calibrate(run, TERMS).diagnostics.missing_terms[0]
+        assert first.terms == ("k0_T",)
+        assert first.estimate[0] == pytest.approx(2e-5, abs=5.0 * first.standard_uncertainty[0])
 
 
 @pytest.mark.slow
@@ -127,8 +129,8 @@ def test_a_temperature_that_does_nothing_is_not_suggested():
     """200 sound records with a temperature: at most 1 %; 40 in which the bias follows it: at least 95 %."""
 
     def suggested(bench, seed):
-        found = piga.calibrate(bench.record(seed), TERMS).diagnostics.get("missing_terms", ())
-        return any("k0_T" in (*entry["terms"], *entry["alike"]) for entry in found)
+        found = piga.calibrate(bench.record(seed), TERMS).diagnostics.missing_terms
+        return any("k0_T" in (*entry.terms, *entry.alike) for entry in found)
 
     assert sum(suggested(replace(WARMING, k0_T=0.0), seed) for seed in range(200)) <= 2
     assert sum(suggested(WARMING, seed) for seed in range(40)) >= 38

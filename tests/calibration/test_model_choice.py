@@ -176,7 +176,7 @@ def test_folds():
 def test_asked_for_by_the_run_file(run, compared):
     wish = msgspec.structs.replace(run.model, terms=SMALLER, compare=tuple(SETS))
     calibration = piga.calibrate(replace(run, model=wish))
-    document = calibration.diagnostics["model_comparison"]
+    document = calibration.diagnostics.model_comparison
     assert document == compared.document()
     json.dumps(document, allow_nan=False)
     assert calibration.terms == SMALLER

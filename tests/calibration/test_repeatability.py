@@ -15,6 +15,7 @@ from piga.calibration.budget.monte_carlo import Contribution, source_draws
 from piga.calibration.joint.summary import RunSummary
 from piga.errors import CalibrationError, RunFileError
 from piga.planning.plan import plan_test
+from piga.records.calibration import Amount
 from piga.records.run_file import EstimationTable, UncertaintyTable
 from tests.calibration.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.scenarios import SCENARIOS, Array, Scenario
@@ -38,7 +39,7 @@ def record() -> piga.Run:
 
 
 def rows(found: piga.Calibration) -> dict[str, dict[str, Any]]:
-    return {row["source"]: row for row in found.budget}
+    return {row.source: row for row in found.budget}
 
 
 def known_noise(run: piga.Run, uncertainty: str = "gum") -> piga.Run:
@@ -65,18 +66,18 @@ def test_one_draw_for_each_position(record: piga.Run) -> None:
     base = least_squares(SETTING.scenario, np.zeros(count))
     moved = [least_squares(SETTING.scenario, 2.0 * ARCSEC * own) - base for own in np.eye(count)]
     row = rows(found)[ROW]
-    assert list(row["contributions"].values()) == pytest.approx(np.linalg.norm(moved, axis=0), rel=1e-3)
-    assert row["standard_uncertainty"] == {"value": 2.0, "unit": "arcsec"}
-    type_a = rows(found)["fit residuals (repeatability)"]["contributions"]
+    assert list(row.contributions.values()) == pytest.approx(np.linalg.norm(moved, axis=0), rel=1e-3)
+    assert row.standard_uncertainty == Amount(2.0, "arcsec")
+    type_a = rows(found)["fit residuals (repeatability)"].contributions
     for c in found.coefficients:
-        assert c.std**2 == pytest.approx(type_a[c.key] ** 2 + row["contributions"][c.key] ** 2, rel=1e-9)
+        assert c.std**2 == pytest.approx(type_a[c.key] ** 2 + row.contributions[c.key] ** 2, rel=1e-9)
 
 
 def test_monte_carlo_draws_each_position(record: piga.Run) -> None:
     found = piga.calibrate(known_noise(record, "monte-carlo"), SETTING.scenario.terms)
     for c in found.coefficients:
-        drawn = found.diagnostics["monte_carlo"]["coefficients"][c.key]
-        assert drawn["std"] == pytest.approx(c.std, rel=0.02)
+        drawn = found.diagnostics.monte_carlo.coefficients[c.key]
+        assert drawn.std == pytest.approx(c.std, rel=0.02)
 
 
 def test_draws_of_a_t_distribution_share_their_scale() -> None:
@@ -112,8 +113,8 @@ def test_what_is_stated_is_not_found_again() -> None:
         told = case.scenario.calibrate(run)
         assert told.segment_scatter == told.bias_drift == 0.0
         ratio.append([c.std for c in told.coefficients] / dense(case, run))
-        type_a = rows(told)["fit residuals (repeatability)"]["contributions"]["k0"]
-        assert type_a < 0.3 * rows(told)[ROW]["contributions"]["k0"]
+        type_a = rows(told)["fit residuals (repeatability)"].contributions["k0"]
+        assert type_a < 0.3 * rows(told)[ROW].contributions["k0"]
         silent = case.scenario.calibrate(replace(run, uncertainty=UncertaintyTable()))
         assert max(silent.segment_scatter, silent.bias_drift, silent.angle_random_walk - 4e-6) > 0.0
     scale, *others = np.mean(ratio, axis=0)
@@ -166,8 +167,8 @@ MISALIGNED = ["scale_factor", "k0", "m_Y"]
 def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run]) -> None:
     """A turn about Z0 goes into m_Y: shared in full, of two mountings over the square root of two."""
     found = rows(piga.calibrate(pair, MISALIGNED))
-    shared = found["reference_misalignment Z0 (run 1, run 2)"]["contributions"]["m_Y"]
-    each = [found[f"mounting_repeatability Z0 (run {k})"]["contributions"]["m_Y"] for k in (1, 2)]
+    shared = found["reference_misalignment Z0 (run 1, run 2)"].contributions["m_Y"]
+    each = [found[f"mounting_repeatability Z0 (run {k})"].contributions["m_Y"] for k in (1, 2)]
     assert abs(shared) == pytest.approx(ARCSEC, rel=0.01)
     assert np.hypot(*each) == pytest.approx(ARCSEC / np.sqrt(2.0), rel=0.05)
 
@@ -175,8 +176,8 @@ def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run])
 @pytest.mark.only_compiled
 def test_each_segment_of_each_run_has_its_own_draw(pair: list[piga.Run]) -> None:
     together = rows(piga.calibrate(pair, MISALIGNED))
-    each = [together[f"{ROW} (run {k})"]["contributions"]["k0"] for k in (1, 2)]
-    alone = rows(piga.calibrate(pair[0], MISALIGNED))[ROW]["contributions"]["k0"]
+    each = [together[f"{ROW} (run {k})"].contributions["k0"] for k in (1, 2)]
+    alone = rows(piga.calibrate(pair[0], MISALIGNED))[ROW].contributions["k0"]
     assert np.hypot(*each) == pytest.approx(alone / np.sqrt(2.0), rel=0.02)
 
 
@@ -186,9 +187,9 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
     live = piga.calibrate(pair, MISALIGNED)
     read = piga.calibrate([pair[0], RunSummary.from_json(tmp_path / "second.json")], MISALIGNED)
     for mine, other in zip(live.budget, read.budget, strict=True):
-        assert mine["source"] == other["source"]
-        assert list(mine["contributions"].values()) == pytest.approx(
-            list(other["contributions"].values()), rel=1e-6, abs=1e-12
+        assert mine.source == other.source
+        assert list(mine.contributions.values()) == pytest.approx(
+            list(other.contributions.values()), rel=1e-6, abs=1e-12
         )
     document = msgspec.json.decode((tmp_path / "second.json").read_bytes())
     source = next(s for s in document["sources"] if s["name"] == ROW)
@@ -232,7 +233,7 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
     expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
     told = replace(run, uncertainty=UncertaintyTable(reference_repeatability="20 ppm"))
     found = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
-    assert found["contributions"]["scale_factor"] == pytest.approx(expected, rel=1e-4)
+    assert found.contributions["scale_factor"] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.only_compiled
@@ -240,8 +241,8 @@ def test_what_is_stated_raises_no_doubts() -> None:
     """Levels of a centrifuge off by seventeen times the noise: the residuals are white, no term is missing."""
     case = CASES["centrifuge"]()
     found = case.scenario.calibrate(case.record(np.random.default_rng([1, 1906])))
-    assert found.diagnostics["ljung_box_probability"] > 1e-4
-    assert found.diagnostics["segment_scatter_ratio"] < 2.0
+    assert found.diagnostics.ljung_box_probability > 1e-4
+    assert found.diagnostics.segment_scatter_ratio < 2.0
     assert not found.notes
 
 
@@ -270,8 +271,8 @@ def test_a_distribution_may_be_stated(record: piga.Run) -> None:
     spread = {"half_width": "2 arcsec", "distribution": "rectangular"}
     told = replace(known_noise(record), uncertainty=UncertaintyTable(angle_repeatability=spread))
     row = rows(piga.calibrate(told, SETTING.scenario.terms))[ROW]
-    assert row["distribution"] == "rectangular"
-    assert row["standard_uncertainty"]["value"] == pytest.approx(2.0 / np.sqrt(3.0))
+    assert row.distribution == "rectangular"
+    assert row.standard_uncertainty.value == pytest.approx(2.0 / np.sqrt(3.0))
 
 
 @pytest.mark.slow

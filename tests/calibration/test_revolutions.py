@@ -19,7 +19,7 @@ def test_same_truth_with_larger_uncertainty() -> None:
         turns, whole = piga.calibrate(run, TERMS, "revolutions"), piga.calibrate(run, TERMS)
         z = errors(turns)
         assert all(abs(value) < 4.5 for value in z.values()), z
-        most = turns.diagnostics["turns"] - len(turns.segments)
+        most = turns.diagnostics.turns - len(turns.segments)
         assert all(3.0 <= c.degrees_of_freedom <= most for c in turns.coefficients)
         squares += [value**2 for value in z.values()]
         for name in ("scale_factor", "k0", "k2", "m_Y"):

@@ -129,7 +129,7 @@ def test_the_result_says_so_and_keeps_it(tmp_path: Path) -> None:
     found = results[0]
     assert found.bias_drift == 0.0
     assert any("times more than the noise of the angle explains" in note for note in found.notes)
-    assert found.diagnostics["segment_scatter_ratio"] < 1.5
+    assert found.diagnostics.segment_scatter_ratio < 1.5
     found.to_json(tmp_path / "c.json")
     assert piga.Calibration.from_json(tmp_path / "c.json").segment_scatter == found.segment_scatter
 

@@ -245,28 +245,28 @@ def on_a_head(terms, s=STIFFNESS, positions=12):
 def test_doing_nothing_holds_both_meanings_of_a_cube():
     found = on_a_head(TERMS[:5])
     scale = found["scale_factor"]
-    row = next(row for row in found.budget if row["source"] == MEANING)
-    half = row["contributions"]["scale_factor"] * np.sqrt(3.0)
+    row = next(row for row in found.budget if row.source == MEANING)
+    half = row.contributions["scale_factor"] * np.sqrt(3.0)
     by_k3 = TRUTH["scale_factor"] * (1.0 - 1.3e-5)
     for meaning in (TRUTH["scale_factor"], by_k3):
         assert abs(scale.value - meaning) < 1.05 * abs(half)
         assert abs(scale.value - meaning) < scale.expanded
     assert scale.value + half == pytest.approx(by_k3, rel=1e-6)
-    first = found.diagnostics["missing_terms"][0]
-    assert first["terms"] == ["servo"]
-    under = first["scale_factor_under"]
+    first = found.diagnostics.missing_terms[0]
+    assert first.terms == ("servo",)
+    under = first.scale_factor_under
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
     assert under["k3"] == pytest.approx(by_k3, rel=1e-6)
     note = next(note for note in found.notes if "servo" in note)
     assert "a choice of meaning" in note
     assert "holds both" in note
-    assert not any(entry["terms"] == ["k3"] for entry in found.diagnostics["missing_terms"])
+    assert not any(entry.terms == ("k3",) for entry in found.diagnostics.missing_terms)
 
 
 def test_a_sound_record_has_no_such_row():
     found = on_a_head(TERMS[:5], s=0.0)
     assert len(found.budget) == 1
-    assert "missing_terms" not in found.diagnostics
+    assert not found.diagnostics.missing_terms
 
 
 def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
@@ -279,10 +279,10 @@ def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     scale = found["scale_factor"]
     assert scale.value == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
     assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
-    row = next(row for row in found.budget if row["source"] == MEANING)
-    half = np.sqrt(3.0) * row["contributions"]["scale_factor"]
+    row = next(row for row in found.budget if row.source == MEANING)
+    half = np.sqrt(3.0) * row.contributions["scale_factor"]
     assert half == pytest.approx(TRUTH["scale_factor"] - scale.value, rel=0.02)
-    assert not any(size for key, size in row["contributions"].items() if key != "scale_factor")
+    assert not any(size for key, size in row.contributions.items() if key != "scale_factor")
 
 
 def test_an_asked_k3_beside_a_given_servo_means_itself():
@@ -290,7 +290,7 @@ def test_an_asked_k3_beside_a_given_servo_means_itself():
     run = replace(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), servo=(stiff, SERVO[2]))
     found = calibrate(given(run, angle="2e-7 rad"), [*TERMS[:5], "k3"])
     assert abs(found["k3"].value) > 2.0 * found["k3"].std
-    assert MEANING not in [row["source"] for row in found.budget]
+    assert MEANING not in [row.source for row in found.budget]
 
 
 @pytest.mark.only_compiled
@@ -299,14 +299,14 @@ def test_phi_holds_the_damping_that_the_model_lacks():
     run = recorded(head(), seconds=8.0, noise=2e-6)
     found = calibrate(given(run, angle="2e-6 rad"), terms)
     phi = found["phi"]
-    row = next(row for row in found.budget if row["source"] == DAMPING_LEFT)
-    plain = found.budget[0]["contributions"]["phi"]
+    row = next(row for row in found.budget if row.source == DAMPING_LEFT)
+    plain = found.budget[0].contributions["phi"]
     assert abs(phi.value - PHI) > 3.0 * plain
     assert abs(phi.value - PHI) < phi.expanded
-    assert row["contributions"]["phi"] > 3.0 * plain
+    assert row.contributions["phi"] > 3.0 * plain
     assert any("servo_damping" in note and "hold this" in note for note in found.notes)
     whole = calibrate(given(run, angle="2e-6 rad"), TERMS)
-    assert DAMPING_LEFT not in [row["source"] for row in whole.budget]
+    assert DAMPING_LEFT not in [row.source for row in whole.budget]
     assert whole["phi"].std < 0.3 * phi.std
 
 
@@ -339,7 +339,7 @@ def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty()
     assert found["servo"].value == pytest.approx(S * G0**2, rel=1e-3)
     assert found["servo"].std == pytest.approx(0.02 * S * G0**2, rel=0.05)
     assert found["servo_damping"].std == pytest.approx(np.hypot(0.02, 0.1) * D * G0**2, rel=0.05)
-    rows = {row["source"]: row["contributions"] for row in found.budget}
+    rows = {row.source: row.contributions for row in found.budget}
     assert set(rows) == {"fit residuals (repeatability)", "servo integral gain", "servo damping"}
     shift = 0.25 * S * G0**2 * TRUTH["scale_factor"]
     assert rows["servo integral gain"]["scale_factor"] == pytest.approx(-0.02 * shift, rel=0.1)
@@ -353,7 +353,7 @@ def test_what_is_asked_for_is_estimated_even_where_it_is_given():
     run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=wrong))
     found = calibrate(run, TERMS)
     assert found["servo"].value == pytest.approx(S * G0**2, abs=1e-8)
-    assert [row["source"] for row in found.budget] == ["fit residuals (repeatability)"]
+    assert [row.source for row in found.budget] == ["fit residuals (repeatability)"]
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(fo
     assert scale.value / TRUTH["scale_factor"] - 1.0 == pytest.approx(-3.2e-6, abs=0.7e-6)
     for name in (*WITHOUT[:3], "m_Y"):
         assert abs(found[name].value - TRUTH[name]) < found[name].expanded, name
-    under = next(m["scale_factor_under"] for m in found.diagnostics["missing_terms"] if "servo" in m["terms"])
+    under = next(m.scale_factor_under for m in found.diagnostics.missing_terms if "servo" in m.terms)
     assert set(under) == {"servo", "k3"}
     assert all(abs(value - scale.value) < scale.expanded for value in under.values())
     assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
@@ -105,7 +105,7 @@ def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(fo
     assert any("servo_damping = " in note and "hold this" in note for note in found.notes)
     phi = found["phi"]
     assert abs(phi.value) < phi.expanded < 2.0 * abs(phi.value)
-    assert found.diagnostics["segment_scatter_ratio_without_it"] > 2.0
+    assert found.diagnostics.segment_scatter_ratio_without_it > 2.0
 
 
 def test_the_ripple_is_gone(folder: Path) -> None:

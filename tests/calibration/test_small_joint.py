@@ -100,7 +100,7 @@ def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
             for run, name in zip(runs, (first, second), strict=True)
         ]
         rows = piga.calibrate(moved, FEW).budget
-        return [row["contributions"]["scale_factor"] for row in rows if row["type"] == "B"]
+        return [row.contributions["scale_factor"] for row in rows if row.type == "B"]
 
     (shared,) = parts("head 1", "head 1")
     assert abs(shared) == pytest.approx(10e-6 * TRUE_SCALE, rel=1e-3)
@@ -195,7 +195,7 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
         temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment],
     )
     found = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
-    return {row["source"]: row["contributions"] for row in found.budget if row["type"] == "B"}, found
+    return {row.source: row.contributions for row in found.budget if row.type == "B"}, found
 
 
 @pytest.mark.parametrize("source", ["reference_scale", "timing"])
@@ -229,7 +229,7 @@ def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
     assert abs(found["temperature"]["scale_factor"]) < 1e-12
     cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
     cold = replace(cold, uncertainty=UncertaintyTable(temperature="0.5 K"))
-    assert [row["type"] for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]
+    assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]
 
 
 # --- whole revolutions
@@ -247,7 +247,7 @@ def turning(seed: int, **options: Any) -> piga.Run:
 def test_whole_turns_of_a_small_record() -> None:
     run = replace(turning(31), uncertainty=UncertaintyTable(reference_scale="20 ppm"))
     found = piga.calibrate(run, MEAN, "revolutions")
-    (scale,) = [row["contributions"]["scale_factor"] for row in found.budget if row["type"] == "B"]
+    (scale,) = [row.contributions["scale_factor"] for row in found.budget if row.type == "B"]
     assert abs(scale) == pytest.approx(20e-6 * 0.8884, rel=1e-3)
     assert found["scale_factor"].std > abs(scale)
     apart = piga.calibrate(turning(31), MEAN, "revolutions")

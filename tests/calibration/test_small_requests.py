@@ -77,9 +77,9 @@ def test_harmonics_by_monte_carlo() -> None:
     by_formula = piga.calibrate(run, [*TERMS, "s2", "c2"])
     drawn = replace(run, estimation=EstimationTable(uncertainty="monte-carlo", **levels))
     found = piga.calibrate(drawn, [*TERMS, "s2", "c2"])
-    table = found.diagnostics["monte_carlo"]["coefficients"]
+    table = found.diagnostics.monte_carlo.coefficients
     for name in ("scale_factor", "k0", "s2", "c2"):
-        assert table[name]["std"] == pytest.approx(by_formula[name].std, rel=0.05)
+        assert table[name].std == pytest.approx(by_formula[name].std, rel=0.05)
 
 
 def test_the_published_recursion_from_another_start() -> None:

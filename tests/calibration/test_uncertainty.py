@@ -202,11 +202,11 @@ def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
     coupling = found["tan_beta"]
     assert coupling.value < 6.0 * coupling.std
-    table = found.diagnostics["monte_carlo"]["coefficients"]
-    assert not table["tan_beta"]["validated"]
+    table = found.diagnostics.monte_carlo.coefficients
+    assert not table["tan_beta"].validated
     assert coupling.interval is not None
     assert coupling.interval[0] >= 0.0
-    assert table["scale_factor"]["std"] == pytest.approx(found["scale_factor"].std, rel=0.03)
+    assert table["scale_factor"].std == pytest.approx(found["scale_factor"].std, rel=0.03)
 
 
 @pytest.mark.only_compiled
@@ -218,9 +218,9 @@ def test_near_the_separatrix_the_first_order_is_enough() -> None:
     scenario = SCENARIOS["near-critical"]
     run = scenario.record(np.random.default_rng(1))
     asked = replace(run, estimation=msgspec.structs.replace(run.estimation, uncertainty="monte-carlo"))
-    table = scenario.calibrate(asked).diagnostics["monte_carlo"]["coefficients"]
-    assert all(row["validated"] for row in table.values())
-    assert "monte_carlo" not in scenario.calibrate(run).diagnostics
+    table = scenario.calibrate(asked).diagnostics.monte_carlo.coefficients
+    assert all(row.validated for row in table.values())
+    assert not scenario.calibrate(run).diagnostics.monte_carlo
     given = UncertaintyTable(
         reference_bias="100 ug", reference_misalignment="60 arcsec", reference_scale="100 ppm", timing="10 ppm"
     )

@@ -11,6 +11,7 @@ import pytest
 
 import piga
 from piga.compensation import Mounted, SetCompensator
+from piga.records.calibration import Diagnostics
 
 from .twin_data import K_G, TAN_BETA, calibration_of
 
@@ -33,7 +34,7 @@ def samples(seed: int = 1) -> dict[str, np.ndarray]:
 
 STD = {"scale_factor": 1e-7, "tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-6}
 VALUES = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "s1": 1e-5, "c1": -2e-5, "k0": 1e-3}
-LIMITS = {"range": {"a_x": [-20.0, 20.0], "a_t": [0.0, 15.0]}}
+LIMITS = Diagnostics(range={"a_x": (-20.0, 20.0), "a_t": (0.0, 15.0)})
 
 
 @pytest.mark.compiled

@@ -44,7 +44,7 @@ def test_rows_outside_the_calibrated_range_are_flagged() -> None:
     calibration = piga.calibrate(
         piga.Run.from_arrays(t, alpha, f, scale_factor="0.8884 rad/s/g"), ["scale_factor", "tan_beta", "k0"]
     )
-    low, high = calibration.diagnostics["range"]["a_x"]
+    low, high = calibration.diagnostics.range["a_x"]
     assert (low, high) == (f[:, 0].min(), f[:, 0].max())
     strong = f * [2.0, 1.0, 1.0]
     inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="200 arcsec")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 import piga
 from piga.instrument.parameters import ErrorModel
 from piga.records import Calibration, Provenance, Quality, Run
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Coefficient, Diagnostics
 from piga.records.terms import si_factor, unit_of
 from piga.units import G0
 
@@ -26,7 +26,7 @@ def calibration_of(
     serial: str = "",
     phase_source: str = "output",
     created: str = "2026-01-01T00:00:00Z",
-    diagnostics: dict | None = None,
+    diagnostics: Diagnostics | None = None,
 ) -> Calibration:
     """A calibration with these coefficients (file units; ``phi[label]`` for a segment) and uncertainties."""
     std = std or {}
@@ -51,7 +51,7 @@ def calibration_of(
         condition=1.0,
         notes=(),
         budget=(),
-        diagnostics=diagnostics or {},
+        diagnostics=diagnostics or Diagnostics(),
         segments=(),
         provenance=Provenance({}, "piga test", created),
     )

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import piga
+from piga.records.calibration import BudgetEntry, Diagnostics
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.verdict import THRESHOLDS, verdict
@@ -71,7 +72,7 @@ def test_a_sound_calibration_is_good_and_warns_of_nothing(sound):
 
 
 def test_coloured_residuals_are_said_everywhere_and_nothing_is_green(coloured):
-    assert coloured.diagnostics["verdict"] != "white"
+    assert coloured.diagnostics.verdict != "white"
     assert coloured.verdict.level == "doubtful"
     page = calibration_page(coloured)
     whiteness = next(tile for tile in page.tiles if tile.label.startswith("Whitened"))
@@ -174,7 +175,7 @@ def test_repr_hides_digits_beyond_the_uncertainty(sound):
         ({"budget": ()}, TYPE_A_ONLY, "doubtful"),
         ({"notes": ("odd",)}, "odd", "doubtful"),
         (
-            {"diagnostics": {"variance": 1.5, "verdict": "white", "ljung_box_probability": 0.5}},
+            {"diagnostics": Diagnostics(variance=1.5, verdict="white", ljung_box_probability=0.5)},
             "of 1.225",
             "doubtful",
         ),
@@ -192,7 +193,7 @@ def test_each_doubt(change, words, level):
 def test_a_source_of_the_model_is_not_the_reference():
     """What the servo may do to the scale factor is Type B, and says nothing of the reference."""
     base = replace(calibration(with_residuals=False), notes=())
-    row = {"source": "meaning of the cubic signature: servo or k3", "type": "B", "contributions": {}}
+    row = BudgetEntry(source="meaning of the cubic signature: servo or k3", type="B", contributions={})
     assert verdict(replace(base, budget=(row,))).doubts[0].what == TYPE_A_ONLY
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from piga.certificate.certificate_file import CertificateFile, read_certificate_file
+from piga.records.calibration import Amount, BudgetEntry
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "certificate.toml"
 SCHEMAS = Path(__file__).parents[3] / "shared" / "reference" / "dcc"
@@ -29,13 +30,12 @@ def budgeted(cal):
     """The calibration with a budget that adds up: type A and one source of type B for every coefficient."""
     names = ("fit residuals (repeatability)", "A", 0.8), ("reference_scale", "B", 0.6)
     rows = tuple(
-        {
-            "source": name,
-            "type": kind,
-            "distribution": "normal",
-            "standard_uncertainty": None if kind == "A" else {"value": 0.5, "unit": "ppm"},
-            "contributions": {c.key: part * c.std for c in cal.coefficients},
-        }
+        BudgetEntry(
+            source=name,
+            type=kind,
+            standard_uncertainty=None if kind == "A" else Amount(0.5, "ppm"),
+            contributions={c.key: part * c.std for c in cal.coefficients},
+        )
         for name, kind, part in names
     )
     return replace(cal, budget=rows)

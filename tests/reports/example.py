@@ -7,8 +7,11 @@ import math
 import numpy as np
 
 from piga.records.calibration import (
+    Amount,
+    BudgetEntry,
     Calibration,
     Coefficient,
+    Diagnostics,
     Event,
     Provenance,
     Quality,
@@ -102,18 +105,18 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
     shape = mixing @ mixing.T
     std = np.array([c.std for c in coefficients]) / np.sqrt(np.diag(shape))
     rows = (
-        {
-            "source": "Reference scale",
-            "type": "B",
-            "standard_uncertainty": {"value": 10.0, "unit": "ppm"},
-            "contributions": {"scale_factor": 8.9e-6, "k0": 1.6e-8},
-        },
-        {
-            "source": "Reference misalignment",
-            "type": "B",
-            "standard_uncertainty": {"value": 2.0, "unit": "arcsec"},
-            "contributions": {"m_Y": 9.7e-6, "tan_beta": 1.1e-8},
-        },
+        BudgetEntry(
+            source="Reference scale",
+            type="B",
+            standard_uncertainty=Amount(10.0, "ppm"),
+            contributions={"scale_factor": 8.9e-6, "k0": 1.6e-8},
+        ),
+        BudgetEntry(
+            source="Reference misalignment",
+            type="B",
+            standard_uncertainty=Amount(2.0, "arcsec"),
+            contributions={"m_Y": 9.7e-6, "tan_beta": 1.1e-8},
+        ),
     )
     return Calibration(
         serial=serial,
@@ -143,7 +146,7 @@ def calibration(*, serial="G-0417", phase="shared", with_residuals=True, budget=
         condition=38.4,
         notes=("k2 is below its own uncertainty: a one-plane tumble tells k2 only together with k_YY.",),
         budget=rows if budget else (),
-        diagnostics={"lag_1_autocorrelation": 0.0021, "normality_p": 0.41},
+        diagnostics=Diagnostics(lag1_correlation=0.0021, skewness=0.41),
         segments=segment_rows(found),
         provenance=Provenance(
             input_sha256={"run.toml": "9f86d081884c7d65" * 4, "run.csv": "2c26b46b68ffc68f" * 4},

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from piga.records.calibration import Outlier, RunRecord
+from piga.records.calibration import Amount, Outlier, RunRecord
 from piga.records.terms import shown_unit
 from piga.reports.calibration.figures import (
     convergence_figure,
@@ -100,16 +100,13 @@ def with_sensitivities(cal):
     """The budget with sensitivities, as calibrations write it."""
     rows = []
     for row in cal.budget:
-        source = row["standard_uncertainty"]
+        source = row.standard_uncertainty
         found = {
-            c.key: {
-                "value": row["contributions"][c.key] / source["value"],
-                "unit": f"{c.unit}/{source['unit']}",
-            }
+            c.key: Amount(row.contributions[c.key] / source.value, f"{c.unit}/{source.unit}")
             for c in cal.coefficients
-            if c.key in row["contributions"]
+            if c.key in row.contributions
         }
-        rows.append(row | {"sensitivities": found})
+        rows.append(dataclasses.replace(row, sensitivities=found))
     return dataclasses.replace(cal, budget=tuple(rows))
 
 
@@ -132,7 +129,7 @@ def test_the_budget_on_the_terminal_leaves_slight_sources_out(cal):
 def test_no_table_of_the_budget_is_wider_than_the_page(cal):
     """Fourteen coefficients: each table holds so many as fit A4, and all of them together hold all."""
     many = tuple(dataclasses.replace(cal["k0"], name=f"k{i}") for i in range(14))
-    contributions = [row | {"contributions": {c.key: 1e-6 for c in many}} for row in cal.budget]
+    contributions = [dataclasses.replace(row, contributions={c.key: 1e-6 for c in many}) for row in cal.budget]
     wide = dataclasses.replace(
         cal, coefficients=many, covariance=np.eye(14) * cal["k0"].std ** 2, budget=tuple(contributions)
     )
@@ -276,7 +273,7 @@ def test_convergence_figure_shows_every_coefficient_with_its_band():
 
 def test_a_log_of_rates_is_reported_as_rates():
     cal = calibration()
-    rates = dataclasses.replace(cal, diagnostics={**cal.diagnostics, "residual_kind": "rate"})
+    rates = dataclasses.replace(cal, diagnostics=dataclasses.replace(cal.diagnostics, residual_kind="rate"))
     assert residual_quantity(rates) == ("residual rate", "arcsec/s")
     assert "arcsec/s" in page_html(calibration_page(rates))
     assert "arcsec/s (before" in calibration_text(rates)

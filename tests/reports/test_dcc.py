@@ -18,7 +18,7 @@ from piga.calibration.budget.rows import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
 from piga.certificate.dcc.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Coefficient, Diagnostics
 from piga.records.calibration_json import to_document
 from piga.records.coverage import joint_factor
 from piga.records.terms import UNITS, si_factor, unit_of
@@ -95,7 +95,7 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
         used = per_segment
     elif kind == "all terms":
         used = replace(
-            all_terms(cal), diagnostics={"range": {"a_x": [-9.8, 9.8], "temperature": [293.0, 295.5]}}
+            all_terms(cal), diagnostics=Diagnostics(range={"a_x": (-9.8, 9.8), "temperature": (293.0, 295.5)})
         )
     elif kind == "monte carlo":
         by_interval = replace(cal.coefficients[1], interval=(3.5e-4, 3.6e-4))
@@ -323,7 +323,7 @@ def stated(cal):
     used = replace(
         cal,
         coefficients=(*cal.coefficients[:3], by_interval, *cal.coefficients[4:]),
-        diagnostics={"range": {"a_x": [-9.8, 9.8], "temperature": [293.0, 295.5]}},
+        diagnostics=Diagnostics(range={"a_x": (-9.8, 9.8), "temperature": (293.0, 295.5)}),
     )
     rule = ConformityTable(
         specification="S 1",

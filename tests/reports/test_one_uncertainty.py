@@ -62,7 +62,7 @@ def calibrated(request) -> tuple[int, Calibration]:
 
 def expected(freedom: int, cal: Calibration, key: str) -> tuple[float, float]:
     """k and U by hand."""
-    a = cal.budget[0]["contributions"][key]
+    a = cal.budget[0].contributions[key]
     nu = freedom * (cal[key].std / a) ** 4
     k = float(stats.t.ppf(0.975, nu))
     return k, k * cal[key].std
@@ -209,7 +209,7 @@ def test_trend(calibrated):
         spread, power = re.fullmatch(r"\(?[^±]*± ([^)]*)\)?(.*)", on_page[2]).groups()
         same(spread + power, half, key, on_page[1])
         # without a common part the record's own is Type A alone, with its own degrees of freedom
-        a = cal.budget[0]["contributions"][key]
+        a = cal.budget[0].contributions[key]
         assert stated[key]["own_half_width_95"] == pytest.approx(stats.t.ppf(0.975, freedom) * a, rel=1e-6)
         assert k > 1.95
 

@@ -9,6 +9,7 @@ import pytest
 
 import piga
 from piga.cli.calibrate import copy_example
+from piga.records.calibration import Amount
 from piga.stand import stand_changes
 from piga.units import ARCSEC, G0
 
@@ -135,11 +136,11 @@ def test_entries_of_the_stand_have_distributions(tmp_path: Path) -> None:
 def test_budget_has_the_rows_of_the_stand(tmp_path: Path) -> None:
     """An index error of the head is a misalignment m_Y, and nothing else, to first order."""
     run = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\nangle_error = "2 arcsec"\n'))
-    rows = {row["source"]: row for row in piga.calibrate(run).budget}
+    rows = {row.source: row for row in piga.calibrate(run).budget}
     found = rows["angle_error"]
-    assert found["standard_uncertainty"] == {"value": 2.0, "unit": "arcsec"}
-    assert abs(found["contributions"]["m_Y"]) == pytest.approx(2.0 * ARCSEC, rel=1e-2)
-    assert abs(found["contributions"]["k0"]) < 1e-9
+    assert found.standard_uncertainty == Amount(2.0, "arcsec")
+    assert abs(found.contributions["m_Y"]) == pytest.approx(2.0 * ARCSEC, rel=1e-2)
+    assert abs(found.contributions["k0"]) < 1e-9
 
 
 @pytest.mark.parametrize("bits", [None, 16])

@@ -6,7 +6,7 @@ import datetime as dt
 
 import numpy as np
 
-from piga.records.calibration import Calibration, Coefficient, Provenance, Quality
+from piga.records.calibration import BudgetEntry, Calibration, Coefficient, Diagnostics, Provenance, Quality
 from piga.records.terms import unit_of
 
 START = dt.datetime(2020, 3, 2, 9, 0, tzinfo=dt.UTC)
@@ -40,16 +40,14 @@ def record(values, stds, common=None, *, serial="G-0417"):
         condition=10.0,
         notes=(),
         budget=tuple(budget),
-        diagnostics={},
+        diagnostics=Diagnostics(),
         segments=(),
         provenance=Provenance({"run.csv": "0" * 64}, "piga 0.1.0", "2026-01-01T00:00:00Z"),
     )
 
 
 def _row(source, kind, parts):
-    return {
-        "source": source, "type": kind, "distribution": "normal", "standard_uncertainty": None, "contributions": parts,
-    }  # fmt: skip
+    return BudgetEntry(source=source, type=kind, contributions=parts)
 
 
 def history(years, values, std, *, key="k0", common=None):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from piga.calibration.budget.rows import (
     with_given_servo,
 )
 from piga.calibration.budget.uncertainty import contributions, sources, stated_scatter
-from piga.calibration.choice.model_choice import compared_models
+from piga.calibration.choice.model_choice import compare_models
 from piga.calibration.classical.recursive import recursive_history, run_published
 from piga.calibration.classical.revolutions import (
     clean_record,
@@ -63,7 +62,15 @@ from piga.calibration.remarks.all_remarks import find_remarks, in_step, with_rem
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.reading.signal_checks import largest_size
-from piga.records.calibration import Calibration, Coefficient, Provenance, Residuals
+from piga.records.calibration import (
+    BudgetEntry,
+    Calibration,
+    Coefficient,
+    Diagnostics,
+    Provenance,
+    Residuals,
+    SegmentScatter,
+)
 from piga.records.run import Run
 from piga.records.spool import extent
 from piga.records.terms import si_factor, unit_of
@@ -154,7 +161,7 @@ def _calibration(
     degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
     covariance = whole
     coefficients = combined(coefficients, covariance, budget.rows, degrees)
-    coefficients, tested = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
+    coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
     with beside(run.size) as other:
         remarks = other.submit(find_remarks, fit, coefficients)
         residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
@@ -166,7 +173,9 @@ def _calibration(
     result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phase)))
     result = with_remarks(result, fit, remarks.result(), doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
-    return replace(result, diagnostics=result.diagnostics | tested | compared_models(run))
+    compared = compare_models(run).document() if run.model.compare else None
+    diagnostics = replace(result.diagnostics, monte_carlo=monte_carlo, model_comparison=compared)
+    return replace(result, diagnostics=diagnostics)
 
 
 def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
@@ -212,12 +221,13 @@ def _assemble(
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
-    budget: tuple[dict[str, Any], ...],
+    budget: tuple[BudgetEntry, ...],
     residuals: Residuals,
     notes: tuple[str, ...],
     history: dict[str, Array] | None,
 ) -> Calibration:
     rows, figures = fit.design.rows, residual_figures(residuals)
+    plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
     return Calibration(
         serial=run.serial,
         scale_factor_nominal=run.scale_factor,
@@ -241,9 +251,7 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics={"residual_kind": run.kind, "range": validity_ranges(run)}
-        | diagnose(residuals)
-        | segment_scatter(fit.design, residuals, fit.noise),
+        diagnostics=diagnose(residuals, plain).with_scatter(segment_scatter(fit.design, residuals, fit.noise)),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,
@@ -305,7 +313,7 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     budget = budget_rows(coefficients, covariance, found)
     covariance = covariance + sum((change.T @ change for _, change in found), start=np.zeros_like(covariance))
     coefficients = combined(coefficients, covariance, budget, revolutions_degrees(fit, request))
-    notes = notes_in_words(coefficients, covariance, {})
+    notes = notes_in_words(coefficients, covariance, SegmentScatter())
     notes = (*notes, note) if note else notes
     result = revolutions_result(run, cleaned, request, fit, coefficients, covariance, budget, notes)
     result = replace(result, remarks=remarks_in_words(coefficients, "shared"))

@@ -361,7 +361,7 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
 def _budget_sums(calibration: Calibration) -> Iterator[str]:
     """The budget of each coefficient must add up to its standard uncertainty."""
     for c in calibration.coefficients:
-        total = math.hypot(*(float(row.get("contributions", {}).get(c.key, 0.0)) for row in calibration.budget))
+        total = math.hypot(*(row.contribution(c) for row in calibration.budget))
         if abs(total - c.std) > 1e-6 * c.std:
             yield f"calibration (7.8.4.1 a): the budget of {c.key} adds up to {total:.6g}, not to {c.std:.6g}"
 
@@ -413,7 +413,7 @@ def overall(worst: Status) -> str:
 
 def validity_ranges(calibration: Calibration) -> tuple[tuple[str, float, float, str], ...]:
     """Ranges in which the results hold, from the record: name, lower end, upper end, SI unit."""
-    stated = calibration.diagnostics.get("range", {})
+    stated = calibration.diagnostics.range
     return tuple(
         (_RANGE_NAMES[name][0], float(ends[0]), float(ends[1]), _RANGE_NAMES[name][1])
         for name, ends in stated.items()

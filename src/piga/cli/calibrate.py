@@ -78,10 +78,10 @@ def calibrate(
     from piga.reports.calibration.page import calibration_text
 
     say(calibration_text(calibration))
-    if "model_comparison" in calibration.diagnostics:
+    if calibration.diagnostics.model_comparison is not None:
         from piga.reports.calibration.model_choice import comparison_text
 
-        say("\n".join(comparison_text(calibration.diagnostics["model_comparison"])))
+        say("\n".join(comparison_text(calibration.diagnostics.model_comparison)))
     for path in written:
         say(f"wrote {directory / path.name}")
 

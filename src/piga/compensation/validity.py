@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,13 +39,12 @@ class Limits:
 
     @staticmethod
     def of(calibration: Calibration) -> Limits:
-        """Limits from a calibration record: its ``diagnostics["range"]``, else the means of its segments.
+        """Limits from a calibration record: its ``diagnostics.range``, else the means of its segments.
 
         The record's range has the keys ``a_x`` [low, high], ``a_t`` [low, high] in m/s^2 and
         ``temperature`` [low, high] in K, each optional. Spans are widened by ``MARGIN``.
         """
-        found = calibration.diagnostics.get("range", {})
-        known: Mapping[str, Any] = found if isinstance(found, Mapping) else {}
+        known = calibration.diagnostics.range
         means = [segment.mean_a_x for segment in calibration.segments]
         span = known.get("a_x") or ((min(means), max(means)) if len(means) > 2 else None)
         transverse, warm = known.get("a_t"), known.get("temperature")

@@ -128,7 +128,7 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
         raise CalibrationError(
             "this calibration was read from a file and holds no residuals", remedy="calibrate again"
         )
-    rate = calibration.diagnostics.get("residual_kind") == "rate"
+    rate = calibration.diagnostics.residual_kind == "rate"
     angle = "rad/s" if rate else "rad"
     labels = [segment.label for segment in calibration.segments]
     columns = {

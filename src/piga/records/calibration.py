@@ -6,9 +6,9 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
@@ -22,7 +22,11 @@ Array = NDArray[np.float64]
 _SHOWN = 20
 """Coefficients that ``repr`` shows."""
 Count = Annotated[int, Meta(ge=0)]
-"""A number of rows or findings; the limit is checked where a record is read."""
+"""A number of rows or findings; this limit and the next two are checked where a record is read."""
+Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
+"""Far beyond any quantity here, and small enough that squares and unit factors stay finite."""
+Level = Annotated[float, Meta(ge=0.0, le=1e100)]
+"""A number that is not negative: a standard uncertainty, a noise level, a largest residual."""
 
 
 LOOSE_PHASE = 0.5
@@ -198,6 +202,207 @@ class Provenance:
     options: dict[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Amount:
+    """A value with its unit."""
+
+    value: Number
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetEntry:
+    """One source of the uncertainty budget.
+
+    Attributes
+    ----------
+    source, type, distribution:
+        Name, Type A or B, distribution.
+    standard_uncertainty:
+        Size of the source; None where it has none of its own.
+    degrees_of_freedom:
+        Those of the standard uncertainty; None where it is known exactly, or where each coefficient has its own (Type A).
+    contributions:
+        Change of each coefficient, by key in its unit, that one standard uncertainty of the source makes.
+    sensitivities:
+        Change of each coefficient that one unit of the source makes (JCGM 100, 5.1.3); empty where it has no size.
+    """
+
+    source: str
+    type: Literal["A", "B"]
+    distribution: str = "normal"
+    standard_uncertainty: Amount | None = None
+    degrees_of_freedom: Level | None = None
+    contributions: dict[str, Number]
+    sensitivities: dict[str, Amount] = field(default_factory=dict)
+
+    def contribution(self, coefficient: Coefficient) -> float:
+        """Change of a coefficient, 0 where the source does not act on it."""
+        return self.contributions.get(coefficient.key, 0.0)
+
+    def renamed(self, names: dict[str, str]) -> BudgetEntry:
+        """The entry of some coefficients: new key by old key."""
+        return replace(
+            self,
+            contributions={names[k]: v for k, v in self.contributions.items() if k in names},
+            sensitivities={names[k]: v for k, v in self.sensitivities.items() if k in names},
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return _without(asdict(self), () if self.sensitivities else ("sensitivities",))
+
+
+@dataclass(frozen=True)
+class SegmentLeverage:
+    """What a segment means to the coefficients.
+
+    ``leverage`` is the trace of its information in the total. ``share`` is the part of each coefficient's information that
+    goes with it, ``shift`` the change of each coefficient without it, in standard uncertainties; None: not determined then.
+    """
+
+    leverage: float
+    share: dict[str, float]
+    shift: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class MonteCarloCheck:
+    """A coefficient by Monte Carlo (file units): mean, standard uncertainty, 95 % intervals, and the verdict.
+
+    ``tolerance`` is delta of JCGM 101, 7.9.2; ``validated``: the first-order interval agrees with the symmetric one.
+    """
+
+    mean: float
+    std: float
+    symmetric: tuple[float, float]
+    shortest: tuple[float, float]
+    first_order: tuple[float, float]
+    tolerance: float
+    validated: bool
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Comparison of the first order with Monte Carlo (JCGM 101, clause 8), by key of the coefficient."""
+
+    trials: int
+    coefficients: dict[str, MonteCarloCheck]
+
+
+@dataclass(frozen=True)
+class MissingTerm:
+    """A term that the model lacks and the residuals have the signature of; not applied.
+
+    Attributes
+    ----------
+    terms, estimate, standard_uncertainty, unit:
+        One entry for each term: two where a pair turns with the output.
+    chi2_fall, probability:
+        Relative fall of the sum of squares, and the probability of as much by chance.
+    largest_shift, coefficient:
+        Largest change of a coefficient in its standard uncertainties, and its name.
+    alike:
+        Candidates that explain nearly as much.
+    scale_factor_under:
+        Scale factor by the name that a cubic signature is given; empty for other terms.
+    """
+
+    terms: tuple[str, ...]
+    estimate: tuple[float, ...]
+    standard_uncertainty: tuple[float, ...]
+    unit: tuple[str, ...]
+    chi2_fall: float
+    probability: float
+    largest_shift: float
+    coefficient: str
+    alike: tuple[str, ...] = ()
+    scale_factor_under: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SegmentScatter:
+    """Scatter of the mean rates of the segments, None where there are too few.
+
+    ``segment_scatter_ratio`` is over what all noise explains, ``segment_scatter_ratio_without_it`` over what the noise of
+    the angle explains (where a slow noise is in the model), ``segment_scatter_g`` the root mean square [g].
+    """
+
+    segment_scatter_ratio: float | None = None
+    segment_scatter_g: float | None = None
+    segment_scatter_ratio_without_it: float | None = None
+
+    @property
+    def worst(self) -> float:
+        """The larger of the ratios; 0 where there is none."""
+        return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnostics:
+    """What the record says about model and data beside the estimate; None or empty where it says nothing.
+
+    Attributes
+    ----------
+    residual_kind, range:
+        Residuals are of an angle or a rate; range in which the calibration holds: ``a_x``, ``a_t`` [m/s^2], ``temperature`` [K].
+    turns, scatter_of_a_turn:
+        Whole turns of the output, and the scatter of a turn [rad] (method "revolutions").
+    samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
+        Tests of the whitened residual; the verdict is "white", or says that it is not.
+    segment_scatter_ratio, segment_scatter_g, segment_scatter_ratio_without_it:
+        See :class:`SegmentScatter`.
+    leverage:
+        By label of the segment.
+    advice, missing_terms:
+        Other readings of the data that fit far better, in words; terms that the residuals ask for, best first.
+    monte_carlo:
+        Comparison with the first order.
+    model_comparison:
+        Term sets compared: the document of :class:`piga.calibration.ModelComparison`.
+    """
+
+    residual_kind: Literal["angle", "rate"] = "angle"
+    range: dict[str, tuple[Number, Number]] = field(default_factory=dict)
+    turns: int | None = None
+    scatter_of_a_turn: float | None = None
+    samples: int | None = None
+    variance: float | None = None
+    lag1_correlation: float | None = None
+    ljung_box: float | None = None
+    ljung_box_lags: int | None = None
+    ljung_box_probability: float | None = None
+    skewness: float | None = None
+    excess_kurtosis: float | None = None
+    verdict: str | None = None
+    segment_scatter_ratio: float | None = None
+    segment_scatter_g: float | None = None
+    segment_scatter_ratio_without_it: float | None = None
+    leverage: dict[str, SegmentLeverage] = field(default_factory=dict)
+    advice: tuple[str, ...] = ()
+    missing_terms: tuple[MissingTerm, ...] = ()
+    monte_carlo: MonteCarlo | None = None
+    model_comparison: dict[str, Any] | None = None
+
+    def with_scatter(self, scatter: SegmentScatter) -> Diagnostics:
+        """The same with a scatter of the segments."""
+        return replace(self, **asdict(scatter))
+
+    def document(self) -> dict[str, Any]:
+        """Plain data for JSON: what is said."""
+        document = {k: v for k, v in asdict(self).items() if v is not None and v not in ({}, ())}
+        if self.missing_terms:
+            document["missing_terms"] = [
+                _without(entry, () if entry["scale_factor_under"] else ("scale_factor_under",))
+                for entry in document["missing_terms"]
+            ]
+        return document
+
+
+def _without(document: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {key: value for key, value in document.items() if key not in names}
+
+
 class TypeB(NamedTuple):
     """A source of Type B: what it contributes to each coefficient, in its unit, and its degrees of freedom."""
 
@@ -215,19 +420,6 @@ class CalibrationFigures:
     coefficients: tuple[Coefficient, ...]
     type_b: tuple[TypeB, ...]
     has_budget: bool
-
-
-def _budget_of(budget: tuple[dict[str, Any], ...], chosen: list[Coefficient]) -> tuple[dict[str, Any], ...]:
-    """The budget of some coefficients, under the names they have without their run."""
-    names = {c.key: replace(c, run=None).key for c in chosen}
-    tables = ("contributions", "sensitivities")
-    return tuple(
-        {
-            key: {names[k]: v for k, v in value.items() if k in names} if key in tables else value
-            for key, value in row.items()
-        }
-        for row in budget
-    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -259,8 +451,8 @@ class Calibration:
     quality: Quality
     condition: float
     notes: tuple[str, ...]
-    budget: tuple[dict[str, Any], ...]
-    diagnostics: dict[str, Any]
+    budget: tuple[BudgetEntry, ...]
+    diagnostics: Diagnostics
     segments: tuple[SegmentSummary, ...]
     provenance: Provenance
     temperature_reference: float = 293.15
@@ -276,7 +468,7 @@ class Calibration:
     @property
     def type_a_only(self) -> bool:
         """True when the budget has no source of Type B of the reference: it then counts as exact."""
-        return not any(row.get("type") == "B" and is_of_reference(str(row["source"])) for row in self.budget)
+        return not any(row.type == "B" and is_of_reference(row.source) for row in self.budget)
 
     @property
     def verdict(self) -> Verdict:
@@ -301,9 +493,9 @@ class Calibration:
     def figures(self) -> CalibrationFigures:
         """What a history of the instrument needs of it."""
         type_b = tuple(
-            TypeB(str(row["source"]), row.get("degrees_of_freedom") or math.inf, row.get("contributions", {}))
+            TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
             for row in self.budget
-            if row.get("type") == "B"
+            if row.type == "B"
         )
         return CalibrationFigures(self.serial, self.terms, self.coefficients, type_b, bool(self.budget))
 
@@ -322,6 +514,7 @@ class Calibration:
             known = ", ".join(run.name for run in self.runs) or "none: it is a calibration of one run"
             raise CalibrationError(f"the calibration has no run '{name}'", remedy=f"runs: {known}")
         chosen = [i for i, c in enumerate(self.coefficients) if c.run in (None, name)]
+        names = {self.coefficients[i].key: replace(self.coefficients[i], run=None).key for i in chosen}
         return replace(
             self,
             coefficients=tuple(replace(self.coefficients[i], run=None) for i in chosen),
@@ -329,7 +522,7 @@ class Calibration:
             phase=record.phase,
             angle_rms=record.angle_rms,
             angle_random_walk=record.angle_random_walk,
-            budget=_budget_of(self.budget, [self.coefficients[i] for i in chosen]),
+            budget=tuple(row.renamed(names) for row in self.budget),
             residuals=None,
             runs=(),
         )

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -17,9 +17,13 @@ from numpy.typing import NDArray
 from piga.errors import CalibrationError, PigaError, UnitError
 from piga.output import settle
 from piga.records.calibration import (
+    BudgetEntry,
     Calibration,
     CalibrationFigures,
     Coefficient,
+    Diagnostics,
+    Level,
+    Number,
     Outlier,
     Provenance,
     Quality,
@@ -44,12 +48,6 @@ SAME = 1e-6
 """Relative difference up to which a standard uncertainty is the square root of its variance."""
 MOST_OUTLIERS = 10_000
 """Outliers listed one by one; the events of the quality section count all of them."""
-
-
-Number = Annotated[float, msgspec.Meta(ge=-1e100, le=1e100)]
-"""Far beyond any quantity here, and small enough that squares and unit factors stay finite."""
-Level = Annotated[float, msgspec.Meta(ge=0.0, le=1e100)]
-"""A number that is not negative: a standard uncertainty, a noise level, a largest residual."""
 
 
 class _Quantity(msgspec.Struct, frozen=True):
@@ -124,23 +122,6 @@ class _Provenance(msgspec.Struct, frozen=True):
     options: dict[str, Any] = {}
 
 
-class _Source(msgspec.Struct, frozen=True):
-    source: str
-    type: Literal["A", "B"]
-    contributions: dict[str, Number]
-    distribution: str = "normal"
-    standard_uncertainty: _Quantity | None = None
-    degrees_of_freedom: Level | None = None
-    sensitivities: dict[str, _Quantity] = {}
-
-
-class _Diagnostics(msgspec.Struct, frozen=True):
-    residual_kind: Literal["angle", "rate"] = "angle"
-    range: dict[str, tuple[Number, Number]] = {}
-    monte_carlo: dict[str, Any] = {}
-    leverage: dict[str, Any] = {}
-
-
 class _Document(msgspec.Struct, frozen=True):
     schema: str
     instrument: _Instrument
@@ -152,20 +133,13 @@ class _Document(msgspec.Struct, frozen=True):
     quality: Quality
     identifiability: _Identifiability
     provenance: _Provenance
-    uncertainty_budget: tuple[dict[str, Any], ...] = ()
+    uncertainty_budget: tuple[BudgetEntry, ...] = ()
     surplus_observations: Level | None = None
     degrees_of_freedom: Level = math.inf
-    diagnostics: dict[str, Any] = {}
+    diagnostics: Diagnostics = Diagnostics()
     segments: tuple[SegmentSummary, ...] = ()
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-
-
-class _Checked(msgspec.Struct, frozen=True):
-    """The parts that are kept as plain values, with the types they must have."""
-
-    uncertainty_budget: tuple[_Source, ...] = ()
-    diagnostics: _Diagnostics = _Diagnostics()
 
 
 class _Figures(msgspec.Struct, frozen=True):
@@ -174,7 +148,7 @@ class _Figures(msgspec.Struct, frozen=True):
     instrument: _Instrument
     model: _Model
     coefficients: tuple[_Coefficient, ...]
-    uncertainty_budget: tuple[_Source, ...] = ()
+    uncertainty_budget: tuple[BudgetEntry, ...] = ()
     schema: Any = None
 
 
@@ -194,9 +168,9 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
             "remarks": list(c.remarks),
         },
         "verdict": _verdict(c),
-        "diagnostics": c.diagnostics,
+        "diagnostics": c.diagnostics.document(),
         "segments": [msgspec.to_builtins(s) for s in c.segments],
-        "uncertainty_budget": list(c.budget),
+        "uncertainty_budget": [row.document() for row in c.budget],
         "provenance": msgspec.to_builtins(c.provenance),
     }
     if c.runs:
@@ -246,7 +220,7 @@ def _estimates(c: Calibration) -> dict[str, Any]:
 
 def _residual(c: Calibration) -> dict[str, Any]:
     """Residual figures, of angles or of rates."""
-    unit = "rad/s" if c.diagnostics.get("residual_kind") == "rate" else "rad"
+    unit = "rad/s" if c.diagnostics.residual_kind == "rate" else "rad"
     figures = {
         "rms": c.residual_rms,
         "rms_before": c.residual_rms_before,
@@ -403,14 +377,7 @@ def _coefficient(found: _Coefficient) -> Coefficient:
 
 
 def _decode(raw: bytes, path: Path) -> _Document:
-    def whole() -> _Document:
-        document = decode_json(raw, _Document)
-        msgspec.convert(
-            {"uncertainty_budget": document.uncertainty_budget, "diagnostics": document.diagnostics}, _Checked
-        )
-        return document
-
-    return _of_schema(raw, path, whole)
+    return _of_schema(raw, path, lambda: decode_json(raw, _Document))
 
 
 def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:

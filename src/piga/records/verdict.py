@@ -110,7 +110,8 @@ def verdict(calibration: Calibration) -> Verdict:
 
 def whitened_rms(calibration: Calibration) -> float:
     """Root mean square of the whitened residual, 1 when model and noise levels are right; nan when not known."""
-    return math.sqrt(float(calibration.diagnostics.get("variance", math.nan)))
+    variance = calibration.diagnostics.variance
+    return math.sqrt(math.nan if variance is None else variance)
 
 
 def _scale(calibration: Calibration) -> Iterator[str | Doubt]:
@@ -127,16 +128,16 @@ def _scale(calibration: Calibration) -> Iterator[str | Doubt]:
 
 def _advice(calibration: Calibration) -> tuple[str, ...]:
     """Other readings of the data that fit far better, in words."""
-    return tuple(str(words) for words in calibration.diagnostics.get("advice", ()))
+    return calibration.diagnostics.advice
 
 
 def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     tests, rms = calibration.diagnostics, whitened_rms(calibration)
-    if "verdict" not in tests or math.isnan(rms):
+    if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
         return
-    chance = float(tests["ljung_box_probability"])
+    chance = tests.ljung_box_probability
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
-    if tests["verdict"] != "white":
+    if tests.verdict != "white":
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise description misses "
             "something, and standard uncertainties may be too small",
@@ -147,7 +148,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
             f"the whitened residuals have a root mean square of {rms:.3f} where 1 is expected",
             "check the noise levels that were given, and the residuals of single segments",
         )
-    elif tests["verdict"] == "white":
+    elif tests.verdict == "white":
         yield f"the whitened residuals are white (Ljung-Box, {shown}) and of size one ({rms:.3f})"
 
 
@@ -176,7 +177,7 @@ def _budget(calibration: Calibration) -> Iterator[str | Doubt]:
             TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
         )
         return
-    count = sum(row.get("type") == "B" for row in calibration.budget)
+    count = sum(row.type == "B" for row in calibration.budget)
     yield f"the uncertainties hold the fit and {count} source{'s' * (count > 1)} of Type B"
 
 

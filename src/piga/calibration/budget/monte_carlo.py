@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.budget.rows import Budget
 from piga.calibration.fit.one_run import Fit
-from piga.records.calibration import Coefficient
+from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
 from piga.records.coverage import coverage_factor
 from piga.records.terms import si_factor
 
@@ -182,7 +181,7 @@ FAR, HALVINGS = 10.0, 60
 
 def put_to_the_test(
     fit: Fit, coefficients: tuple[Coefficient, ...], budget: Budget, wanted: str
-) -> tuple[tuple[Coefficient, ...], dict[str, Any]]:
+) -> tuple[tuple[Coefficient, ...], MonteCarlo | None]:
     """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
 
     ``wanted`` is "gum", "monte-carlo" or "auto" (when tan_beta is not well above its noise). Several phases
@@ -192,7 +191,7 @@ def put_to_the_test(
     weak = any(c.value < DOUBTFUL * c.std for c in coupling)
     able = fit.mode == "increments" and len(fit.solution.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
-        return coefficients, {}
+        return coefficients, None
     results = _results(fit, coefficients)
     jacobian = fit.solution.jacobians[0]
     base = fit.solution.values[0]
@@ -217,15 +216,15 @@ def put_to_the_test(
     )
     found = propagate_distributions(base, type_a, max(degrees, 3.0), sources, results, limits.T)
     table = {
-        c.key: {
-            "mean": float(found.mean[i]),
-            "std": float(found.std[i]),
-            "symmetric": found.symmetric[:, i].tolist(),
-            "shortest": found.shortest[:, i].tolist(),
-            "first_order": limits[i].tolist(),
-            "tolerance": float(found.tolerance[i]),
-            "validated": bool(found.validated[i]),
-        }
+        c.key: MonteCarloCheck(
+            float(found.mean[i]),
+            float(found.std[i]),
+            symmetric=(float(found.symmetric[0, i]), float(found.symmetric[1, i])),
+            shortest=(float(found.shortest[0, i]), float(found.shortest[1, i])),
+            first_order=(float(limits[i, 0]), float(limits[i, 1])),
+            tolerance=float(found.tolerance[i]),
+            validated=bool(found.validated[i]),
+        )
         for i, c in enumerate(coefficients)
     }
     checked = tuple(
@@ -236,7 +235,7 @@ def put_to_the_test(
     )
     if weak:
         checked = _weak_coupling(checked)
-    return checked, {"monte_carlo": {"trials": found.trials, "coefficients": table}}
+    return checked, MonteCarlo(found.trials, table)
 
 
 def _weak_coupling(coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
@@ -324,11 +323,11 @@ def _derivative(results: Callable[[Array], Array], base: Array, std: Array) -> A
     return (moved / (2.0 * np.diag(steps))[:, None]).T
 
 
-def _contribution(row: dict[str, Any], changes: Array, derivative: Array, std: Array) -> Contribution:
+def _contribution(row: BudgetEntry, changes: Array, derivative: Array, std: Array) -> Contribution:
     """A row of the budget, which changes the results by ``changes`` (draws, n), as changes of the column coefficients."""
-    degrees = row["degrees_of_freedom"]
+    degrees = row.degrees_of_freedom
     return Contribution(
         (std[:, None] * np.linalg.lstsq(derivative * std, changes.T, rcond=None)[0]).T,
-        row["distribution"],
+        row.distribution,
         math.inf if degrees is None else float(degrees),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piga.calibration.budget.uncertainty import SharedSource, Source, contributions
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient
 from piga.records.coverage import welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
@@ -32,13 +32,13 @@ class Budget:
     whether the weights of the fit know of it, so that the covariance of the fit holds it already.
     """
 
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[BudgetEntry, ...]
     changes: tuple[Array, ...]
     in_fit: tuple[bool, ...]
 
-    def with_row(self, row: dict[str, Any]) -> Budget:
+    def with_row(self, row: BudgetEntry) -> Budget:
         """With one more source, of one draw, that the weights do not know of."""
-        change = np.array(list(row["contributions"].values()))[None]
+        change = np.array(list(row.contributions.values()))[None]
         return Budget((*self.rows, row), (*self.changes, change), (*self.in_fit, False))
 
     def covariances(self, covariance: Array) -> tuple[Array, Array]:
@@ -103,7 +103,7 @@ def make_budget(
 
 def budget_rows(
     coefficients: tuple[Coefficient, ...], type_a: Array, found: Iterable[tuple[Source | SharedSource, Array]]
-) -> tuple[dict[str, Any], ...]:
+) -> tuple[BudgetEntry, ...]:
     """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
     std = np.sqrt(np.diag(type_a))
     rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std)]
@@ -128,7 +128,7 @@ def propagate(sensitivities: Array, covariance: Array) -> Array:
 
 
 def combined(
-    coefficients: tuple[Coefficient, ...], covariance: Array, budget: tuple[dict[str, Any], ...], type_a: Array
+    coefficients: tuple[Coefficient, ...], covariance: Array, budget: tuple[BudgetEntry, ...], type_a: Array
 ) -> tuple[Coefficient, ...]:
     """Coefficients with combined standard uncertainty and effective degrees of freedom (JCGM 100, G.4).
 
@@ -136,8 +136,8 @@ def combined(
     """
     result = []
     for coefficient, std, nu in zip(coefficients, np.sqrt(np.diag(covariance)), type_a, strict=True):
-        parts = [row["contributions"][coefficient.key] for row in budget]
-        known = [row["degrees_of_freedom"] or math.inf for row in budget[1:]]
+        parts = [row.contributions[coefficient.key] for row in budget]
+        known = [row.degrees_of_freedom or math.inf for row in budget[1:]]
         degrees = welch_satterthwaite(parts, [nu, *known])
         result.append(replace(coefficient, std=float(std), degrees_of_freedom=degrees))
     return tuple(result)
@@ -145,14 +145,14 @@ def combined(
 
 def budget_row(
     source: str,
-    kind: str,
+    kind: Literal["A", "B"],
     distribution: str,
     value: float | None,
     unit: str,
     coefficients: Sequence[Coefficient],
     change: Array,
     degrees: float | None = None,
-) -> dict[str, Any]:
+) -> BudgetEntry:
     """A row of the budget; contributions in file units, and sensitivities where a source has a size.
 
     The contribution is the change of a coefficient that one standard uncertainty ``value`` of the source makes,
@@ -160,17 +160,15 @@ def budget_row(
     per coefficient (Type A).
     """
     parts = [(c, float(part)) for c, part in zip(coefficients, change, strict=True)]
-    row: dict[str, Any] = {
-        "source": source,
-        "type": kind,
-        "distribution": distribution,
-        "standard_uncertainty": None if value is None else {"value": value, "unit": unit},
-        "degrees_of_freedom": degrees,
-        "contributions": {c.key: part for c, part in parts},
-    }
-    if value:
-        row["sensitivities"] = {c.key: {"value": part / value, "unit": _per(c.unit, unit)} for c, part in parts}
-    return row
+    return BudgetEntry(
+        source=source,
+        type=kind,
+        distribution=distribution,
+        standard_uncertainty=None if value is None else Amount(value, unit),
+        degrees_of_freedom=degrees,
+        contributions={c.key: part for c, part in parts},
+        sensitivities={c.key: Amount(part / value, _per(c.unit, unit)) for c, part in parts} if value else {},
+    )
 
 
 def _per(unit: str, source: str) -> str:
@@ -202,14 +200,14 @@ def with_given_servo(
     factors = np.array([si_factor(name) for name in names])
     values = np.array([known[name] for name in names]) / factors
     changes = [
-        np.array([moved.get(row["source"], known)[name] for name in names]) / factors - values
+        np.array([moved.get(row.source, known)[name] for name in names]) / factors - values
         for row in result.budget
     ]
     size = len(result.coefficients)
     covariance = np.zeros((size + len(names),) * 2)
     covariance[:size, :size] = result.covariance
     for row, change in zip(result.budget, changes, strict=True):
-        others = np.array([row["contributions"][c.key] for c in result.coefficients])
+        others = np.array([row.contributions[c.key] for c in result.coefficients])
         covariance[size:, :size] += np.outer(change, others)
         covariance[size:, size:] += np.outer(change, change)
     covariance[:size, size:] = covariance[size:, :size].T
@@ -224,9 +222,13 @@ def with_given_servo(
     )
 
 
-def _extended(row: dict[str, Any], coefficients: Sequence[Coefficient], change: Array) -> dict[str, Any]:
+def _extended(row: BudgetEntry, coefficients: Sequence[Coefficient], change: Array) -> BudgetEntry:
     """A row of the budget with more coefficients."""
-    size = row["standard_uncertainty"] or {"value": None, "unit": ""}
-    more = budget_row("", "", "", size["value"], size["unit"], coefficients, change)
-    parts = {name: row[name] | more[name] for name in ("contributions", "sensitivities") if name in row}
-    return row | parts
+    size = row.standard_uncertainty
+    value, unit = (size.value, size.unit) if size is not None else (None, "")
+    more = budget_row(row.source, row.type, row.distribution, value, unit, coefficients, change)
+    return replace(
+        row,
+        contributions=row.contributions | more.contributions,
+        sensitivities=row.sensitivities | more.sensitivities if row.sensitivities else {},
+    )

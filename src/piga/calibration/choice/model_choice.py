@@ -149,11 +149,6 @@ PROBE = "k0"
 """Column that turns what a prediction misses into a mean specific force: it is reduced with every union."""
 
 
-def compared_models(run: Run) -> dict[str, Any]:
-    """Entry ``model_comparison`` for the result of a run whose file asks for a comparison; else nothing."""
-    return {"model_comparison": compare_models(run).document()} if run.model.compare else {}
-
-
 def compare_models(
     run: Run, term_sets: Sequence[Sequence[str]] | None = None, *, phase: str | None = None
 ) -> ModelComparison:

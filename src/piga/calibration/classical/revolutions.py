@@ -24,7 +24,16 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Estimate, Layout, name_parameters
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration import Calibration, Coefficient, Event, Provenance, Residuals, SegmentSummary
+from piga.records.calibration import (
+    BudgetEntry,
+    Calibration,
+    Coefficient,
+    Diagnostics,
+    Event,
+    Provenance,
+    Residuals,
+    SegmentSummary,
+)
 from piga.records.run import Run
 
 Array = NDArray[np.float64]
@@ -394,7 +403,7 @@ def revolutions_result(
     fit: RevolutionFit,
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
-    budget: tuple,
+    budget: tuple[BudgetEntry, ...],
     notes: tuple[str, ...],
 ) -> Calibration:
     """The result, with one residual per position."""
@@ -428,12 +437,12 @@ def revolutions_result(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics={
-            "residual_kind": "rate",
-            "range": validity_ranges(run),
-            "turns": int(positions.turns.sum()),
-            "scatter_of_a_turn": positions.scatter.pooled,
-        },
+        diagnostics=Diagnostics(
+            residual_kind="rate",
+            range=validity_ranges(run),
+            turns=int(positions.turns.sum()),
+            scatter_of_a_turn=positions.scatter.pooled,
+        ),
         segments=tuple(
             SegmentSummary(label, int(n), float(d), float(a), float(c), abs(float(r)), abs(float(b)), abs(float(r)))
             for label, n, d, a, c, r, b in zip(

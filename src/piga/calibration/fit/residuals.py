@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, rate_share, residual_increments
 from piga.reading.signal_checks import largest_size
-from piga.records.calibration import Residuals, SegmentSummary
+from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
 from piga.units import G0
 
@@ -150,15 +151,13 @@ def root_mean_square(values: Array) -> float:
     return math.sqrt(square_sum(values) / values.size)
 
 
-def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[str, float]:
+def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> SegmentScatter:
     """How much the mean rates of the segments scatter, in units of what the noise explains.
 
     The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
     random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it); a bias
     drift adds its variance since the middle of the record, a scatter of the segments, stated or found, its own.
-    ``segment_scatter_ratio`` is the root mean square of slope over expected, ``segment_scatter_g`` the root
-    mean square slope as specific force [g]; where a slow noise was found, ``segment_scatter_ratio_without_it``
-    is the ratio to what the noise of the angle explains.
+    The ratio is the root mean square of slope over expected.
     """
     slopes, expected, slow = [], [], []
     stated = noise.stated or (0.0,) * len(design.run.labels)
@@ -175,15 +174,13 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> dict[
         )
         expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
-        return {}
+        return SegmentScatter()
     slope, variance = np.array(slopes), np.array(expected)
-    found = {
-        "segment_scatter_ratio": root_mean_square(slope / np.sqrt(variance + slow)),
-        "segment_scatter_g": root_mean_square(slope) / design.run.scale_factor / G0,
-    }
-    if noise.slow > 0.0:
-        found["segment_scatter_ratio_without_it"] = root_mean_square(slope / np.sqrt(variance))
-    return found
+    return SegmentScatter(
+        root_mean_square(slope / np.sqrt(variance + slow)),
+        root_mean_square(slope) / design.run.scale_factor / G0,
+        root_mean_square(slope / np.sqrt(variance)) if noise.slow > 0.0 else None,
+    )
 
 
 def _slope(t: Array, values: Array) -> float:
@@ -196,8 +193,8 @@ def _slope(t: Array, values: Array) -> float:
     return product / square
 
 
-def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
-    """Tests of the whitened residual: variance, lag-1 correlation and portmanteau, shape of the distribution.
+def diagnose(residuals: Residuals, plain: Diagnostics) -> Diagnostics:
+    """The diagnostics ``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability; ``excess_kurtosis`` and
     ``skewness`` are 0 for normal residuals.
@@ -207,7 +204,7 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     x = _formed(residuals.innovation)
     n = x.size
     if n < 50:
-        return {"samples": n}
+        return replace(plain, samples=n)
     middle = mean(x)
     sums = np.zeros(3)
     for part in spans(n):
@@ -221,19 +218,20 @@ def diagnose(residuals: Residuals) -> dict[str, float | int | str]:
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
-    return {
-        "samples": n,
-        "variance": variance,
-        "lag1_correlation": float(correlation[0]),
-        "ljung_box": statistic,
-        "ljung_box_lags": lags,
-        "ljung_box_probability": probability,
-        "skewness": float(sums[1]) / n / variance**1.5,
-        "excess_kurtosis": float(sums[2]) / n / variance**2 - 3.0,
-        "verdict": "white"
+    return replace(
+        plain,
+        samples=n,
+        variance=variance,
+        lag1_correlation=float(correlation[0]),
+        ljung_box=statistic,
+        ljung_box_lags=lags,
+        ljung_box_probability=probability,
+        skewness=float(sums[1]) / n / variance**1.5,
+        excess_kurtosis=float(sums[2]) / n / variance**2 - 3.0,
+        verdict="white"
         if probability > 1e-3
         else "not white: the model or the noise description misses something",
-    }
+    )
 
 
 def add_lagged_products(x: Array, out: Array) -> None:

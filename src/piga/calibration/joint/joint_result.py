@@ -21,20 +21,25 @@ from piga.calibration.model.identifiability import (
     remarks_in_words,
 )
 from piga.records.calibration import (
+    BudgetEntry,
     Calibration,
+    Diagnostics,
     Event,
     Provenance,
     Quality,
     Residuals,
     RunRecord,
+    SegmentScatter,
     SegmentSummary,
 )
 
 Array = NDArray[np.float64]
+_LivePart = tuple[Residuals, tuple[SegmentSummary, ...], SegmentScatter]
+"""Residuals of a run at hand under the joint estimate, its segments, and how they scatter."""
 
 
 def joint_result(
-    fit: JointFit, covariance: Array, budget: tuple[dict[str, Any], ...], degrees: Array
+    fit: JointFit, covariance: Array, budget: tuple[BudgetEntry, ...], degrees: Array
 ) -> Calibration:
     """The calibration, with ``covariance`` of both types in the order of the coefficients.
 
@@ -52,7 +57,9 @@ def joint_result(
         segments += [replace(row, label=f"{fit.summaries[index].name}:{row.label}") for row in own]
     residuals = _all_residuals(fit, found)
     alone = {summary.name: summary.undetermined for summary in fit.summaries}
-    notes = notes_in_words(coefficients, covariance, _worst_scatter(found))
+    scatter = _worst_scatter(found)
+    notes = notes_in_words(coefficients, covariance, scatter)
+    plain = Diagnostics(residual_kind="rate" if kind == "rate" else "angle", range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
     first = fit.summaries[0]
     return Calibration(
@@ -80,9 +87,7 @@ def joint_result(
             *_notes_on_summaries(records),
         ),
         budget=budget,
-        diagnostics={"residual_kind": kind, "range": _ranges(fit)}
-        | (diagnose(residuals) if residuals is not None else {})
-        | _worst_scatter(found),
+        diagnostics=(diagnose(residuals, plain) if residuals is not None else plain).with_scatter(scatter),
         segments=tuple(segments),
         provenance=_provenance(fit),
         temperature_reference=first.temperature_reference,
@@ -93,9 +98,7 @@ def joint_result(
     )
 
 
-def _live_part(
-    fit: JointFit, index: int, live: LiveRun, kind: str
-) -> tuple[Residuals, tuple[SegmentSummary, ...], dict]:
+def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart:
     """Residuals of a run at hand under the joint estimate, its segments, and how they scatter.
 
     Residual rates become angles where runs of both kinds meet (``kind`` is that of all residuals).
@@ -114,11 +117,11 @@ def _live_part(
     return residuals, segment_table(design, residuals), scatter
 
 
-def _own_segments(fit: JointFit, index: int, part: tuple | None) -> tuple[SegmentSummary, ...]:
+def _own_segments(fit: JointFit, index: int, part: _LivePart | None) -> tuple[SegmentSummary, ...]:
     return fit.summaries[index].segments if part is None else part[1]
 
 
-def _record(fit: JointFit, index: int, part: tuple | None) -> RunRecord:
+def _record(fit: JointFit, index: int, part: _LivePart | None) -> RunRecord:
     summary = fit.summaries[index]
     figures = summary.figures if part is None else residual_figures(part[0])
     return RunRecord(
@@ -140,7 +143,7 @@ def _record(fit: JointFit, index: int, part: tuple | None) -> RunRecord:
     )
 
 
-def _all_residuals(fit: JointFit, found: list[tuple | None]) -> Residuals | None:
+def _all_residuals(fit: JointFit, found: list[_LivePart | None]) -> Residuals | None:
     """Residuals of all runs at hand behind each other."""
     pieces: list[Residuals] = []
     run_of: list[int] = []
@@ -177,10 +180,10 @@ def _as_angles(found: Residuals) -> Residuals:
     return replace(found, before=np.cumsum(step * found.before), after=np.cumsum(step * found.after))
 
 
-def _worst_scatter(found: list[tuple | None]) -> dict[str, float]:
+def _worst_scatter(parts: list[_LivePart | None]) -> SegmentScatter:
     """The scatter of segments of the run where it is worst."""
-    scatters = [part[2] for part in found if part is not None and part[2]]
-    return max(scatters, key=lambda found: max(v for k, v in found.items() if "ratio" in k), default={})
+    scatters = [part[2] for part in parts if part is not None]
+    return max(scatters, key=lambda scatter: scatter.worst, default=SegmentScatter())
 
 
 def _mean_square(values: list[float], weights: Array) -> float:
@@ -209,13 +212,13 @@ def _notes_on_summaries(records: list[RunRecord]) -> tuple[str, ...]:
     )
 
 
-def _ranges(fit: JointFit) -> dict[str, list[float]]:
+def _ranges(fit: JointFit) -> dict[str, tuple[float, float]]:
     """Range in which the calibration holds: that of all runs together."""
-    result: dict[str, list[float]] = {}
+    result: dict[str, tuple[float, float]] = {}
     for summary in fit.summaries:
         for name, (low, high) in summary.ranges.items():
-            now_low, now_high = result.get(name, [low, high])
-            result[name] = [min(low, now_low), max(high, now_high)]
+            now_low, now_high = result.get(name, (low, high))
+            result[name] = (min(low, now_low), max(high, now_high))
     return result
 
 

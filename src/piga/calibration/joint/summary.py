@@ -123,7 +123,7 @@ class RunSummary:
     quality: Quality
     segments: tuple[SegmentSummary, ...]
     figures: dict[str, float]
-    ranges: dict[str, list[float]]
+    ranges: dict[str, tuple[float, float]]
     input_sha256: dict[str, str] = field(default_factory=dict)
     source: str = ""
     software: str = ""
@@ -368,16 +368,16 @@ def residual_figures(residuals: Residuals) -> dict[str, float]:
     }
 
 
-def validity_ranges(run: Run) -> dict[str, list[float]]:
+def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
     """Range in which the calibration holds (SI): axial and transverse force, temperature."""
     low, high = math.inf, 0.0
     for part in spans(run.size):
         transverse = np.hypot(run.f[part, 1], run.f[part, 2])
         low, high = min(low, float(transverse.min())), max(high, float(transverse.max()))
-    found = {"a_x": [float(run.f[:, 0].min()), float(run.f[:, 0].max())], "a_t": [low, high]}
+    ranges = {"a_x": (float(run.f[:, 0].min()), float(run.f[:, 0].max())), "a_t": (low, high)}
     if run.temperature is not None:
-        found["temperature"] = [float(run.temperature.min()), float(run.temperature.max())]
-    return found
+        ranges["temperature"] = (float(run.temperature.min()), float(run.temperature.max()))
+    return ranges
 
 
 def now() -> str:
@@ -440,7 +440,7 @@ class _Summary(msgspec.Struct, frozen=True):
     reference_id: str | None
     undetermined: tuple[str, ...]
     figures: dict[str, float]
-    ranges: dict[str, list[float]]
+    ranges: dict[str, tuple[float, float]]
     input_sha256: dict[str, str]
     source: str
     software: str

@@ -11,7 +11,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout, layout_of, merged_groups
 from piga.errors import IdentifiabilityError
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Coefficient, SegmentScatter
 from piga.records.terms import harmonic
 from piga.units import G0
 
@@ -232,7 +232,7 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
 def notes_in_words(
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
-    scatter: dict[str, float],
+    scatter: SegmentScatter,
 ) -> tuple[str, ...]:
     """Doubts about the estimate, one sentence each."""
     notes = _alike(coefficients, covariance)
@@ -247,16 +247,18 @@ def notes_in_words(
         notes.append(
             f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"
         )
-    if scatter.get("segment_scatter_ratio", 0.0) > SCATTER:
+    force = scatter.segment_scatter_g or 0.0
+    ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
+    if ratio > SCATTER:
         notes.append(
-            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio']:.1f} times more than the noise "
-            f"explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
+            f"the mean rates of the segments scatter {ratio:.1f} times more than the noise "
+            f"explains ({force * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
             "the model does not hold; the standard uncertainties do not include it"
         )
-    elif scatter.get("segment_scatter_ratio_without_it", 0.0) > SCATTER:
+    elif without_it > SCATTER:
         notes.append(
-            f"the mean rates of the segments scatter {scatter['segment_scatter_ratio_without_it']:.1f} times more "
-            f"than the noise of the angle explains ({scatter['segment_scatter_g'] * 1e6:.2g} ug rms): the standard "
+            f"the mean rates of the segments scatter {without_it:.1f} times more "
+            f"than the noise of the angle explains ({force * 1e6:.2g} ug rms): the standard "
             "uncertainties include it as noise, but an effect of the stand or of the servo that the model does not hold, "
             "the same at every visit of a position, does not average out"
         )

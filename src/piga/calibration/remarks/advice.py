@@ -204,7 +204,7 @@ def looks_wrong(result: Calibration) -> bool:
     found = {c.name: c.value for c in result.coefficients}
     nominal = result.scale_factor_nominal * G0
     scale = found.get("scale_factor", nominal) / nominal + found.get("k1", 0.0)
-    return not 1.0 / OFF < scale < OFF or result.diagnostics.get("verdict", "white") != "white"
+    return not 1.0 / OFF < scale < OFF or result.diagnostics.verdict not in (None, "white")
 
 
 def advise(run: Run, request: Request) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +20,19 @@ from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import CONFOUNDED, pieces_of, suggest_terms, suggestions_in_words
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
 from piga.records.spool import extent
 from piga.records.terms import si_factor
 
 
 @dataclass(frozen=True)
 class Remarks:
-    """Diagnostics of leverage, its remarks on single segments and on moved coefficients, and terms suggested."""
+    """Leverage by segment, its remarks on single segments and on moved coefficients, and terms suggested."""
 
-    diagnostics: dict[str, Any]
+    leverage: dict[str, SegmentLeverage]
     alone: tuple[str, ...]
     moved: tuple[str, ...]
-    missing: tuple[dict[str, Any], ...]
+    missing: tuple[MissingTerm, ...]
 
 
 def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
@@ -49,19 +48,20 @@ def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
     slow = fit.noise.slow > 0.0
     plain = without_slow(fit)
     known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
-    found, alone, moved = find_leverage(plain, known, slow)
-    _in_reported_uncertainties(found, known, coefficients)
-    return Remarks(found, alone, moved, suggest_terms(plain, coefficients))
+    leverage, alone, moved = find_leverage(plain, known, slow)
+    _in_reported_uncertainties(leverage, known, coefficients)
+    return Remarks(leverage, alone, moved, suggest_terms(plain, coefficients))
 
 
 def _in_reported_uncertainties(
-    found: dict[str, Any], known: tuple[Coefficient, ...], coefficients: tuple[Coefficient, ...]
+    leverage: dict[str, SegmentLeverage], known: tuple[Coefficient, ...], coefficients: tuple[Coefficient, ...]
 ) -> None:
     """The shifts of the table in units of the standard uncertainties that are reported."""
-    for row in found.get("leverage", {}).values():
+    for row in leverage.values():
         for one, reported in zip(known, coefficients, strict=True):
-            if one.segment is None and row["shift"].get(one.name) is not None and one.std != reported.std:
-                row["shift"][one.name] *= one.std / reported.std
+            shift = row.shift.get(one.name)
+            if one.segment is None and shift is not None and one.std != reported.std:
+                row.shift[one.name] = shift * (one.std / reported.std)
 
 
 def with_remarks(
@@ -73,25 +73,19 @@ def with_remarks(
     """
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
-    found = dict(remarks.diagnostics)
-    if advice:
-        found |= {"advice": list(advice)}
-    if missing:
-        found |= {"missing_terms": list(missing)}
+    diagnostics = replace(result.diagnostics, leverage=remarks.leverage, advice=advice, missing_terms=missing)
     slow = "bias drift" if fit.noise.drift > 0.0 else "scatter of the segments"
     also = f"; the {slow} found may be the same effect" if fit.noise.slow > 0.0 else ""
     sources = [doubt.source for doubt in doubts]
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
-    said = {CUBIC_SOURCE} if any("scale_factor_under" in entry for entry in missing) else set()
-    said |= {DAMPING_SOURCE} if any(entry["terms"] == ["servo_damping"] for entry in missing) else set()
+    said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
+    said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()
     suggested = (
         *(sentence + also for sentence in words),
         *(doubt.words for doubt in doubts if doubt.words and doubt.source not in said),
     )
     cause = (*advice, *suggested) or remarks.moved
-    return replace(
-        result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=result.diagnostics | found
-    )
+    return replace(result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=diagnostics)
 
 
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +43,7 @@ from piga.calibration.remarks.missing_terms import (
     with_term,
 )
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration import Coefficient
+from piga.records.calibration import BudgetEntry, Coefficient
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 
 Array = NDArray[np.float64]
@@ -77,7 +76,7 @@ class LeftOut:
         """What it adds to the covariance of the coefficients."""
         return np.outer(self.change, self.change) / 3.0
 
-    def row(self, coefficients: tuple[Coefficient, ...]) -> dict[str, Any]:
+    def row(self, coefficients: tuple[Coefficient, ...]) -> BudgetEntry:
         """Its row of the budget: anything between the half-widths is as likely."""
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 

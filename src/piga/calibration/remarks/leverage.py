@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from piga.calibration.model.solution import (
     solve_parts,
 )
 from piga.calibration.noise.slow_bases import SegmentBasis
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Coefficient, SegmentLeverage
 
 Array = NDArray[np.float64]
 
@@ -56,7 +55,7 @@ def find_leverage(
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
     slow: bool = False,
-) -> tuple[dict[str, Any], tuple[str, ...], tuple[str, ...]]:
+) -> tuple[dict[str, SegmentLeverage], tuple[str, ...], tuple[str, ...]]:
     """Leverage of every segment for ``diagnostics``, and what is to be said about it.
 
     Parameters
@@ -72,12 +71,9 @@ def find_leverage(
     Returns
     -------
     tuple
-        ``{"leverage": {label: {"leverage", "share", "shift"}}}``, sentences on segments that alone determine a
-        coefficient, and sentences on segments that move one. ``leverage`` is the trace of
-        the segment's information in the total, together the number of parameters. ``share`` is the part of
-        each coefficient's information that goes with the segment, ``1 - (u/u_without)^2``; ``shift`` the
-        change of the coefficient, in its standard uncertainties, when the segment is left out (None where
-        nothing determines it then). Empty for one segment, and beyond ``MOST``.
+        Leverage by label, sentences on segments that alone determine a coefficient, and sentences on segments that move
+        one. The leverages are together the number of parameters; a share is ``1 - (u/u_without)^2``. Empty for one
+        segment, and beyond ``MOST``.
     """
     labels = fit.design.run.labels
     if not 1 < len(labels) <= MOST:
@@ -87,13 +83,13 @@ def find_leverage(
     common = [c for c in coefficients if c.segment is None]
     whole = _named(fit, layout, _merged(parts), linear)
     size = 1.0 if fit.mode == "increments" else _residual_size(parts, fit)
-    table: dict[str, Any] = {}
+    table: dict[str, SegmentLeverage] = {}
     for label, traced, rest in zip(labels, leverages(parts), all_but_one(parts), strict=True):
         left = _named(fit, layout, rest, linear)
-        table[label] = {"leverage": traced + (1.0 if linear else 0.0)} | _influence(common, whole, left)
+        table[label] = SegmentLeverage(traced + (1.0 if linear else 0.0), *_influence(common, whole, left))
     alone, named = _sole_words(table, common), odd_segments(fit) if slow else labels
     unit = "standard uncertainties" + (" by the noise of the angle" if slow else "")
-    return {"leverage": table}, alone, _shift_words({k: table[k] for k in named}, common, whole, size, unit)
+    return table, alone, _shift_words({k: table[k] for k in named}, common, whole, size, unit)
 
 
 def odd_segments(fit: Fit) -> tuple[str, ...]:
@@ -179,7 +175,10 @@ def _named(fit: Fit, layout: Layout, total: Reduction, linear: bool) -> Without:
     return Without({c.name: c.value for c in common}, {c.name: c.std for c in common}, lost)
 
 
-def _influence(common: list[Coefficient], whole: Without, left: Without) -> dict[str, Any]:
+def _influence(
+    common: list[Coefficient], whole: Without, left: Without
+) -> tuple[dict[str, float], dict[str, float | None]]:
+    """Share and shift of each coefficient."""
     share: dict[str, float] = {}
     shift: dict[str, float | None] = {}
     for c in common:
@@ -192,7 +191,7 @@ def _influence(common: list[Coefficient], whole: Without, left: Without) -> dict
             change = float(np.angle(np.exp(1j * change))) if c.name == "phi" else change
             share[c.name] = max(0.0, 1.0 - (whole.std[c.name] / left.std[c.name]) ** 2)
             shift[c.name] = change / c.std
-    return {"share": share, "shift": shift}
+    return share, shift
 
 
 def _residual_size(parts: list[Reduction], fit: Fit) -> float:
@@ -201,11 +200,11 @@ def _residual_size(parts: list[Reduction], fit: Fit) -> float:
     return float(np.sqrt(total.solve()[2] / max(fit.design.rows - len(total.names), 1)))
 
 
-def _sole_words(table: dict[str, Any], common: list[Coefficient]) -> tuple[str, ...]:
+def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) -> tuple[str, ...]:
     """Segments that determine a coefficient alone."""
     found = []
     for label, row in table.items():
-        sole = [c.name for c in common if row["share"][c.name] > DETERMINES]
+        sole = [c.name for c in common if row.share[c.name] > DETERMINES]
         if sole:
             verb = "rests" if len(sole) == 1 else "rest"
             found.append(
@@ -216,13 +215,13 @@ def _sole_words(table: dict[str, Any], common: list[Coefficient]) -> tuple[str, 
 
 
 def _shift_words(
-    table: dict[str, Any], common: list[Coefficient], whole: Without, size: float, unit: str
+    table: dict[str, SegmentLeverage], common: list[Coefficient], whole: Without, size: float, unit: str
 ) -> tuple[str, ...]:
     """Segments that move a coefficient by more than noise would."""
     found: list[tuple[float, str]] = []
     for label, row in table.items():
         for c in common:
-            share, shift = row["share"][c.name], row["shift"][c.name]
+            share, shift = row.share[c.name], row.shift[c.name]
             if shift is None or share > DETERMINES or abs(shift) <= SHIFTS:
                 continue
             usual = size * whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
 from piga.calibration.noise.weighting import Whitener, rate_share
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.spool import extent, gathered
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
@@ -236,7 +235,7 @@ class Tested:
     change: Array
 
 
-def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[dict[str, Any], ...]:
+def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
     """The few missing terms that the residuals have the signature of, best first; none is applied.
 
     Parameters
@@ -245,19 +244,12 @@ def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[dict
         The finished fit.
     coefficients:
         The result, with combined standard uncertainties.
-
-    Returns
-    -------
-    tuple of dict
-        ``terms``, ``estimate``, ``standard_uncertainty`` and ``unit`` (lists by term), ``chi2_fall`` (relative),
-        ``probability``, ``largest_shift`` (standard uncertainties) of ``coefficient``, and ``alike``: candidates
-        that explain nearly as much.
     """
     left = candidate_terms(fit.design)
     if fit.design.request.phase_source != "output" or not left:
         return ()
     pieces, rows = pieces_of(fit, [name for names in left for name in names])
-    found: list[dict[str, Any]] = []
+    suggestions: list[MissingTerm] = []
     order = [name for names in left for name in names]
     limit = FALSE_ALARMS / len(left)
     square = constant_squares(fit.design.run)[0]
@@ -282,16 +274,17 @@ def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[dict
             best, shift = (warm or [(best, shift)])[0]
         best, shift = _servo_first(best, shift, worth, square)
         alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > ALIKE * best.fall]
-        entry = _as_dict(best, shift, alike, fit.design.scale_factor)
+        entry = _suggestion(best, shift, alike, fit.design.scale_factor)
         if square is not None and best.names[0] in ("servo", "k3"):
             after = after_change(fit, best.change)
-            entry |= _both_meanings(best, after, square, fit.design.scale_factor)
-        found.append(entry)
+            under = _both_meanings(best, after, square, fit.design.scale_factor)
+            entry = replace(entry, scale_factor_under=under)
+        suggestions.append(entry)
         pieces = [with_term(piece, order, best.names) for piece in pieces]
         order = [name for name in order if name not in best.names]
         taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
         left = [names for names in left if names != best.names and names[0] not in taken]
-    return tuple(found)
+    return tuple(suggestions)
 
 
 def _servo_first(
@@ -304,13 +297,15 @@ def _servo_first(
     return servo[0] if servo else (best, shift)
 
 
-def _both_meanings(test: Tested, after: dict[str, float], square: float, scale_factor: float) -> dict[str, Any]:
+def _both_meanings(
+    test: Tested, after: dict[str, float], square: float, scale_factor: float
+) -> dict[str, float]:
     """K under each name of a cubic signature: they differ by the coefficient times ``a_x^2 + a_t^2``."""
     size, scale = float(test.columns[0]) / scale_factor * square, after.get("scale_factor")
     if scale is None:
         return {}
     under = (scale, scale * (1.0 - size)) if test.names == ("servo",) else (scale * (1.0 + size), scale)
-    return {"scale_factor_under": dict(zip(CUBIC[:2], under, strict=True))}
+    return dict(zip(CUBIC[:2], under, strict=True))
 
 
 def terms_of(names: Names) -> Names:
@@ -475,41 +470,41 @@ def with_term(piece: Array, order: list[str], names: Names) -> Array:
     return piece[:, [*range(m), *taken, *rest, piece.shape[1] - 1]]
 
 
-def _as_dict(test: Tested, shift: tuple[float, str], alike: list[str], scale_factor: float) -> dict[str, Any]:
+def _suggestion(test: Tested, shift: tuple[float, str], alike: list[str], scale_factor: float) -> MissingTerm:
     size, std = test.columns / scale_factor, test.std / scale_factor
     if test.names == ("p", "q"):
         size, std = np.array([math.hypot(*size)]), std[:1]
     terms = terms_of(test.names)
     units = np.array([si_factor(name) for name in terms])
-    return {
-        "terms": list(terms),
-        "estimate": (size / units).tolist(),
-        "standard_uncertainty": (std / units).tolist(),
-        "unit": [unit_of(name) for name in terms],
-        "chi2_fall": test.fall,
-        "probability": test.probability,
-        "largest_shift": shift[0],
-        "coefficient": shift[1],
-        "alike": alike,
-    }
+    return MissingTerm(
+        terms,
+        tuple((size / units).tolist()),
+        tuple((std / units).tolist()),
+        tuple(unit_of(name) for name in terms),
+        test.fall,
+        test.probability,
+        shift[0],
+        shift[1],
+        tuple(alike),
+    )
 
 
 def suggestions_in_words(
-    found: tuple[dict[str, Any], ...], *, held: bool = False, turned: bool = False
+    suggestions: tuple[MissingTerm, ...], *, held: bool = False, turned: bool = False
 ) -> tuple[str, ...]:
     """One sentence for each suggestion.
 
     ``held``, ``turned``: both meanings of a cube, and what ``servo_damping`` would change, are in the budget.
     """
     notes = []
-    for entry in found:
+    for entry in suggestions:
         sizes = ", ".join(
             f"{name} = {value:.3g} +/- {std:.1g} {unit}"
             for name, value, std, unit in zip(
-                entry["terms"], entry["estimate"], entry["standard_uncertainty"], entry["unit"], strict=True
+                entry.terms, entry.estimate, entry.standard_uncertainty, entry.unit, strict=True
             )
         )
-        under = entry.get("scale_factor_under")
+        under = entry.scale_factor_under
         meaning = (
             "; no record of this stand can tell servo from k3, for a_x^2 + a_t^2 never changes: scale_factor becomes "
             + " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
@@ -519,12 +514,12 @@ def suggestions_in_words(
             if under
             else ""
         )
-        alike = f"; {', '.join(entry['alike'])} would explain nearly as much" if entry["alike"] else ""
-        if turned and entry["terms"] == ["servo_damping"]:
+        alike = f"; {', '.join(entry.alike)} would explain nearly as much" if entry.alike else ""
+        if turned and entry.terms == ("servo_damping",):
             meaning += "; the uncertainties hold this shift"
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
-            f"{100.0 * entry['chi2_fall']:.2g} % and move {entry['coefficient']} by {entry['largest_shift']:.2g} "
+            f"{100.0 * entry.chi2_fall:.2g} % and move {entry.coefficient} by {entry.largest_shift:.2g} "
             f"standard uncertainties{alike}{meaning}; not applied: add it to [model] terms if it makes sense"
         )
     return tuple(notes)

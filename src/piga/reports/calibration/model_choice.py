@@ -29,7 +29,7 @@ HEADS = (
 
 def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
     """The section of the report, when term sets were compared."""
-    document = cal.diagnostics.get("model_comparison")
+    document = cal.diagnostics.model_comparison
     if not document:
         return ()
     lead = (

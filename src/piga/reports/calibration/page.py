@@ -308,7 +308,7 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
     rms = whitened_rms(cal)
     if math.isnan(rms):
         return None
-    white, fits = cal.diagnostics.get("verdict") == "white", abs(rms - 1.0) <= THRESHOLDS.residual_rms
+    white, fits = cal.diagnostics.verdict == "white", abs(rms - 1.0) <= THRESHOLDS.residual_rms
     words = (
         "1 expected: the noise levels do not fit"
         if not fits
@@ -434,7 +434,7 @@ def _budget(cal: Calibration) -> Section:
             "Times the standard uncertainty of the source they are the contributions above."
         )
         blocks += [Text(text, lead=True), *sensitivities]
-    if not any(row.get("type") == "B" for row in cal.budget):
+    if not any(row.type == "B" for row in cal.budget):
         text = (
             f"{TYPE_A_ONLY}: reference scale, alignment and local gravity are taken as exact. "
             "Add an [uncertainty] table to the run file to include them."
@@ -459,7 +459,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
         ("Bias drift", drift_found(cal)),
         ("Scatter of the rate from segment to segment", scatter_found(cal)),
-        *scalars({key: value for key, value in cal.diagnostics.items() if key not in OWN_TABLES}),
+        *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
     for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (propagation_table(cal), PROPAGATION_LEAD)):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.terms import shown_unit
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
@@ -155,7 +155,7 @@ def _correlation(value: float, diagonal: bool) -> Cell:
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
     """What the residuals are, and their unit in reports: an angle, or a rate for a log of rates."""
-    rate = cal.diagnostics.get("residual_kind") == "rate"
+    rate = cal.diagnostics.residual_kind == "rate"
     return ("residual rate", "arcsec/s") if rate else ("residual angle", "arcsec")
 
 
@@ -238,7 +238,7 @@ def runs_table(cal: Calibration) -> Table:
 def outlier_table(cal: Calibration) -> Table:
     """Samples that were left out, with their times: jumps and stuck readings, then spikes; of many the first."""
     listed = sorted(cal.outliers, key=lambda outlier: outlier.kind == "spike")
-    unit = "arcsec/s" if cal.diagnostics.get("residual_kind") == "rate" else "arcsec"
+    unit = "arcsec/s" if cal.diagnostics.residual_kind == "rate" else "arcsec"
     named = any(outlier.run for outlier in cal.outliers)
     columns = [
         Column("Kind", align="text"),
@@ -354,15 +354,13 @@ SLIGHT = 0.01
 def budget_table(cal: Calibration) -> Table:
     """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
 
-    A row of ``cal.budget`` is ``{"source": text, "type": "A" | "B", "standard_uncertainty": {"value",
-    "unit"} or None, "contributions": {coefficient key: change in the coefficient's unit}}``. Without a row of type A the
-    standard uncertainties of the fit are put first.
+    Without an entry of Type A the standard uncertainties of the fit are put first.
     """
     coefficients = common_coefficients(cal)[:SHOWN_NAMES]
-    sources: list[dict[str, Any]] = list(cal.budget)
-    if not any(source.get("type") == "A" for source in sources):
+    sources = list(cal.budget)
+    if not any(source.type == "A" for source in sources):
         fit = {coefficient.key: coefficient.std for coefficient in coefficients}
-        sources.insert(0, {"source": "Fit to the record", "type": "A", "contributions": fit})
+        sources.insert(0, BudgetEntry(source="Fit to the record", type="A", distribution="", contributions=fit))
     names = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
         Column("Source", align="text"),
@@ -372,11 +370,10 @@ def budget_table(cal: Calibration) -> Table:
         Column("Degrees of freedom"),
         *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
     )
-    total = {c.key: math.hypot(*(_contribution(source, c) for source in sources)) for c in coefficients}
+    total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
     rows = [_budget_row(source, coefficients, total) for source in sources]
     if len(sources) > 1:
-        combined = {"source": "Combined", "type": "", "contributions": total}
-        rows.append(_budget_row(combined, coefficients, {}))
+        rows.append(("Combined", "", "", "–", "", *_cells(total, coefficients, {})))
     note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
     return Table(columns, tuple(rows), notes=(note,))
 
@@ -395,42 +392,43 @@ def _friendly_unit(coefficient: Coefficient) -> tuple[str, float]:
     return unit, scale
 
 
-def _contribution(source: dict[str, Any], coefficient: Coefficient) -> float:
-    return float(source.get("contributions", {}).get(coefficient.key, 0.0))
-
-
-def _budget_row(
-    source: dict[str, Any], coefficients: list[Coefficient], total: dict[str, float]
-) -> tuple[str | Cell, ...]:
+def _cells(
+    contributions: dict[str, float], coefficients: list[Coefficient], total: dict[str, float]
+) -> list[Cell]:
+    """Contributions to the coefficients, with their shares of the variances ``total`` squared."""
     cells = []
     for coefficient in coefficients:
-        part = abs(_contribution(source, coefficient))
+        part = abs(contributions.get(coefficient.key, 0.0))
         amount, whole = part * _friendly_unit(coefficient)[1], total.get(coefficient.key, 0.0)
         share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
         shown = part > NOTHING * coefficient.std
         cells.append(Cell(printed(short(amount, 2)) + share) if shown else Cell("–", "quiet"))
-    given = source.get("standard_uncertainty")
-    entered = f"{printed(short(given['value']))} {pretty_unit(given['unit'])}".strip() if given else "–"
-    degrees = source.get("degrees_of_freedom")
+    return cells
+
+
+def _budget_row(
+    source: BudgetEntry, coefficients: list[Coefficient], total: dict[str, float]
+) -> tuple[str | Cell, ...]:
+    given, degrees = source.standard_uncertainty, source.degrees_of_freedom
+    entered = f"{printed(short(given.value))} {pretty_unit(given.unit)}".strip() if given else "–"
+    known = "∞" if degrees is None else printed(short(degrees, 3)) if degrees else ""
     return (
-        str(source.get("source", "")),
-        str(source.get("type", "")),
-        str(source.get("distribution", "")),
+        source.source,
+        source.type,
+        source.distribution,
         entered,
-        "see above"
-        if source.get("type") == "A"
-        else "∞"
-        if degrees is None and source.get("type")
-        else printed(short(degrees, 3))
-        if degrees
-        else "",
-        *cells,
+        "see above" if source.type == "A" else known,
+        *_cells(source.contributions, coefficients, total),
     )
 
 
 def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     """Change of each coefficient for one unit of a source; none when no source has a size (or in old files)."""
-    rows = [row for row in cal.budget if row.get("sensitivities")]
+    rows = [
+        (row, row.standard_uncertainty.unit)
+        for row in cal.budget
+        if row.sensitivities and row.standard_uncertainty
+    ]
     if not rows:
         return ()
     coefficients = common_coefficients(cal)[:SHOWN_NAMES]
@@ -442,25 +440,25 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     )
     cells = tuple(
         (
-            str(row["source"]),
-            f"1 {pretty_unit(row['standard_uncertainty']['unit'])}".strip(),
+            row.source,
+            f"1 {pretty_unit(given)}".strip(),
             *(_sensitivity(row, c, scale) for c, (_, scale) in zip(coefficients, units, strict=True)),
         )
-        for row in rows
+        for row, given in rows
     )
     return Table(columns, cells).parts(2, SENSITIVITIES_ACROSS)
 
 
-def _sensitivity(row: dict[str, Any], coefficient: Coefficient, scale: float) -> str | Cell:
-    found = row["sensitivities"].get(coefficient.key)
-    if found is None or abs(_contribution(row, coefficient)) <= NOTHING * coefficient.std:
+def _sensitivity(row: BudgetEntry, coefficient: Coefficient, scale: float) -> str | Cell:
+    found = row.sensitivities.get(coefficient.key)
+    if found is None or abs(row.contribution(coefficient)) <= NOTHING * coefficient.std:
         return Cell("–", "quiet")
-    return printed(short(found["value"] * scale, 3))
+    return printed(short(found.value * scale, 3))
 
 
 def budget_text(cal: Calibration) -> list[str]:
     """The budget for the terminal, coefficient by coefficient; nothing without a source of Type B."""
-    if not any(row.get("type") == "B" for row in cal.budget):
+    if not any(row.type == "B" for row in cal.budget):
         return []
     blocks = [(c, _text_rows(cal, c)) for c in common_coefficients(cal)]
     width = [max(len(row[i]) for _, rows in blocks for row in rows) for i in range(6)]
@@ -477,19 +475,19 @@ def budget_text(cal: Calibration) -> list[str]:
 
 def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ...]]:
     """Source, type, standard uncertainty, sensitivity, contribution and share of a coefficient's budget."""
-    whole = math.hypot(*(_contribution(row, coefficient) for row in cal.budget))
+    whole = math.hypot(*(row.contribution(coefficient) for row in cal.budget))
     scale, rows = shown_unit(coefficient.name, coefficient.unit)[0], []
     for row in cal.budget:
-        part = abs(_contribution(row, coefficient))
+        part = abs(row.contribution(coefficient))
         share = (part / whole) ** 2 if whole else 0.0
         if share < SLIGHT:
             continue
-        given, found = row.get("standard_uncertainty"), row.get("sensitivities", {}).get(coefficient.key)
-        entered = f"{short(given['value'])} {given['unit']}" if given else ""
-        sensitivity = f"{short(found['value'] * scale, 3)} per {given['unit']}" if given and found else ""
+        given, found = row.standard_uncertainty, row.sensitivities.get(coefficient.key)
+        entered = f"{short(given.value)} {given.unit}" if given else ""
+        sensitivity = f"{short(found.value * scale, 3)} per {given.unit}" if given and found else ""
         shown = (
-            str(row["source"]),
-            str(row["type"]),
+            row.source,
+            row.type,
             entered,
             sensitivity,
             short(part * scale, 2),
@@ -515,17 +513,17 @@ _ALONE, _SHIFT = 0.9, 3.0
 
 def leverage_table(cal: Calibration) -> Table | None:
     """Leverage of the segments, of many those with the most; None without."""
-    found: dict[str, Any] = cal.diagnostics.get("leverage", {})
+    found = cal.diagnostics.leverage
     if not found:
         return None
-    most = sorted(found, key=lambda label: -found[label]["leverage"])[:_SHOWN]
+    most = sorted(found, key=lambda label: -found[label].leverage)[:_SHOWN]
     names = [c.name for c in common_coefficients(cal)]
     columns = (Column("Segment", align="text"), Column("Leverage"), *(Column(name) for name in names))
     rows: tuple[tuple[str | Cell, ...], ...] = tuple(
         (
             label,
-            f"{row['leverage']:.2f}",
-            *(_share(row["share"].get(name), row["shift"].get(name)) for name in names),
+            f"{row.leverage:.2f}",
+            *(_share(row.share.get(name), row.shift.get(name)) for name in names),
         )
         for label, row in found.items()
         if label in most
@@ -545,8 +543,8 @@ def _share(share: float | None, shift: float | None) -> Cell:
 
 def propagation_table(cal: Calibration) -> Table | None:
     """First-order and Monte Carlo intervals side by side with the verdict; None without Monte Carlo."""
-    found: dict[str, Any] = cal.diagnostics.get("monte_carlo", {})
-    if not found:
+    found = cal.diagnostics.monte_carlo
+    if found is None:
         return None
     columns = (
         Column("Coefficient", align="text"),
@@ -561,21 +559,21 @@ def propagation_table(cal: Calibration) -> Table | None:
     )
     rows: list[tuple[str | Cell, ...]] = []
     for c in cal.coefficients:
-        row = found["coefficients"].get(c.key)
+        row = found.coefficients.get(c.key)
         if row is None:
             continue
         scale, unit = shown_unit(c.name, c.unit)
-        intervals = (_interval(row[name], scale) for name in ("first_order", "symmetric", "shortest"))
-        verdict = Cell("yes", "good") if row["validated"] else Cell("no: Monte Carlo holds", "doubtful")
+        intervals = (_interval(ends, scale) for ends in (row.first_order, row.symmetric, row.shortest))
+        verdict = Cell("yes", "good") if row.validated else Cell("no: Monte Carlo holds", "doubtful")
         rows.append(
             (
-                c.key, pretty_unit(unit), printed(short(c.std * scale, 3)), printed(short(row["std"] * scale, 3)),
-                *intervals, printed(short(row["tolerance"] * scale, 1)), verdict,
+                c.key, pretty_unit(unit), printed(short(c.std * scale, 3)), printed(short(row.std * scale, 3)),
+                *intervals, printed(short(row.tolerance * scale, 1)), verdict,
             )
         )  # fmt: skip
-    return Table(columns, tuple(rows), notes=(f"{found['trials']} trials.",))
+    return Table(columns, tuple(rows), notes=(f"{found.trials} trials.",))
 
 
-def _interval(ends: list[float], scale: float) -> str:
+def _interval(ends: tuple[float, float], scale: float) -> str:
     low, high = (printed(short(end * scale, 6)) for end in ends)
     return f"{low} … {high}"
