@@ -39,7 +39,7 @@ def fitted(scenario: Scenario, seed: int, phase: str | None = None) -> Fit:
 
 def looked(scenario: Scenario, seed: int) -> float:
     """Gain of a drift at the quick look."""
-    fit = fitted(scenario, seed)[0]
+    fit = fitted(scenario, seed)
     return quick_look(fit, DriftBasis.of(fit.design.run)).gain
 
 

@@ -137,12 +137,12 @@ def test_the_result_says_so_and_keeps_it(tmp_path: Path) -> None:
 def test_none_is_seen_where_there_is_none() -> None:
     """Of 60 records at most 9."""
     still = replace(SCATTER, scatter=0.0)
-    assert sum(include_slow_noise(*fitted(still, seed)).noise.scatter > 0.0 for seed in range(60)) <= 9
+    assert sum(include_slow_noise(fitted(still, seed)).noise.scatter > 0.0 for seed in range(60)) <= 9
 
 
 def test_quick_look_sees_what_a_long_record_shows() -> None:
     def gain(scatter: float, seed: int) -> float:
-        fit = fitted(replace(SCATTER, scatter=scatter), seed)[0]
+        fit = fitted(replace(SCATTER, scatter=scatter), seed)
         return quick_look(fit, SegmentBasis.of(fit.design.run)).gain
 
     assert gain(3e-5, 1) > 10.0
