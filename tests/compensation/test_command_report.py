@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 
 import piga
@@ -19,7 +22,7 @@ from piga.reports.compensation.figures import correction_spectrum, flag_figure, 
 from piga.reports.compensation.outline import outline_of
 from piga.units import G0
 
-from .test_command import command, small_chunks, write
+from .test_command import KERNEL, command, small_chunks, write
 from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 
@@ -57,12 +60,43 @@ def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, str
     assert outline.size == summary["rows"] == 3000
     assert abs(outline.velocity - summary["velocity_m_s"]) < 1e-9
     assert {name: marks.count for name, marks in outline.marks.items() if marks.count} == summary["flags"]
-    assert [path.name for path in facts.files] == ["run.toml", "run.parquet", "run.json"]
+    assert [name for name, _ in facts.files] == ["run.toml", "run.parquet", "run.json"]
     assert (whole is None) == streamed
     assert ("is shown for records of at most 262 144 rows" in html) == streamed
     assert "SHA-256" in html
     assert "no_increment" in html
     assert "as recorded" in html
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys, resumed):
+    """Every input is replaced while the rows are computed: page, file and summary have the digests of what was read."""
+    run, page = write(tmp_path), tmp_path / "page.html"
+    files = [tmp_path / name for name in ("run.toml", "run.parquet", "run.json")]
+    known = [{"file": path.name, "sha256": digest(path)} for path in files]
+    real = KERNEL.run_kernel
+
+    def replaced(*inputs):
+        for path in files:
+            path.write_bytes(path.read_bytes() + b"\n")
+        real(*inputs)
+
+    monkeypatch.setattr(KERNEL, "run_kernel", replaced)
+    more = ("--resume",) if resumed else ("--report", page)
+    code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, *more, "--json")
+    assert code == 0
+    assert digest(files[1]) != known[1]["sha256"]
+    assert json.loads(text)["inputs"] == known
+    metadata = pa.parquet.read_schema(tmp_path / "out.parquet").metadata
+    assert json.loads(metadata[b"piga.inputs"]) == known
+    if not resumed:
+        html = page.read_text(encoding="utf-8")
+        assert all(one["sha256"] in html for one in known)
+        assert not any(digest(path) in html for path in files)
 
 
 def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):

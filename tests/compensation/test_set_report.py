@@ -164,7 +164,7 @@ def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method,
         assert json.loads(text)["rows"] == 400
     (whole, facts), (pieces, _) = seen
     assert facts.names == tuple(f"{name} (A)" for name in NAMES)
-    assert {path.name for path in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
+    assert {name for name, _ in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
     for name, outline in whole.outlines.items():
         theirs = pieces.outlines[name].rows
         for column in ("row", "t", name):

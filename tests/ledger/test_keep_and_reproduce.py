@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ import pytest
 import piga
 import piga.calibration.calibrate as estimator
 from piga.errors import PigaError
-from piga.ledger import compare_calibrations, prepare_results, prepare_run, reproduce
+from piga.ledger import compare_calibrations, keep, prepare_results, prepare_run, reproduce
 from piga.ledger import reproduce as reproduce_function
 from piga.ledger.inputs import input_files
 from piga.ledger.store.verify import verify
+from piga.output import results
+from piga.records.limits import read_whole
 from piga.stand.run_reference import _check_unchanged
 from tests.records.files import lines, write_log, write_run
 
@@ -83,6 +86,32 @@ def test_results_of_calibrate_are_kept_as_they_are(tmp_path: Path) -> None:
         with pytest.raises(PigaError, match="is not the file that the calibration was computed from"):
             prepare_results(run, tmp_path / "out", "A", "changed")
         assert store.head().number == 1
+
+
+def test_results_of_two_runs_are_never_kept_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second calibration is stopped when one of its files is in place, or puts them in place while they are read."""
+    run, out, there = small_run(tmp_path), tmp_path / "out", {}
+    for terms in (["scale_factor"], ["scale_factor", "k0"]):
+        with results(out, "calibrate", ["*.json", "*.html"], [run], force=True) as folder:
+            piga.calibrate(piga.read_run(run), terms, "rate").to_json(folder / "calibration.json")
+            (folder / "report.html").write_text(f"page of {terms}")
+        there[len(terms)] = {path.name: path.read_bytes() for path in out.iterdir()}
+    stage = out / ".piga-stage-0123abcd.whole"
+    stage.mkdir()
+    for name in ("report.html", ".piga-results-calibrate.json"):
+        (out / name).rename(stage / name)
+    (out / "report.html").write_bytes(there[1]["report.html"])
+    kept = {file.role: b"".join(file.parts()) for file in prepare_results(run, out, "A", "test").draft.files}
+    assert (kept["calibration"], kept["report"]) == (there[2]["calibration.json"], there[2]["report.html"])
+
+    def read(path: Path, *more: Any) -> bytes:
+        if path.name == "report.html":
+            (out / "calibration.json").write_bytes(there[1]["calibration.json"])
+        return read_whole(path, *more)
+
+    monkeypatch.setattr(keep, "read_whole", read)
+    with pytest.raises(PigaError, match="changed while the results were read"):
+        prepare_results(run, out, "A", "test")
 
 
 def test_absolute_data_file_is_refused(tmp_path: Path) -> None:

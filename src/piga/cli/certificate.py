@@ -146,9 +146,11 @@ def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
 
 def _bytes(path: Path) -> bytes:
     """The bytes of a calibration.json, read once: the digest on the certificate is of what was certified."""
+    from piga.output import settle
     from piga.records.calibration_json import MAX_BYTES
     from piga.records.limits import read_whole
 
+    settle(path.parent)
     return read_whole(path, MAX_BYTES, "a calibration.json", PigaError)
 
 

@@ -75,10 +75,12 @@ def compensate(
     """
     from piga.compensation.files.parts import was_begun
     from piga.compensation.model import Phase
-    from piga.records import Calibration
+    from piga.records.calibration_json import read_with_digest
     from piga.units import to_si
 
-    calibrations = [Calibration.from_json(path) for path in calibration or []]
+    read = [read_with_digest(path) for path in calibration or []]
+    calibrations = [one for one, _ in read]
+    sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
@@ -98,11 +100,9 @@ def compensate(
     )
     options = _Options(method, given, uncertainty, max_age, other_serial, period)
     if several:
-        summary = _together(run, calibration or [], calibrations, out, options, page)
+        summary = _together(run, sources, calibrations, out, options, page)
     else:
-        summary = _single(
-            run[0], _one(calibrations), (calibration or [])[0], out, options, rest, resume, page, force
-        )
+        summary = _single(run[0], _one(calibrations), sources, out, options, rest, resume, page, force)
     if json:
         print_json({"file": str(out)} | summary | {"calibrations": _verdicts(calibrations)})
         return
@@ -220,7 +220,7 @@ class _Options:
 def _single(
     run: Path,
     calibration: Calibration,
-    source: Path,
+    sources: list[tuple[str, str]],
     out: Path,
     options: _Options,
     rest: float | None,
@@ -228,7 +228,10 @@ def _single(
     page: Path | None,
     restart: bool,
 ) -> dict[str, Any]:
-    """One recorded run, of any length; with ``restart`` parts of another one go."""
+    """One recorded run, of any length; with ``restart`` parts of another one go.
+
+    ``sources`` are the file of the calibration, and the SHA-256 of what was read.
+    """
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensate import compensate
     from piga.compensation.files.file_to_file import (
@@ -239,21 +242,21 @@ def _single(
     )
     from piga.compensation.files.parts import Parts, key_of
     from piga.compensation.validity import age_flag
-    from piga.compensation.writers import format_of
-    from piga.records import read_run_file
+    from piga.compensation.writers import format_of, inputs_listed
     from piga.records.spool import give_back
     from piga.stand import read_run
 
     _spare_memory()
-    kind, data = format_of(out), read_run_file(run).data
+    kind = format_of(out)
     with progress("reading"):
         record = read_run(run, held=HELD_ROWS)
     give_back()
+    inputs = [*record.input_sha256.items(), *sources]
     options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
     resampler = None if options.period is None else Resampler(options.period)
     report, watch = None, None
     if page is not None:
-        report = _Report(page, record.kind, calibration, (run, run.parent / data.file, source))
+        report = _Report(page, record.kind, calibration, inputs)
         watch = report.outline.piece
         if record.size <= HELD_ROWS:
             report.take(record, compensate(record, calibration, **options.arguments()))
@@ -268,7 +271,7 @@ def _single(
         with progress("compensating", record.size) as advance:
             found = compensate_to_file(
                 record, calibration, path, kind, resampler=resampler, advance=advance, parts=parts, watch=watch,
-                **options.arguments(),
+                inputs=inputs, **options.arguments(),
             )  # fmt: skip
 
     try:
@@ -281,7 +284,13 @@ def _single(
     repairs = found_while_reading(record)
     if report is not None:
         report.write(options.in_words(calibration), repairs)
-    return {"rows": found.rows, "velocity_m_s": found.velocity, "flags": found.flags, "repairs": repairs}
+    return {
+        "rows": found.rows,
+        "velocity_m_s": found.velocity,
+        "flags": found.flags,
+        "repairs": repairs,
+        "inputs": inputs_listed(inputs),
+    }
 
 
 def _with_phase(options: _Options, phase: Phase | None) -> _Options:
@@ -298,19 +307,19 @@ def _spare_memory() -> None:
 
 
 def _together(
-    runs: list[Path], sources: list[Path], calibrations: list[Calibration], out: Path, options: _Options,
+    runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, options: _Options,
     page: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
     from piga.compensation.sets.set_files import compensate_set_files
-    from piga.compensation.sets.triad_file import calibration_files, orthogonal_triad, read_triad
+    from piga.compensation.sets.triad_file import orthogonal_triad, read_triad
     from piga.compensation.writers import format_of
 
     _spare_memory()
     kind = format_of(out)
     if len(runs) == 1:
-        paths, mounted = read_triad(runs[0])
+        paths, mounted, inputs = read_triad(runs[0])
     elif len(runs) == len(calibrations) == 3:
-        paths, mounted = runs, orthogonal_triad(calibrations)
+        paths, mounted, inputs = runs, orthogonal_triad(calibrations), sources
     else:
         raise ArgumentError(
             f"{len(runs)} runs with {len(calibrations)} calibrations: the mounting is not known",
@@ -318,8 +327,7 @@ def _together(
         )
     report = None
     if page is not None:
-        named = [*runs, *paths, *sources, *(calibration_files(runs[0]) if len(runs) == 1 else [])]
-        report = _SetReport(page, paths, mounted, named)
+        report = _SetReport(page, paths, mounted)
     found: dict[str, Any] = {}
 
     def write(path: Path) -> None:
@@ -328,20 +336,20 @@ def _together(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
                     force=options.force, period=options.period, method=options.method or "exact", advance=advance,
-                    watch=None if report is None else report.outline.piece,
+                    watch=None if report is None else report.outline.piece, inputs=inputs,
                 )
             )  # fmt: skip
 
     write_by_rename(out, write)
     if report is not None:
-        report.write({"method": options.method or "exact"} | options.common())
+        report.write({"method": options.method or "exact"} | options.common(), found["inputs"])
     return found
 
 
 class _Report:
-    """Watches one compensation; ``files`` are the run file, its data and the calibration record."""
+    """Watches one compensation; ``files`` are those of the page: name, and SHA-256 of what was read."""
 
-    def __init__(self, page: Path, kind: str, calibration: Calibration, files: tuple[Path, ...]) -> None:
+    def __init__(self, page: Path, kind: str, calibration: Calibration, files: list[tuple[str, str]]) -> None:
         self._page, self._calibration, self._files = page, calibration, files
         from piga.reports.compensation.outline import outline_of
 
@@ -371,28 +379,28 @@ class _Report:
 
 
 class _SetReport:
-    """Watches the compensation of a set; ``runs`` are its run files, ``files`` all that is named on the page."""
+    """Watches the compensation of a set; ``runs`` are its run files."""
 
-    def __init__(self, page: Path, runs: list[Path], mounted: list[Mounted], files: list[Path]) -> None:
+    def __init__(self, page: Path, runs: list[Path], mounted: list[Mounted]) -> None:
         from piga.records import read_run_file
         from piga.reports.compensation.outline import SetOutline
 
         self._page = page
         kinds = [read_run_file(run).data for run in runs]
-        self._files = [*files, *(run.parent / data.file for run, data in zip(runs, kinds, strict=True))]
         serials = [item.calibration.serial for item in mounted]
         self._names = tuple(
             f"{run.stem} ({serial})" if serial else run.stem for run, serial in zip(runs, serials, strict=True)
         )
         self.outline = SetOutline("rate" if kinds[0].output.kind == "rate" else "angle", mounted)
 
-    def write(self, options: dict[str, str]) -> None:
-        """Write the page by rename."""
+    def write(self, options: dict[str, str], inputs: list[dict[str, str]]) -> None:
+        """Write the page by rename; ``inputs`` as the summary lists them."""
         from piga.records.spool import give_back
         from piga.reports.compensation.page import SetFacts, write_set_report
 
         give_back()
-        facts = SetFacts(self._names, tuple(dict.fromkeys(self._files)), options)
+        files = dict.fromkeys((one["file"], one["sha256"]) for one in inputs)
+        facts = SetFacts(self._names, tuple(files), options)
         write_by_rename(self._page, lambda path: write_set_report(self.outline, facts, path), "--report")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +25,15 @@ FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
 
 GROUP_ROWS = 1 << 16
 """Rows of a row group, however they come."""
+
+
+Inputs = Sequence[tuple[str, str]]
+"""Files that a result was computed from: name, and SHA-256 of what was read."""
+
+
+def inputs_listed(inputs: Inputs) -> list[dict[str, str]]:
+    """Inputs as JSON holds them."""
+    return [{"file": name, "sha256": digest} for name, digest in inputs]
 
 
 def unit_of_column(name: str) -> str:
@@ -50,8 +59,16 @@ def format_of(path: Path) -> str:
     return found
 
 
-def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False, notes: tuple[str, ...] = ()) -> Any:
-    """Arrow schema: types, a unit per column, the meaning of the flag bits, and notes; ``empty_cells``: there may be some."""
+def schema_of(
+    columns: Mapping[str, NDArray],
+    empty_cells: bool = False,
+    notes: tuple[str, ...] = (),
+    inputs: Inputs = (),
+) -> Any:
+    """Arrow schema: types, a unit per column, the meaning of the flag bits, notes and inputs.
+
+    ``empty_cells``: there may be some.
+    """
     import pyarrow as pa
 
     fields = [
@@ -66,6 +83,7 @@ def schema_of(columns: Mapping[str, NDArray], empty_cells: bool = False, notes: 
         "piga.units": json.dumps({name: unit_of_column(name) for name in columns}),
     }
     metadata |= {"piga.notes": json.dumps(notes)} if notes else {}
+    metadata |= {"piga.inputs": json.dumps(inputs_listed(inputs))} if inputs else {}
     return pa.schema(fields, metadata=metadata)
 
 
@@ -74,11 +92,13 @@ class TableWriter:
 
     CSV columns are named ``name [unit]``; a missing value is an empty cell there and nan in Parquet. ``notes`` are those of
     :func:`piga.compensation.result.notes_on`: Parquet holds them as metadata, in CSV the uncertainties are named
-    ``u_ax (Type A only) [m/s^2]``.
+    ``u_ax (Type A only) [m/s^2]``. ``inputs`` are metadata of Parquet, too; CSV does not hold them.
     """
 
-    def __init__(self, path: Path, kind: str | None = None, notes: tuple[str, ...] = ()) -> None:
-        self._path, self._notes = path, notes
+    def __init__(
+        self, path: Path, kind: str | None = None, notes: tuple[str, ...] = (), inputs: Inputs = ()
+    ) -> None:
+        self._path, self._notes, self._inputs = path, notes, tuple(inputs)
         self._kind = kind or format_of(path)
         self._writer: Any = None
         self._schema: Any = None
@@ -104,7 +124,7 @@ class TableWriter:
         import pyarrow as pa
         from pyarrow import csv, parquet
 
-        schema = schema_of(columns, empty_cells=self._kind == "csv", notes=self._notes)
+        schema = schema_of(columns, self._kind == "csv", self._notes, self._inputs)
         if self._kind == "csv":
             names = [self._heading(name) for name in columns]
             self._schema = pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])

@@ -10,6 +10,7 @@ from piga.errors import CalibrationError
 from piga.ledger.inputs import input_files
 from piga.ledger.store import Draft, DraftFile, Record, Store
 from piga.ledger.store.software import software_identity
+from piga.output import settle
 from piga.records import Calibration
 from piga.records.calibration_json import MAX_BYTES, calibration_from_bytes
 from piga.records.limits import read_whole
@@ -17,6 +18,8 @@ from piga.records.limits import read_whole
 if TYPE_CHECKING:
     from piga.ledger.store.record import Position
 
+_MAX_PAGE = 1 << 28
+"""Largest page that is kept [bytes]; a calibration's has a few MB."""
 _ID, _NUMBER, _STORE, _AFTER = (f"\u27e6record {name}\u27e7" for name in ("id", "number", "store", "after"))
 
 
@@ -130,12 +133,19 @@ def prepare_results(
         If the results are not those of this run.
     """
     path = results / "calibration.json"
+    settle(results)
     raw = read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError)
     calibration = calibration_from_bytes(raw, path)
     inputs = input_files(run, calibration.provenance.input_sha256)
     files = [*inputs, DraftFile("calibration", "results/calibration.json", raw)]
     if (results / "report.html").is_file():
-        files.append(DraftFile("report", "results/report.html", results / "report.html"))
+        page = read_whole(results / "report.html", _MAX_PAGE, "a report.html", CalibrationError)
+        files.append(DraftFile("report", "results/report.html", page))
+    settle(results)
+    if read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError) != raw:
+        raise CalibrationError(
+            f"{path}: changed while the results were read", remedy="wait for what writes it, then try again"
+        )
     software = {"piga": calibration.provenance.software.removeprefix("piga ")}
     draft = Draft(
         calibration.serial,

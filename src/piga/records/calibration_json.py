@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 import json
 import math
 from collections import Counter
@@ -270,8 +271,20 @@ def read_calibration(path: Path) -> Calibration:
         If the file is missing, is no calibration record, is of a newer schema, or contradicts itself: what
         compensation, certificates and the store read passes here.
     """
+    return read_with_digest(path)[0]
+
+
+def read_with_digest(path: Path) -> tuple[Calibration, str]:
+    """Read a record; with it the SHA-256 of the bytes that were read.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
     settle(path.parent)
-    return calibration_from_bytes(read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError), path)
+    raw = read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError)
+    return calibration_from_bytes(raw, path), hashlib.sha256(raw).hexdigest()
 
 
 def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:

@@ -19,7 +19,7 @@ from piga.compensation.flags import FLAGS
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated, notes_on
 from piga.compensation.step import Chunk, init_state
-from piga.compensation.writers import TableWriter
+from piga.compensation.writers import Inputs, TableWriter
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.spool import give_back
@@ -81,6 +81,7 @@ def compensate_to_file(
     advance: Callable[[int], None] = lambda _rows: None,
     parts: Parts | None = None,
     watch: Watch | None = None,
+    inputs: Inputs = (),
     **options: Any,
 ) -> FileSummary:
     """Compensate a record into ``out`` (``kind``: parquet or csv), piece by piece.
@@ -99,6 +100,8 @@ def compensate_to_file(
         The rows go there first; those that lie there already are not computed again. The result is the same to the bit.
     watch:
         Is shown every piece, before it is brought to another rate; it does not go with ``parts``.
+    inputs:
+        Files that the result is computed from, for the metadata of a Parquet file.
 
     Raises
     ------
@@ -108,7 +111,7 @@ def compensate_to_file(
     summary, state = FileSummary(), init_state()
     notes = notes_on(calibration)
     if parts is None:
-        with TableWriter(out, kind, notes) as writer:
+        with TableWriter(out, kind, notes, inputs) as writer:
             pieces = compensate_in_pieces(record, calibration, state=state, **options)
             _work_off(pieces, writer, summary, resampler, advance, math.inf, watch)
         return summary
@@ -133,7 +136,7 @@ def compensate_to_file(
             },
             writer.rows,
         )  # fmt: skip
-    with TableWriter(out, kind, notes) as writer:
+    with TableWriter(out, kind, notes, inputs) as writer:
         for columns in parts.rows():
             writer.write(columns)
     return summary

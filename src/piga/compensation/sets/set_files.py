@@ -25,7 +25,7 @@ from piga.compensation.result import CompensatedSet, notes_on
 from piga.compensation.sets.published_set import PublishedSet
 from piga.compensation.sets.set_compensator import SetCompensator
 from piga.compensation.sets.triad import check_member, check_together, mounted_on, set_stream
-from piga.compensation.writers import TableWriter
+from piga.compensation.writers import Inputs, TableWriter, inputs_listed
 from piga.records.run import Run
 from piga.records.spool import give_back, trim
 from piga.stand.run_reference import read_run
@@ -64,12 +64,13 @@ def compensate_set_files(
     method: str = "exact",
     advance: Callable[[int], None] = lambda _rows: None,
     watch: Watch | None = None,
+    inputs: Inputs = (),
 ) -> dict[str, Any]:
     """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
 
     The files are read one after another, with the checks of :func:`piga.read_run`; the columns of long ones lie on disk.
     They are solved piece by piece. With a ``period`` [s] the increments are brought to that interval. ``watch`` is shown
-    every piece before that.
+    every piece before that. ``inputs`` are files read before: those of the records follow.
 
     Raises
     ------
@@ -83,9 +84,11 @@ def compensate_set_files(
     records = [_read(run, item, force, held) for run, item in zip(runs, instruments, strict=True)]
     give_back()
     check_together(records)
+    inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
     counts, velocity, rows = dict.fromkeys(FLAGS, 0), np.zeros(3), 0
     parts = _solved(records, instruments, uncertainty, max_age_days, method, watch is not None)
-    with TableWriter(out, kind, notes_on(*(item.calibration for item in instruments))) as writer:
+    notes = notes_on(*(item.calibration for item in instruments))
+    with TableWriter(out, kind, notes, inputs) as writer:
         for number, (label, read, part) in enumerate(parts, 1):
             advance(part.size)
             if number % (GIVEN_BACK_AFTER if watch is None else GIVEN_BACK_SOONER) == 0:
@@ -103,6 +106,7 @@ def compensate_set_files(
         "velocity_m_s": velocity.tolist(),
         "flags": {k: v for k, v in counts.items() if v},
         "repairs": found_while_reading(*records),
+        "inputs": inputs_listed(inputs),
     }
 
 

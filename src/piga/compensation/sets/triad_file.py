@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import msgspec
@@ -11,8 +12,9 @@ from piga.compensation.model import Phase
 from piga.compensation.mounting import Mounted
 from piga.errors import RunFileError
 from piga.records import Calibration, read_toml
+from piga.records.calibration_json import read_with_digest
 from piga.records.run_file import Quantity
-from piga.records.text_files import toml_document
+from piga.records.text_files import toml_bytes, toml_document
 from piga.units import to_si
 
 Row = tuple[float, float, float]
@@ -47,8 +49,10 @@ def is_triad_file(path: Path) -> bool:
         return False
 
 
-def read_triad(path: Path) -> tuple[list[Path], list[Mounted]]:
+def read_triad(path: Path) -> tuple[list[Path], list[Mounted], list[tuple[str, str]]]:
     """Run files and mounted instruments of a triad file; file names are relative to it.
+
+    Last come the triad file and the calibrations: name, and SHA-256 of what was read.
 
     Raises
     ------
@@ -57,26 +61,25 @@ def read_triad(path: Path) -> tuple[list[Path], list[Mounted]]:
     CalibrationError
         If a calibration it names cannot be read.
     """
-    file = read_toml(path, TriadFile)
+    raw = toml_bytes(path)
+    file = read_toml(path, TriadFile, raw)
     items = file.triad.instrument
     if len(items) < 3:
         raise RunFileError(
             f"{path}: [[triad.instrument]] stands {len(items)} times", remedy="three or more are needed"
         )
+    read = [read_with_digest(path.parent / item.calibration) for item in items]
     mounted = [
         Mounted(
-            Calibration.from_json(path.parent / item.calibration),
+            calibration,
             np.array(item.axes),
             None if item.phase is None else Phase(to_si(item.phase, "rad", what=f"{path}: phase")),
         )
-        for item in items
+        for item, (calibration, _) in zip(items, read, strict=True)
     ]
-    return [path.parent / item.run for item in items], mounted
-
-
-def calibration_files(path: Path) -> list[Path]:
-    """Files of the calibrations that a triad file names."""
-    return [path.parent / item.calibration for item in read_toml(path, TriadFile).triad.instrument]
+    named = [Path(item.calibration).name for item in items]
+    inputs = [(path.name, hashlib.sha256(raw).hexdigest()), *zip(named, (d for _, d in read), strict=True)]
+    return [path.parent / item.run for item in items], mounted, inputs
 
 
 def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from pathlib import Path
 from piga._version import __version__
 from piga.compensation import Compensated, Mounted
 from piga.compensation.flags import FLAGS, MEANING
+from piga.compensation.writers import Inputs
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.run import Run
 from piga.records.terms import shown_unit
@@ -51,12 +51,12 @@ from piga.units import MICRO_G
 class CompensationFacts:
     """What a compensation was made from.
 
-    ``files`` are the run file, its data and the calibration record; ``options`` as given, in words; ``repairs``
-    rows by kind, as found while reading.
+    ``files`` are the run file, its data, what else was read, and the calibration record; each with the SHA-256 of
+    what was read. ``options`` as given, in words; ``repairs`` rows by kind, as met while reading.
     """
 
     calibration: Calibration
-    files: tuple[Path, ...]
+    files: Inputs
     options: dict[str, str]
     repairs: dict[str, int] = field(default_factory=dict)
 
@@ -89,7 +89,7 @@ def compensation_page(
         *_repairs(facts),
         _provenance(facts, outline.scale_factor),
     ]
-    data = facts.files[1].name
+    data = facts.files[1][0]
     return _page(
         f"Compensation of {facts.calibration.serial}",
         f"{data}, {count(outline.size)} rows; the instrument's output is its {outline.kind}.",
@@ -231,24 +231,19 @@ def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
     return _provenance_section(options, facts.files, coefficients)
 
 
-def _provenance_section(options: dict[str, str], files: tuple[Path, ...], *tables: Table) -> Section:
-    digests = []
-    for path in files:
-        with path.open("rb") as stream:
-            digests.append((path.name, hashlib.file_digest(stream, "sha256").hexdigest()))
+def _provenance_section(options: dict[str, str], files: Inputs, *tables: Table) -> Section:
     heads = (Column("file", align="text"), Column("SHA-256", align="text"))
     how = Table((Column("", align="text"),) * 2, tuple(options.items()), "How it was compensated.")
-    return Section(
-        "Provenance", "provenance", (how, *tables, Table(heads, tuple(digests), "Files.", code=True))
-    )
+    read = Table(heads, tuple(files), "Files as they were read.", code=True)
+    return Section("Provenance", "provenance", (how, *tables, read))
 
 
 @dataclass(frozen=True)
 class SetFacts:
-    """What a set was made from: ``names`` of the instruments, ``files`` read, ``options`` in words."""
+    """What a set was made from: ``names`` of the instruments, ``files`` read with their SHA-256, ``options`` in words."""
 
     names: tuple[str, ...]
-    files: tuple[Path, ...]
+    files: Inputs
     options: dict[str, str]
 
 
