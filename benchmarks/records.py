@@ -20,9 +20,8 @@ from typing import Any
 import piga
 from piga.cli.calibrate import copy_example
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.ledger.store.chain import read_head, read_identity
-from piga.ledger.store.documents import IDENTITY, Identity, decode, encode, new_id
-from piga.ledger.store.record import Position
+from piga.ledger.store.documents import IDENTITY, Identity, Position, decode, encode, new_id
+from piga.ledger.store.rows import read_head, read_identity
 from piga.records.calibration_json import to_document
 
 MOST = 3000

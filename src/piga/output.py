@@ -23,6 +23,8 @@ from typing import Any
 from piga.errors import ArgumentError, PigaError
 
 _MARK, _JOURNAL = ".piga-part", "-journal"
+MOST_NAME = 100
+"""Bytes of a file's name, and of its ending, that its temporary file bears: file systems take 255 in all."""
 _STAGE, _WHOLE = ".piga-stage-", ".whole"
 _WINDOWS = os.name == "nt"
 """There a renamed file must not be open, an open file is its own lock, and renames last by themselves."""
@@ -56,7 +58,7 @@ def write_whole(
     """
     try:
         remove_leftovers(target)
-        prefix, suffix = f".{target.name}.", f"{_MARK}{target.suffix}"
+        prefix, suffix = f".{_short(target.name)}.", f"{_MARK}{_short(target.suffix)}"
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=target.parent)
     except OSError as error:
         raise _unwritable(target, error, remedy, kind) from None
@@ -84,7 +86,7 @@ def write_whole(
 
 def remove_leftovers(target: Path) -> None:
     """Remove temporary files of runs that were killed while they wrote ``target``."""
-    pattern = f".{_escaped(target.name)}.*{_MARK}*"
+    pattern = f".{_escaped(_short(target.name))}.*{_MARK}*"
     for path in target.parent.glob(pattern):
         if not path.name.endswith(_JOURNAL):
             with suppress(OSError), path.open("rb") as stream:
@@ -432,6 +434,10 @@ def _lock(handle: int) -> None:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _short(name: str) -> str:
+    return name.encode()[:MOST_NAME].decode(errors="ignore")
 
 
 def _escaped(name: str) -> str:

@@ -15,7 +15,7 @@ from piga.certificate.dcc import writer as dcc
 from piga.compensation.writers import TableWriter
 from piga.errors import DataError, StoreError
 from piga.formats.containers import container
-from piga.ledger.store.file_names import write_new
+from piga.ledger.store.documents import write_new
 from piga.records.limits import FULL
 from piga.units import parse_unit, to_si
 from tests.cli.runner import exit_code

@@ -15,7 +15,7 @@ import piga.calibration.calibrate as estimator
 from piga.errors import PigaError
 from piga.ledger import compare_calibrations, keep, prepare_results, prepare_run, reproduce
 from piga.ledger import reproduce as reproduce_function
-from piga.ledger.inputs import input_files
+from piga.ledger.keep import input_files
 from piga.ledger.store.verify import verify
 from piga.output import results
 from piga.records.limits import read_whole

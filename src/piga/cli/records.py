@@ -24,8 +24,8 @@ from piga.errors import PigaError
 
 if TYPE_CHECKING:
     from piga.ledger import Reproduced
+    from piga.ledger.compare import Difference
     from piga.ledger.store import Record, Store
-    from piga.ledger.store.difference import Difference
     from piga.ledger.store.verify import Verification
 
 
@@ -344,7 +344,7 @@ def diff(
 
     Coefficients with the uncertainty of the difference, inputs, software.
     """
-    from piga.ledger.store.difference import difference
+    from piga.ledger.compare import difference
 
     with opened(store) as kept:
         found, head = difference(kept, first, second), kept.head()

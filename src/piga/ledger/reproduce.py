@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import platform
 import tempfile
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
 from pathlib import Path
 from typing import Literal
 
+from piga._version import __version__
 from piga.errors import StoreError
 from piga.ledger.compare import Comparison, compare_calibrations
 from piga.ledger.store import Record, Store
-from piga.ledger.store.software import software_identity
 from piga.records import Calibration
 
 Verdict = Literal["identical", "within tolerance", "different"]
@@ -76,3 +81,46 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
     then, now = record.document.software, software_identity()
     changed = {key: (then.get(key), now.get(key)) for key in now if then.get(key) != now.get(key)}
     return Reproduced(record, found, compare_calibrations(stored, found), changed)
+
+
+NUMERIC_ROOMS = ("_kernels", "records", "formats", "reading", "instrument", "stand", "calibration")
+"""Rooms whose source decides the numbers of a calibration."""
+
+
+@lru_cache(maxsize=1)
+def software_identity() -> dict[str, str]:
+    """Versions, digest of the numeric source, platform, processor and threads, as text."""
+    import llvmlite.binding
+    import numba
+    import numpy as np
+    import pyarrow as pa
+    import scipy
+
+    blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
+    threads = os.environ.get("OPENBLAS_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or os.cpu_count()
+    return {
+        "piga": __version__,
+        "source_sha256": source_digest(),
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": numba.__version__,
+        "pyarrow": pa.__version__,
+        "compiled": "no" if getattr(numba.config, "DISABLE_JIT", 0) else "yes",
+        "blas": f"{blas.get('name')} {blas.get('version')} {os.environ.get('OPENBLAS_CORETYPE', '')}".strip(),
+        "threads": str(threads),
+        "system": platform.system(),
+        "machine": platform.machine(),
+        "processor": llvmlite.binding.get_host_cpu_name(),
+    }
+
+
+def source_digest() -> str:
+    """SHA-256 over the Python files that decide the numbers, in the order of their names."""
+    root = Path(str(resources.files("piga")))
+    files = [*root.glob("*.py"), *(path for room in NUMERIC_ROOMS for path in (root / room).rglob("*.py"))]
+    digest = hashlib.sha256()
+    for path in sorted(files, key=lambda path: path.relative_to(root).as_posix()):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode())
+        digest.update(hashlib.sha256(path.read_bytes().replace(b"\r\n", b"\n")).digest())
+    return digest.hexdigest()

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from piga.ledger.store import Draft, DraftFile, Store, open_store
-from piga.ledger.store.record import Position
+from piga.ledger.store.documents import Position
 
 
 def content(key: str, size: int) -> bytes:

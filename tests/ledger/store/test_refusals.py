@@ -19,8 +19,8 @@ from typing import Any
 import pytest
 
 from piga.errors import StoreError
+from piga.ledger.compare import difference
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.ledger.store.difference import difference
 from piga.ledger.store.export import SEAL
 from piga.ledger.store.transfer import backup, export_records, import_records
 from piga.ledger.store.verify import verify

@@ -14,12 +14,10 @@ import pytest
 
 import piga
 from piga.errors import PigaError, PigaWarning, StoreError
+from piga.ledger.compare import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import store as store_module
-from piga.ledger.store.blobs import PART
-from piga.ledger.store.difference import difference
-from piga.ledger.store.documents import encode, sha256
-from piga.ledger.store.file_names import safe_name
+from piga.ledger.store.documents import PART, encode, safe_name, sha256
 from piga.ledger.store.transfer import backup, export_records, import_records, restore
 from piga.ledger.store.verify import verify
 from tests.ledger.store import station

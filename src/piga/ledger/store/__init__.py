@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from piga.errors import StoreError
 
 if TYPE_CHECKING:
-    from piga.ledger.store.record import Draft, DraftFile, Head, Record
+    from piga.ledger.store.documents import Draft, DraftFile, Head, Record
     from piga.ledger.store.store import Store
 
 __all__ = ["Draft", "DraftFile", "Head", "Record", "Store", "open_store"]
@@ -44,7 +44,7 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
 
 def __getattr__(name: str) -> object:
     if name in __all__:
-        from piga.ledger.store import record, store
+        from piga.ledger.store import documents, store
 
-        return getattr(store if name == "Store" else record, name)
+        return getattr(store if name == "Store" else documents, name)
     raise AttributeError(f"module 'piga.ledger.store' has no attribute '{name}'")

@@ -19,7 +19,7 @@ from sqlalchemy.pool import NullPool, StaticPool
 
 from piga.errors import StoreError
 from piga.ledger.store.documents import new_identity, sha256
-from piga.ledger.store.tables import HEAD, STORE
+from piga.ledger.store.rows import HEAD, STORE
 from piga.output import remove_leftovers, write_whole
 from piga.records.limits import open_regular
 

@@ -11,21 +11,77 @@ import hashlib
 import json
 import re
 import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
-from piga.ledger.store.file_names import safe_name
-from piga.records.limits import check_label
+from piga.output import write_whole
+from piga.records.limits import check_label, open_regular
 from piga.records.text_files import JsonError, decode_json
+
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
+
+
+def safe_name(name: str) -> PurePosixPath:
+    """A file name of a record as a path below some folder.
+
+    Raises
+    ------
+    StoreError
+        If it is absolute, leads upwards, or holds what some file system takes for more than a name.
+    """
+    parts = name.split("/")
+    bad = any(
+        part in ("", ".", "..")
+        or part.endswith((".", " "))
+        or any(c in '\\:*?"<>|' or ord(c) < 32 for c in part)
+        for part in parts
+    )
+    if bad or len(name) > 500 or any(part.split(".")[0].upper() in _RESERVED for part in parts):
+        raise StoreError(
+            f"file name '{name}' cannot be stored",
+            remedy="use letters, digits and plain folders, relative to the run",
+        )
+    return PurePosixPath(name)
+
+
+def write_new(path: Path, parts: Iterator[bytes]) -> None:
+    """Write a file that must not be there yet; it appears under its name when it is whole, or not at all.
+
+    Raises
+    ------
+    StoreError
+        If it is there, or cannot be written.
+    """
+
+    def write(part: Path) -> None:
+        with part.open("wb") as stream:
+            stream.writelines(parts)
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
+        ) from None
+    if path.exists():
+        raise StoreError(f"{path}: exists already", remedy="extract into an empty folder")
+    write_whole(path, write, replace=False, remedy="choose another folder", kind=StoreError)
+
 
 IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
 MAX_TEXT = 2000
 """Letters that operator and reason may have."""
 MAX_FILES = 1000
 """Files of a record."""
+PART = 1 << 20
+"""Bytes of a file per row."""
 _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 _ID = re.compile(rf"[{_ALPHABET}]{{5}}-[{_ALPHABET}]{{5}}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -97,6 +153,31 @@ class Link(msgspec.Struct, frozen=True):
 def sha256(data: bytes) -> str:
     """SHA-256 in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
+
+
+def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
+    """SHA-256 and size [bytes] of what comes in parts."""
+    digest, size = hashlib.sha256(), 0
+    for part in parts:
+        digest.update(part)
+        size += len(part)
+    return digest.hexdigest(), size
+
+
+def parts_of(path: Path) -> Iterator[bytes]:
+    """A file in parts.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read.
+    """
+    try:
+        with open_regular(path, error=StoreError) as stream:
+            while part := stream.read(PART):
+                yield part
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check the file") from None
 
 
 def encode(document: msgspec.Struct) -> bytes:
@@ -246,3 +327,92 @@ def _check_plain(name: str, value: Any, depth: int = 8) -> None:
         raise ArgumentError(f"{name}: nested more than eight deep")
     for part in parts:
         _check_plain(name, part, depth - 1)
+
+
+@dataclass(frozen=True)
+class Head:
+    """Where a chain stands: number of records, and the hash that vouches for all of them."""
+
+    number: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Position:
+    """The place that a new record takes: its name, number, store, and the head before it."""
+
+    id: str
+    number: int
+    store: str
+    after: str
+
+
+@dataclass(frozen=True)
+class DraftFile:
+    """A file to store: its role (run, data, calibration, report, ...), name, and where its bytes are.
+
+    ``sha256`` is what it must be, where that is known: a file that changed since it was read is refused.
+    """
+
+    role: str
+    name: str
+    source: Path | bytes
+    sha256: str | None = None
+
+    def parts(self) -> Iterator[bytes]:
+        """The bytes in parts."""
+        return iter((self.source,)) if isinstance(self.source, bytes) else parts_of(self.source)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A record before it is written; ``measured`` is the time of the test, in ISO form."""
+
+    serial: str
+    operator: str
+    reason: str
+    files: tuple[DraftFile, ...]
+    request: dict[str, Any] = field(default_factory=dict)
+    software: dict[str, str] = field(default_factory=dict)
+    measured: str | None = None
+    supersedes: str | None = None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A link with its record as the bytes that are hashed; ``document`` is None in an export without it."""
+
+    number: int
+    link: bytes
+    document: bytes | None
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record of the store: its place in the chain and what was written."""
+
+    number: int
+    head: str
+    link: Link
+    document: RecordDocument
+
+    @property
+    def id(self) -> str:
+        """Name of the record; the same in every store."""
+        return self.document.id
+
+    @property
+    def measured(self) -> datetime:
+        """When the test was made; when that was not said or is not a date, when the record was made or added.
+
+        Piga 0.1 let an import bring in times that are not dates.
+        """
+        for text in (self.document.measured, self.document.created):
+            with suppress(ValueError, OverflowError):
+                if text is not None:
+                    return moment(text)
+        return moment(self.link.added)
+
+    def file(self, role: str) -> StoredFile | None:
+        """The first file of a role."""
+        return next((found for found in self.document.files if found.role == role), None)

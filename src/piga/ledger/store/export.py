@@ -20,10 +20,8 @@ from typing import Any, BinaryIO, Self
 
 from piga._version import __version__
 from piga.errors import StoreError
-from piga.ledger.store.blobs import PART, digest_of, read_blob
-from piga.ledger.store.chain import read_entries, read_identity, stored_sizes
-from piga.ledger.store.documents import RECORD, RecordDocument, decode, sha256
-from piga.ledger.store.record import Entry
+from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, decode, digest_of, sha256
+from piga.ledger.store.rows import read_blob, read_entries, read_identity, stored_sizes
 from piga.ledger.store.store import Store
 from piga.records.limits import open_regular
 

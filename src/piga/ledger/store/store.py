@@ -12,28 +12,42 @@ from typing import Any, Self, TypeVar
 import sqlalchemy as sa
 
 from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError
-from piga.ledger.store import blobs
-from piga.ledger.store.chain import read_head, read_identity
 from piga.ledger.store.database import Database
 from piga.ledger.store.documents import (
     IDENTITY,
     LINK,
     RECORD,
+    Draft,
+    Entry,
+    Head,
     Identity,
     Link,
+    Position,
+    Record,
     RecordDocument,
     StoredFile,
     check_record,
     decode,
+    digest_of,
     encode,
     is_id,
     new_id,
     now,
+    safe_name,
     sha256,
+    write_new,
 )
-from piga.ledger.store.file_names import safe_name, write_new
-from piga.ledger.store.record import Draft, Entry, Head, Position, Record
-from piga.ledger.store.tables import ENTRY, HEAD
+from piga.ledger.store.rows import (
+    COMPRESS_ABOVE,
+    ENTRY,
+    HEAD,
+    as_bytes,
+    insert_blob,
+    read_blob,
+    read_blobs,
+    read_head,
+    read_identity,
+)
 from piga.records.calibration import Calibration, CalibrationFigures
 
 ROWS = 500
@@ -55,7 +69,7 @@ class Store:
         Files larger than this are stored compressed [bytes].
     """
 
-    def __init__(self, database: Database, *, compress_above: int = blobs.COMPRESS_ABOVE) -> None:
+    def __init__(self, database: Database, *, compress_above: int = COMPRESS_ABOVE) -> None:
         self.database, self.compress_above = database, compress_above
 
     def __enter__(self) -> Self:
@@ -130,7 +144,7 @@ class Store:
             if file is None:
                 roles = ", ".join(sorted({stored.role for stored in found.document.files}))
                 raise StoreError(f"record {found.id} has no file '{role}'", remedy=f"it has: {roles}")
-            return b"".join(blobs.read_blob(connection, file.sha256))
+            return b"".join(read_blob(connection, file.sha256))
 
     def calibration(self, name: str | int) -> Calibration:
         """The calibration of a record (without residuals)."""
@@ -166,7 +180,7 @@ class Store:
                 if (file := record.file("calibration")) is not None:
                     kept.append((record.measured, record.number, record.id, file.sha256, file.size))
             kept = sorted(entry for entry in kept if entry[2] not in old)
-            files = blobs.read_blobs(connection, ((entry[3], entry[4]) for entry in kept))
+            files = read_blobs(connection, ((entry[3], entry[4]) for entry in kept))
             for (measured, _, name, _, _), (_, raw) in zip(kept, files, strict=True):
                 try:
                     calibration = read(raw, Path(f"record {name}"))
@@ -190,7 +204,7 @@ class Store:
             for file in kept:
                 path = folder / safe_name(file.name)
                 run = path if file.role == "run" else run
-                write_new(path, blobs.read_blob(connection, file.sha256))
+                write_new(path, read_blob(connection, file.sha256))
         return run
 
     def append(self, make: Callable[[Position], Draft]) -> Record:
@@ -243,13 +257,13 @@ class Store:
         files = []
         for file in draft.files:
             safe_name(file.name)
-            digest, size = blobs.digest_of(file.parts())
+            digest, size = digest_of(file.parts())
             if file.sha256 not in (None, digest):
                 raise StoreError(
                     f"{file.name}: changed after it was read (its SHA-256 differs)",
                     remedy="calibrate again, with the files as they are now",
                 )
-            blobs.insert_blob(connection, digest, size, file.parts(), self.compress_above)
+            insert_blob(connection, digest, size, file.parts(), self.compress_above)
             files.append(StoredFile(file.role, file.name, digest, size))
         document = RecordDocument(
             schema=RECORD,
@@ -294,7 +308,7 @@ class Store:
                 raise StoreError(
                     f"{file.name}: larger than {MAX_BYTES} bytes", remedy="it is not a calibration"
                 )
-            raw = b"".join(blobs.read_blob(connection, file.sha256))
+            raw = b"".join(read_blob(connection, file.sha256))
             serial = calibration_from_bytes(raw, Path(file.name)).serial
             if serial != document.serial:
                 raise StoreError(
@@ -335,7 +349,7 @@ class Store:
         if head.number == 0:
             return
         last = connection.execute(sa.select(ENTRY.c.link).where(ENTRY.c.number == head.number)).scalar_one()
-        added = decode(blobs.as_bytes(last, "the last link"), Link, LINK, "link").added
+        added = decode(as_bytes(last, "the last link"), Link, LINK, "link").added
         if now() < added:
             warnings.warn(
                 f"{self.name}: the clock is behind the last record ({added}); the order of the chain holds",
@@ -358,6 +372,6 @@ class Store:
 
     def _record(self, row: sa.Row) -> Record:
         what = f"{self.name}: record {row.number}"
-        link = decode(blobs.as_bytes(row.link, what), Link, LINK, what)
-        document = decode(blobs.as_bytes(row.document, what), RecordDocument, RECORD, what)
+        link = decode(as_bytes(row.link, what), Link, LINK, what)
+        document = decode(as_bytes(row.document, what), RecordDocument, RECORD, what)
         return Record(row.number, row.head, link, document)

@@ -10,7 +10,6 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from piga.errors import PigaError, StoreError
-from piga.ledger.store.blobs import insert_blob
 from piga.ledger.store.database import (
     connect_sqlite,
     explained,
@@ -25,6 +24,7 @@ from piga.ledger.store.database import (
 from piga.ledger.store.documents import (
     LINK,
     RECORD,
+    Entry,
     Link,
     RecordDocument,
     TakenOver,
@@ -34,9 +34,8 @@ from piga.ledger.store.documents import (
     sha256,
 )
 from piga.ledger.store.export import Export, is_export, write_members
-from piga.ledger.store.record import Entry
+from piga.ledger.store.rows import ENTRY, insert_blob
 from piga.ledger.store.store import Store
-from piga.ledger.store.tables import ENTRY
 from piga.ledger.store.verify import Advance, Source, StoreSource, Verification, check_chain, silent, verify
 from piga.output import write_whole
 

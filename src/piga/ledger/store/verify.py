@@ -13,13 +13,13 @@ from typing import Any, Protocol
 import sqlalchemy as sa
 
 from piga.errors import PigaError, StoreError
-from piga.ledger.store.blobs import check_blobs, read_blob
-from piga.ledger.store.chain import ROWS, read_entries, read_head, read_identity
 from piga.ledger.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA, is_url, new_sqlite, open_database
 from piga.ledger.store.documents import (
     IDENTITY,
     LINK,
     RECORD,
+    Entry,
+    Head,
     Identity,
     Link,
     RecordDocument,
@@ -29,9 +29,20 @@ from piga.ledger.store.documents import (
     sha256,
 )
 from piga.ledger.store.export import Export, is_export
-from piga.ledger.store.record import Entry, Head
+from piga.ledger.store.rows import (
+    BLOB,
+    CHUNK,
+    ENTRY,
+    HEAD,
+    ROWS,
+    STORE,
+    check_blobs,
+    read_blob,
+    read_entries,
+    read_head,
+    read_identity,
+)
 from piga.ledger.store.store import Store
-from piga.ledger.store.tables import BLOB, CHUNK, ENTRY, HEAD, STORE
 
 MAX_PROBLEMS = 100
 Advance = Callable[[int, int], None]

@@ -2,7 +2,7 @@
 
 from alembic import context
 
-from piga.ledger.store.tables import metadata
+from piga.ledger.store.rows import metadata
 
 context.configure(
     connection=context.config.attributes["connection"],

@@ -1,39 +1,63 @@
-"""Files inside the store: named by their SHA-256, kept once, in parts of a megabyte."""
+"""The tables of a store, row by row: identity, head and entries, and files in parts of a megabyte.
+
+Files are named by their SHA-256 and kept once. Migrations make the tables.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import zlib
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 import sqlalchemy as sa
+from sqlalchemy import BigInteger, Column, Integer, LargeBinary, MetaData, Table, Text
 
 from piga.errors import StoreError
-from piga.ledger.store.documents import sha256
-from piga.ledger.store.tables import BLOB, CHUNK
-from piga.records.limits import open_regular
+from piga.ledger.store.documents import PART, Entry, Head, digest_of, sha256
 
-PART = 1 << 20
-"""Bytes of a file per row."""
+metadata = MetaData()
+
+STORE = Table("piga_store", metadata, Column("document", LargeBinary, primary_key=True))
+"""One row: the identity."""
+
+ENTRY = Table(
+    "piga_entry",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=False),
+    Column("head", Text, nullable=False),
+    Column("id", Text, nullable=False),
+    Column("serial", Text, nullable=False),
+    Column("link", LargeBinary, nullable=False),
+    Column("document", LargeBinary, nullable=False),
+)
+"""The chain: link and record document; head, id and serial are taken from them for look-ups."""
+
+BLOB = Table("piga_blob", metadata, Column("sha256", Text, primary_key=True), Column("size", BigInteger))
+"""Files, named by their content."""
+
+CHUNK = Table(
+    "piga_chunk",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    Column("part", Integer, primary_key=True),
+    Column("codec", Text, nullable=False),
+    Column("digest", Text, nullable=False),
+    Column("data", LargeBinary, nullable=False),
+)
+"""Parts of files in order: ``plain`` or ``zlib``, with the SHA-256 of the bytes as they lie here."""
+
+HEAD = Table(
+    "piga_head",
+    metadata,
+    Column("one", Integer, primary_key=True),
+    Column("number", Integer),
+    Column("head", Text),
+)
+"""One row: number and head of the last entry, so that a chain cut short is seen."""
+
+
 COMPRESS_ABOVE = 1 << 16
 """Files larger than this are stored compressed [bytes]; ``Store(compress_above=...)`` changes it."""
-
-
-def parts_of(path: Path) -> Iterator[bytes]:
-    """A file in parts.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be read.
-    """
-    try:
-        with open_regular(path, error=StoreError) as stream:
-            while part := stream.read(PART):
-                yield part
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check the file") from None
 
 
 def as_bytes(value: object, what: str) -> bytes:
@@ -47,15 +71,6 @@ def as_bytes(value: object, what: str) -> bytes:
     if not isinstance(value, bytes | memoryview):
         raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
     return bytes(value)
-
-
-def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
-    """SHA-256 and size [bytes] of what comes in parts."""
-    digest, size = hashlib.sha256(), 0
-    for part in parts:
-        digest.update(part)
-        size += len(part)
-    return digest.hexdigest(), size
 
 
 def insert_blob(
@@ -235,3 +250,39 @@ def _unpacked(row: sa.Row) -> bytes:
 
 def _damaged(name: str) -> StoreError:
     return StoreError(f"file {name[:12]}: is damaged in the store", remedy="restore a backup")
+
+
+ROWS = 200
+"""Entries that are fetched at once."""
+
+
+def read_identity(connection: sa.Connection) -> bytes:
+    """The identity document."""
+    return as_bytes(connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
+
+
+def read_head(connection: sa.Connection) -> Head:
+    """Number and hash of the last entry."""
+    row = connection.execute(sa.select(HEAD)).one()
+    if not isinstance(row.number, int) or not isinstance(row.head, str):
+        raise StoreError("the head is damaged in the store", remedy="restore a backup")
+    return Head(row.number, row.head)
+
+
+def read_entries(connection: sa.Connection) -> Iterator[Entry]:
+    """The chain in order; a few entries are in memory at a time."""
+    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number).limit(ROWS)
+    number = 0
+    while rows := connection.execute(wanted.where(ENTRY.c.number > number)).all():
+        for row in rows:
+            number, what = row.number, f"record {row.number}"
+            yield Entry(number, as_bytes(row.link, what), as_bytes(row.document, what))
+
+
+def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:
+    """Size of each stored file, and of what it takes in the store [bytes]."""
+    taken = sa.select(CHUNK.c.sha256, sa.func.sum(sa.func.length(CHUNK.c.data)).label("taken")).group_by(
+        CHUNK.c.sha256
+    )
+    packed = {row.sha256: int(row.taken) for row in connection.execute(taken)}
+    return {row.sha256: (row.size, packed.get(row.sha256, 0)) for row in connection.execute(sa.select(BLOB))}
