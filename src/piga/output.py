@@ -69,10 +69,8 @@ def write_whole(
         else:
             _lock(handle)
         write(temporary)
-        _sync(temporary)
         temporary.chmod(0o644)
-        _rename(temporary, target, replace=replace)
-        sync_directory(target.parent)
+        put_in_place(temporary, target, replace=replace)
     except FileExistsError:
         raise kind(f"{target}: exists already", remedy="choose another name") from None
     except OSError as error:
@@ -82,6 +80,29 @@ def write_whole(
         if not _WINDOWS:
             os.close(handle)
     return target
+
+
+def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
+    """Make a complete file beside ``target`` last, and give it that name.
+
+    Raises
+    ------
+    OSError
+        If it cannot be done; FileExistsError where ``target`` is there and is not to be replaced.
+    """
+    _sync(part)
+    if replace or _WINDOWS:
+        (part.replace if replace else part.rename)(target)
+    else:
+        try:
+            os.link(part, target)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            if target.exists():
+                raise FileExistsError(17, "exists", str(target)) from None
+            part.rename(target)
+    sync_directory(target.parent)
 
 
 def remove_leftovers(target: Path) -> None:
@@ -419,13 +440,6 @@ def sync_directory(folder: Path) -> None:
 def _sync(path: Path) -> None:
     with path.open("rb+") as stream:
         os.fsync(stream.fileno())
-
-
-def _rename(temporary: Path, target: Path, *, replace: bool) -> None:
-    if replace or _WINDOWS:
-        (temporary.replace if replace else temporary.rename)(target)
-        return
-    os.link(temporary, target)
 
 
 def _lock(handle: int) -> None:

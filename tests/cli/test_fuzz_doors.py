@@ -104,7 +104,7 @@ def test_certificates() -> None:
     etree = pytest.importorskip("lxml.etree")
     from piga.certificate.dcc.reader import calibration_of as calibration_in
     from piga.certificate.dcc.writer import dcc_document
-    from piga.certificate.dcc.xml_file import parse_xml
+    from piga.certificate.dcc.xml_signature import parse_xml
 
     draw = seeded(24)
     cal = budgeted(calibration(serial="G-0417", with_residuals=False))

@@ -15,7 +15,7 @@ from tests.reports.certificate_data import complete, key_pair
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
 
-from piga.certificate.dcc import xml_file  # noqa: E402
+from piga.certificate.dcc import xml_signature  # noqa: E402
 from piga.certificate.dcc.reader import calibration_of, read_dcc  # noqa: E402
 from piga.certificate.dcc.writer import dcc_document  # noqa: E402
 from piga.certificate.dcc.xml_signature import sign_xml, verify_signature, written  # noqa: E402
@@ -288,7 +288,7 @@ ATTACKS = {
 def test_document_types_are_refused(tmp_path, attack, encoding):
     path = put(tmp_path, ATTACKS[attack].encode(encoding))
     with pytest.raises(DataError, match=r"document type|not valid XML"):
-        xml_file.read_xml(path)
+        xml_signature.read_xml(path)
 
 
 def test_damaged_large_and_missing_files(tmp_path, monkeypatch):
@@ -300,7 +300,7 @@ def test_damaged_large_and_missing_files(tmp_path, monkeypatch):
         read_dcc(put(tmp_path, b"<a>" * 3000))
     with pytest.raises(DataError, match="cannot be read"):
         read_dcc(tmp_path / "none.xml")
-    monkeypatch.setattr(xml_file, "MAX_BYTES", 10)
+    monkeypatch.setattr(xml_signature, "MAX_BYTES", 10)
     with pytest.raises(DataError, match="larger than"):
         read_dcc(put(tmp_path, b"<a>" + b" " * 20 + b"</a>"))
 

@@ -256,8 +256,7 @@ def read(
     Ready for 'piga compensate'; --certificate verifies it first.
     """
     from piga.certificate.dcc.reader import calibration_of
-    from piga.certificate.dcc.xml_file import read_xml
-    from piga.certificate.dcc.xml_signature import check_profile, verify_signature
+    from piga.certificate.dcc.xml_signature import check_profile, read_xml, verify_signature
 
     check_outputs([out], [file, *([] if certificate is None else [certificate])], force=force)
     day = _day(at)

@@ -24,8 +24,7 @@ import numpy as np
 
 from piga.certificate.certificate_file import WORST, overall, range_sentence, title_of, validity_ranges
 from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi, power_of_g, significant_digit, to_dsi
-from piga.certificate.dcc.xml_file import read_xml
-from piga.certificate.dcc.xml_signature import check_profile
+from piga.certificate.dcc.xml_signature import check_profile, read_xml
 from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.calibration_json import calibration_from_bytes

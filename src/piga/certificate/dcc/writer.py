@@ -1,19 +1,39 @@
-"""The Digital Calibration Certificate: DCC 3.3.0 in XML with D-SI 2.2.1 quantities, SI only."""
+"""The Digital Calibration Certificate: DCC 3.3.0 in XML with D-SI 2.2.1 quantities, SI only.
+
+Coefficients stand in it twice: one by one with expanded uncertainty for any reader of certificates, and as one
+vector with its covariance matrix (a multivariate uncertainty) for those who compute with them. ``g`` is
+converted exactly; numbers carry all their digits, and ``significantDigit`` says which of them count.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import base64
+import datetime as dt
+import re
+from collections.abc import Iterable, Sequence
+from decimal import Decimal
+from typing import TYPE_CHECKING, Any
 
-from piga.certificate.certificate_file import CertificateFile
-from piga.certificate.dcc.administration import administrative_data
-from piga.certificate.dcc.elements import dcc
-from piga.certificate.dcc.reader import DCC, SI
-from piga.certificate.dcc.results import measurement_result
+from piga._version import __version__
+from piga.certificate.certificate_file import (
+    CertificateFile,
+    ConditionTable,
+    PartyTable,
+    quantity_text,
+    title_of,
+)
+from piga.certificate.dcc.dsi_units import dsi_unit, power_of_g, significant_digit, to_dsi
+from piga.certificate.dcc.reader import DCC, JOINT, RECORD, SI, label_of
+from piga.certificate.statements import Statement, statements, verdicts
 from piga.errors import DataError
-from piga.records.calibration import Calibration
+from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration_json import calibration_to_bytes
+from piga.records.coverage import PROBABILITY, joint_factor
+from piga.units import parse_unit
 
 if TYPE_CHECKING:
     from lxml import etree
+
 
 MOST_TEXT = 9_900_000
 """Characters of one text in the XML; libxml2 refuses more than 10 million, and so do programs built on it."""
@@ -56,3 +76,394 @@ def dcc_document(
         )
     etree.indent(root)
     return root
+
+
+def administrative_data(data: CertificateFile, calibration: Calibration) -> etree._Element:
+    """What does not come from the measurement: laboratory, customer, item, people, statements."""
+    return dcc(
+        "administrativeData",
+        [
+            dcc("dccSoftware", [software()]),
+            _core(data),
+            _items(data, calibration),
+            _laboratory(data),
+            _persons(data),
+            _contact("customer", data.customer),
+            dcc("statements", [_statement(statement) for statement in statements(data, calibration)]),
+        ],
+    )
+
+
+def _core(data: CertificateFile) -> etree._Element:
+    order = _identification("customer", data.calibration.order, "Order") if data.calibration.order else None
+    replaced = data.certificate.replaces
+    amended = [dcc("typeOfChange", "substituted"), given("replacedUniqueIdentifier", replaced)]
+    return dcc(
+        "coreData",
+        [
+            dcc("countryCodeISO3166_1", data.laboratory.country),
+            dcc("usedLangCodeISO639_1", "en"),
+            dcc("mandatoryLangCodeISO639_1", "en"),
+            given("uniqueIdentifier", data.certificate.number),
+            None if order is None else dcc("identifications", [order]),
+            day("receiptDate", data.item.received),
+            day("beginPerformanceDate", data.calibration.begin),
+            day("endPerformanceDate", data.calibration.end),
+            dcc("performanceLocation", data.calibration.place or "laboratory"),
+            day("issueDate", data.certificate.issued),
+            dcc("reportAmendedSubstituted", amended) if replaced else None,
+        ],
+    )
+
+
+def _identification(issuer: str, value: str, name: str) -> etree._Element:
+    return dcc("identification", [dcc("issuer", issuer), given("value", value), text("name", name)])
+
+
+def _items(data: CertificateFile, calibration: Calibration) -> etree._Element:
+    item = data.item
+    identifications = [_identification("manufacturer", item.serial, "Serial number")]
+    if item.customer_id:
+        identifications.append(_identification("customer", item.customer_id, "Customer's identification"))
+    nominal = dcc(
+        "itemQuantity",
+        [
+            text("name", "Nominal scale factor"),
+            si("real", [si("value", repr(calibration.scale_factor_nominal)), si("unit", dsi_unit("rad/s/g"))]),
+        ],
+        "piga_nominalScaleFactor",
+    )
+    parts = [
+        text("name", item.description),
+        rich("description", f"Condition on receipt: {item.condition}"),
+        dcc("manufacturer", [text("name", item.manufacturer)]),
+        given("model", item.model),
+        dcc("identifications", identifications),
+        dcc("itemQuantities", [nominal]),
+    ]
+    return dcc("items", [dcc("item", parts)])
+
+
+def _contact(name: str, party: PartyTable) -> etree._Element:
+    location = [
+        given("city", party.city),
+        given("countryCode", party.country),
+        given("postCode", party.post_code),
+        given("street", party.street),
+    ]
+    return dcc(
+        name,
+        [
+            text("name", party.name),
+            given("eMail", party.email),
+            given("phone", party.phone),
+            dcc("location", location),
+        ],
+    )
+
+
+def _laboratory(data: CertificateFile) -> etree._Element:
+    code = given("calibrationLaboratoryCode", data.laboratory.accreditation)
+    return dcc("calibrationLaboratory", [code, _contact("contact", data.laboratory)])
+
+
+def _persons(data: CertificateFile) -> etree._Element:
+    authorised, performed = data.people.authorised, data.people.performed
+    people = [(authorised, "true")] + ([(performed, "false")] if performed.name else [])
+    return dcc(
+        "respPersons",
+        [
+            dcc(
+                "respPerson",
+                [
+                    dcc("person", [text("name", person.name)]),
+                    given("role", person.role),
+                    dcc("mainSigner", main),
+                ],
+            )
+            for person, main in people
+        ],
+    )
+
+
+def _statement(statement: Statement) -> etree._Element:
+    return dcc(
+        "statement",
+        [
+            text("name", statement.title),
+            dcc("traceable", "true") if statement.kind == "traceability" else None,
+            dcc("norm", "ISO/IEC 17025:2017"),
+            given("reference", statement.clause),
+            rich("declaration", statement.text),
+            day("date", statement.date),
+            given("conformity", statement.conformity),
+            _ranges(statement.ranges),
+        ],
+        statement.ref_type,
+    )
+
+
+def _ranges(ranges: Sequence[tuple[str, float, float, str]]) -> etree._Element | None:
+    """Ranges in SI, lower and upper end each."""
+    quantities = []
+    for name, low, high, unit in ranges:
+        for end, value in (("lower end", low), ("upper end", high)):
+            real = [si("value", repr(float(value))), si("unit", dsi_unit(unit))]
+            quantities.append(dcc("quantity", [text("name", f"{name}, {end}"), si("real", real)]))
+    return dcc("data", quantities) if quantities else None
+
+
+def measurement_result(
+    data: CertificateFile, calibration: Calibration, before: Calibration | None
+) -> etree._Element:
+    """How it was measured, under what conditions, and what came out."""
+    results = []
+    if before is not None:
+        results.append(_coefficients("Coefficients before adjustment", before, {}, "basic_beforeAdjustment"))
+    after = "" if before is None else " after adjustment"
+    marks = {verdict.key: verdict.dcc for verdict in verdicts(data, calibration)}
+    results.append(_coefficients(f"Coefficients{after}", calibration, marks, "basic_measuredValue"))
+    results.append(_joint(calibration))
+    results.append(_record(calibration))
+    return dcc(
+        "measurementResult",
+        [
+            text("name", f"Calibration of {calibration.serial}"),
+            _methods(data),
+            dcc("usedSoftware", [software()]),
+            _equipment(data),
+            dcc("influenceConditions", [_condition(condition) for condition in data.environment]),
+            dcc("results", results),
+        ],
+    )
+
+
+def _methods(data: CertificateFile) -> etree._Element:
+    documents = [given("norm", document) for document in data.method.documents]
+    description = f"{data.method.description} Additions, deviations and exclusions: {data.method.deviations}."
+    method = [text("name", data.method.name), rich("description", description), *documents]
+    uncertainty = [
+        text("name", "Measurement uncertainty"),
+        rich(
+            "description",
+            "Expanded uncertainties are standard uncertainties times the coverage factor of Student's t for the "
+            "effective degrees of freedom of each coefficient and a coverage probability of 95 %. A coefficient for "
+            "which that does not hold has the shortest 95 % coverage interval by Monte Carlo. The joint "
+            "result has the coverage factor sqrt(n F(n, nu)) for n coefficients, where nu is the fewest effective "
+            "degrees of freedom of any of them.",
+        ),
+        dcc("norm", "JCGM 100:2008"),
+        dcc("norm", "JCGM 101:2008"),
+        dcc("norm", "JCGM 102:2011"),
+    ]
+    return dcc("usedMethods", [dcc("usedMethod", method), dcc("usedMethod", uncertainty, "basic_uncertainty")])
+
+
+def _equipment(data: CertificateFile) -> etree._Element:
+    found = []
+    for standard in data.traceability.standard:
+        shown = "; ".join(part for part in (standard.realises, standard.certificate) if part)
+        identification = [
+            dcc("issuer", "calibrationLaboratory"),
+            given("value", standard.identification or standard.name),
+        ]
+        parts = [
+            text("name", standard.name),
+            rich("description", shown),
+            dcc("identifications", [dcc("identification", identification)]),
+        ]
+        found.append(dcc("measuringEquipment", parts, "basic_normalUsed"))
+    return dcc("measuringEquipments", found)
+
+
+def _condition(condition: ConditionTable) -> etree._Element:
+    number, unit = quantity_text(condition.value)
+    value = _si_decimal(number, unit, offset=True)
+    uncertain: list[etree._Element] = []
+    if condition.uncertainty:
+        spread, spread_unit = quantity_text(condition.uncertainty)
+        uncertain = [_univariate(_si_decimal(spread, spread_unit), "2")]
+    real = si("real", [si("value", value), si("unit", dsi_unit(unit)), *uncertain])
+    quantity = dcc("quantity", [text("name", condition.name), real])
+    kind = {"air temperature": "basic_temperature", "relative humidity": "basic_humidityRelative"}
+    return dcc(
+        "influenceCondition",
+        [text("name", condition.name), dcc("data", [quantity])],
+        kind.get(condition.name.lower(), ""),
+    )
+
+
+def _si_decimal(number: float, unit: str, *, offset: bool = False) -> str:
+    """SI text of a number that a person wrote, without binary artefacts: 20.1 degC is 293.25 K."""
+    parsed = parse_unit(unit)
+    value = Decimal(repr(number)) * Decimal(repr(parsed.factor))
+    return str(value + Decimal("273.15") if offset and parsed.text == "degC" else value)
+
+
+def _univariate(value: str, factor: str) -> etree._Element:
+    expanded = [
+        si("valueExpandedMU", value),
+        si("coverageFactor", factor),
+        si("coverageProbability", str(PROBABILITY)),
+        si("distribution", "normal" if factor == "2" else "t"),
+    ]
+    return si("measurementUncertaintyUnivariate", [si("expandedMU", expanded)])
+
+
+def _interval(coefficient: Coefficient, power: int) -> etree._Element:
+    """The Monte Carlo interval of a coefficient."""
+    covered = coefficient.coverage
+    interval = [
+        si("valueStandardMU", to_dsi(coefficient.std, power)),
+        si("intervalMin", to_dsi(covered.low, power)),
+        si("intervalMax", to_dsi(covered.high, power)),
+        si("coverageProbability", str(PROBABILITY)),
+    ]
+    return si("measurementUncertaintyUnivariate", [si("coverageIntervalMU", interval)])
+
+
+def _coefficients(title: str, calibration: Calibration, marks: dict[str, str], ref_type: str) -> etree._Element:
+    quantities = [_quantity(c, marks.get(c.key, "")) for c in calibration.coefficients]
+    return dcc("result", [text("name", title), dcc("data", [dcc("list", quantities)])], ref_type)
+
+
+def _quantity(coefficient: Coefficient, mark: str) -> etree._Element:
+    power, covered = power_of_g(coefficient.unit), coefficient.coverage
+    expanded, value = to_dsi(covered.half_width, power), to_dsi(coefficient.value, power)
+    real = [
+        si("label", coefficient.key),
+        si("value", value),
+        si("unit", dsi_unit(coefficient.unit)),
+        si("significantDigit", str(significant_digit(Decimal(expanded), Decimal(value)))),
+        _interval(coefficient, power)
+        if covered.monte_carlo
+        else _univariate(expanded, f"{covered.factor:.6f}"),
+    ]
+    meta = None
+    if mark:
+        declared = [text("declaration", "Conformity of this coefficient"), dcc("conformity", mark)]
+        meta = dcc("measurementMetaData", [dcc("metaData", declared, "basic_conformity")])
+    return dcc("quantity", [text("name", title_of(coefficient)), si("real", real), meta])
+
+
+def _joint(calibration: Calibration) -> etree._Element:
+    """All coefficients as a vector with its covariance matrix."""
+    units = [c.unit for c in calibration.coefficients]
+    powers = [power_of_g(unit) for unit in units]
+    columns = [
+        si(
+            "columnXMLList",
+            [
+                si(
+                    "covarianceXMLList",
+                    [
+                        si(
+                            "valueXMLList",
+                            _words(to_dsi(v, p + powers[j]) for v, p in zip(column, powers, strict=True)),
+                        ),
+                        si("unitXMLList", _words(dsi_unit(unit, units[j]) for unit in units)),
+                    ],
+                )
+            ],
+        )
+        for j, column in enumerate(calibration.covariance.T.tolist())
+    ]
+    spread = _words(to_dsi(c.std, p) for c, p in zip(calibration.coefficients, powers, strict=True))
+    region = [
+        si("covarianceMatrixXMLList", columns),
+        si("coverageFactorXMLList", f"{joint_factor(calibration.coefficients):.6f}"),
+        si("coverageProbabilityXMLList", str(PROBABILITY)),
+    ]
+    vector = [
+        si("labelXMLList", _words(label_of(c.key) for c in calibration.coefficients)),
+        si(
+            "valueXMLList",
+            _words(to_dsi(c.value, p) for c, p in zip(calibration.coefficients, powers, strict=True)),
+        ),
+        si("unitXMLList", _words(dsi_unit(unit) for unit in units)),
+        si(
+            "measurementUncertaintyUnivariateXMLList",
+            [si("standardMUXMLList", [si("valueStandardMUXMLList", spread)])],
+        ),
+        si("measurementUncertaintyMultivariateXMLList", [si("ellipsoidalRegionMUXMLList", region)]),
+    ]
+    quantity = dcc(
+        "quantity", [text("name", "Coefficients and covariance"), si("realListXMLList", vector)], JOINT
+    )
+    return dcc("result", [text("name", "Joint result with covariance"), dcc("data", [quantity])])
+
+
+def _words(parts: Iterable[str]) -> str:
+    return " ".join(parts)
+
+
+def _record(calibration: Calibration) -> etree._Element:
+    """The whole record as an attachment: what it takes to read the certificate back into a calibration."""
+    attached = dcc(
+        "byteData",
+        [
+            text(
+                "name", "Calibration record of piga with budget, residual figures, data quality and provenance"
+            ),
+            dcc("fileName", "calibration.json"),
+            dcc("mimeType", "application/json"),
+            dcc("dataBase64", base64.b64encode(calibration_to_bytes(calibration)).decode("ascii")),
+        ],
+        RECORD,
+    )
+    return dcc("result", [text("name", "Calibration record"), dcc("data", [attached])])
+
+
+Parts = Iterable[Any]
+
+
+def _element(
+    namespace: str, name: str, parts: Parts | str, ref_type: str = "", **attributes: str
+) -> etree._Element:
+    from lxml import etree
+
+    element = etree.Element(f"{{{namespace}}}{name}", attributes, nsmap={"dcc": DCC, "si": SI})
+    if ref_type:
+        element.set("refType", ref_type)
+    if isinstance(parts, str):
+        element.text = parts
+    else:
+        element.extend([part for part in parts if part is not None])
+    return element
+
+
+def dcc(name: str, parts: Parts | str, ref_type: str = "") -> etree._Element:
+    """An element of the certificate, with parts or text."""
+    return _element(DCC, name, parts, ref_type)
+
+
+def si(name: str, parts: Parts | str) -> etree._Element:
+    """An element of a quantity, with parts or text."""
+    return _element(SI, name, parts)
+
+
+def given(name: str, words: str) -> etree._Element | None:
+    """An element with text, or None for none (white space made single, as the schema wants it)."""
+    clean = " ".join(words.split())
+    return dcc(name, clean) if clean else None
+
+
+def text(name: str, words: str) -> etree._Element:
+    """An element with content in English."""
+    return dcc(name, [_element(DCC, "content", " ".join(words.split()), lang="en")])
+
+
+def rich(name: str, words: str) -> etree._Element | None:
+    """As :func:`text`, or None for white space."""
+    return text(name, words) if words.strip() else None
+
+
+def day(name: str, date: dt.date | None) -> etree._Element | None:
+    """A date, or None for none."""
+    return None if date is None else dcc(name, date.isoformat())
+
+
+def software() -> etree._Element:
+    """Name and release of piga."""
+    release = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", __version__)
+    return dcc("software", [text("name", "piga"), dcc("release", f"v{release[0] if release else 0}")])

@@ -12,7 +12,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from piga._version import __version__
 from piga.compensation.writers import TableWriter
 from piga.errors import ArgumentError
-from piga.output import hold, write_whole
+from piga.output import hold, put_in_place, write_whole
 from piga.records.calibration import Calibration
 from piga.records.calibration_json import calibration_to_bytes
 from piga.records.run import Run
@@ -131,10 +130,7 @@ class Parts:
     def keep(self, carried: Mapping[str, Any], rows: int) -> None:
         """The next part, of so many rows, is complete: bring it to the disk, then what it carries on."""
         if rows:  # at a slower rate there may be none
-            path = self.folder / "part.new"
-            with path.open("rb") as stream:
-                os.fsync(stream.fileno())
-            path.replace(self.folder / f"{self.count}.parquet")
+            put_in_place(self.folder / "part.new", self.folder / f"{self.count}.parquet")
         text = json.dumps(dict(carried)).encode()
         write_whole(self.folder / f"{self.count}.json", lambda path: path.write_bytes(text))
         self.count += 1
