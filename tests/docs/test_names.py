@@ -17,7 +17,7 @@ _PATH = re.compile(rf"(?<![\w./-])((?:{'|'.join(PLACES)})/[\w./*-]*\w)")
 _PAGE = re.compile(r"(?<![\w./*-])([\w-]+(?:/[\w-]+)*\.md)\b")
 _DOTTED = re.compile(r"(?:`|:\w+:`~?)(piga(?:\.\w+)+)(?![\w/-])")
 _COMMAND = re.compile(r"`piga ([a-z]+(?: [a-z]+)?)(?=[ `])")
-_KEYS = {"piga.flags", "piga.notes"}
+_KEYS = {"piga.flags", "piga.inputs", "piga.notes"}
 """Names of metadata in files, which look like modules."""
 
 

@@ -168,7 +168,7 @@ def simulated(step: float = 30.0) -> dict[tuple[str, float], Errors]:
 def lines(e: Errors, latitude: float) -> dict[str, np.ndarray]:
     """Amplitudes at W1 and W2 (2,) of every channel, by least squares with what else is there.
 
-    Rows times ``sin^2`` over the day. Without that the Schuler oscillation of 1.5 m/s, whose rate the columns have to 0.15 %,
+    Rows times ``sin^2`` over the day. Without that the Schuler oscillation of 1.5 m/s, whose rate the columns have to 0.2 %,
     leaks into lines below 1 mm/s.
     """
     t = e.times - e.times.mean()
