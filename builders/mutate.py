@@ -85,7 +85,7 @@ IDENTIFIED = tests_of("platform", "identification", "alignment", "intervals")
 TRIADS = tests_of("platform", "triad", "simulate")
 GROUND = ["tests/foundations"]
 CALIBRATION = {
-    "calibration/remarks/advice calibration/remarks/advice_sample": tests_of("calibration", "advice"),
+    "calibration/remarks/advice": tests_of("calibration", "advice"),
     "calibration/allan": tests_of("calibration", "allan", "drift"),
     "calibration/calibrate calibration/model/design "
     "calibration/fit/one_run calibration/noise/levels calibration/fit/residuals "

@@ -26,7 +26,7 @@ from piga.calibration.remarks.advice import with_advice
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.planning.candidates import _without_phase, coefficient_names
 from piga.planning.mounting import plan_mounting
-from piga.records.calibration import Coefficient
+from piga.records.calibration import Coefficient, SegmentScatter
 from piga.trend.history import Forecast
 from piga.units import G0
 from tests.calibration.synthetic import BETA, SCALE, TERMS, record
@@ -74,7 +74,9 @@ def coefficient(
 def notes(coefficients: list[Coefficient], correlation: float = 0.0, **options: object) -> str:
     std = np.array([c.std for c in coefficients])
     covariance = np.outer(std, std) * (correlation + (1.0 - correlation) * np.eye(std.size))
-    return "\n".join(notes_in_words(tuple(coefficients), covariance, **({"scatter": {}} | options)))
+    return "\n".join(
+        notes_in_words(tuple(coefficients), covariance, **({"scatter": SegmentScatter()} | options))
+    )
 
 
 def test_doubts_are_said_when_there_are_and_only_then() -> None:
@@ -94,8 +96,8 @@ def test_doubts_are_said_when_there_are_and_only_then() -> None:
         "k0, k2 are smaller than twice their standard uncertainty: the record does not need them",
     )
     assert "tan_beta is not well above" in notes([coefficient("tan_beta", 3.9e-6, 1e-6)])
-    assert "scatter 2.1 times" in notes(sure, scatter={"segment_scatter_ratio": 2.1, "segment_scatter_g": 1e-6})
-    assert "scatter" not in notes(sure, scatter={"segment_scatter_ratio": 1.9, "segment_scatter_g": 1e-6})
+    assert "scatter 2.1 times" in notes(sure, scatter=SegmentScatter(2.1, 1e-6))
+    assert "scatter" not in notes(sure, scatter=SegmentScatter(1.9, 1e-6))
     drift = {
         "segment_scatter_ratio": 1.0,
         "segment_scatter_ratio_without_it": 3.1,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation.outliers import correct_samples
-from piga.calibration.fit.outliers import Flags, Misses, count_flags
+from piga.calibration.fit.outliers import OUTLIERS, Flags, Misses, count_flags
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.noise.levels import Noise, find_noise
@@ -27,20 +27,6 @@ from piga.records.run import Run
 from piga.records.spool import arrays_like, spans, steps
 
 Array = NDArray[np.float64]
-
-STUCK = 4
-"""Equal readings in a row, off the path, that count as stuck."""
-LISTED = 200_000
-"""Findings that a result lists one by one; all are counted."""
-SHOWN = 6
-"""Times named in an event."""
-SLIP, WRONG = 5.0, 20.0
-"""Chi-square that a slip of the counter must gain over wrong readings, and that wrong readings must gain for each
-share of their stretch: where phases do not tell, less than a quarter of a stretch is taken for wrong."""
-JUDGED = 100
-"""Stretches with jumps up to which phases are asked, and segments up to which noise is looked at for that."""
-SWEEPS, REFITS = 5, 2
-"""Rounds of asking one stretch after the other; fits that give the noise levels for it."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +58,9 @@ class Stretch:
         """What a choice must gain beforehand (chi-square)."""
         inward, outward = choice
         believed = sum(self.good[k] for k in {inward, outward})
-        return SLIP * (inward != outward) + WRONG * (1.0 - believed / max(sum(self.good), 1))
+        return OUTLIERS.slip_cost * (inward != outward) + OUTLIERS.wrong_cost * (
+            1.0 - believed / max(sum(self.good), 1)
+        )
 
 
 def leave_out(
@@ -115,7 +103,8 @@ def settle_jumps(
     The readings of a stretch are tied to each other; what is open is by which piece between its jumps the phase comes in
     from the readings before, and by which it goes on to those behind. Each choice turns the columns of the coupling of whole
     stretches, so that the sum of squares of every choice follows from one summary a stretch. The least wins, after
-    ``SLIP`` and ``WRONG``; at the start of a phase, where nothing lies before, the longest piece gives the phase.
+    the costs of a slip and of wrong readings. At the start of a phase, where nothing lies before, the longest piece gives
+    the phase.
 
     Parameters
     ----------
@@ -138,7 +127,7 @@ def settle_jumps(
         stretch = stretches[k]
         chosen[k] = min(stretch.choices(k == 0 or stretch.anew), key=stretch.cost)
     tied = bool(design.local_names) and design.request.phase == "shared" and not design.point
-    if tied and len(jumped) <= JUDGED:
+    if tied and len(jumped) <= OUTLIERS.judged:
         _ask_phases(design.of(run), noise, stretches, chosen)
     words: dict[int, str] = {}
     for k, (stretch, more) in enumerate(zip(stretches, _turned(stretches, chosen), strict=True)):
@@ -216,7 +205,7 @@ def _ask_phases(
         corner: Array = np.asarray(np.linalg.qr(np.vstack(turned), mode="r"))[-1]
         return float(corner[-1] ** 2)
 
-    for _ in range(SWEEPS):
+    for _ in range(OUTLIERS.sweeps):
         before = dict(chosen)
         for k in chosen:
             stretch = stretches[k]
@@ -232,9 +221,9 @@ def _ask_phases(
 def _without_phases(design: Design, noise: Noise) -> Noise:
     """Noise levels of a fit in which every segment has its own phase: no choice of sides is in them."""
     local, m = len(design.local_names), len(design.names)
-    for _ in range(REFITS):
+    for _ in range(OUTLIERS.refits):
         factors = [part.factor[:-1] for part in reduce_segments(design, "increments", noise)]
-        if len(factors) > JUDGED:
+        if len(factors) > OUTLIERS.judged:
             return noise
         rows = np.zeros((len(factors) * m, len(factors) * local + m - local))
         for k, factor in enumerate(factors):
@@ -324,7 +313,7 @@ def _corrections(run: Run, misses: Misses, flags: Flags) -> Array:
 def _findings(
     run: Run, flags: Flags, wrong: Array
 ) -> tuple[tuple[Outlier, ...], dict[str, int], tuple[Outlier, ...]]:
-    """Runs of bad samples and jumps, in order of time, at most LISTED; numbers of jumps and of samples of each kind.
+    """Runs of bad samples and jumps, in order of time, at most ``listed``; numbers of jumps and of samples of each kind.
 
     Last those of the runs behind which a gap follows and more readings: a slip of the counter looks the same.
     """
@@ -336,7 +325,7 @@ def _findings(
         if kind == "jump" and size == 0.0:
             continue
         counts[kind] = counts.get(kind, 0) + (1 if kind == "jump" else stop - start)
-        if len(found) < LISTED:
+        if len(found) < OUTLIERS.listed:
             samples = 0 if kind == "jump" else stop - start
             found.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
             if kind == "spike" and stop < flags.size and run.begins[stop]:
@@ -349,7 +338,7 @@ def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple
     if flags[start] == 2:
         return "jump", float(abs(wrong[start] - _before(wrong, flags, start)))
     size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
-    if stop - start < STUCK:
+    if stop - start < OUTLIERS.stuck:
         return "spike", size
     still = float((steps(run.output, slice(start, stop)) == 0.0).mean())
     return "stuck" if still > 0.5 else "spike", size
@@ -400,16 +389,18 @@ def _events(
     events = []
     sides = [outlier for outlier in found if outlier.kind == "jump" and outlier.row in one_sided]
     if sides:
-        listed = ", ".join(f"{outlier.time:.6g} s ({one_sided[outlier.row]})" for outlier in sides[:SHOWN])
-        more = " and more" if len(sides) > SHOWN else ""
+        listed = ", ".join(
+            f"{outlier.time:.6g} s ({one_sided[outlier.row]})" for outlier in sides[: OUTLIERS.named]
+        )
+        more = " and more" if len(sides) > OUTLIERS.named else ""
         text = "no increment is formed across it, and it is taken off these readings alone: the others carry the phase"
         events.append(Event("outlier-jump", len(sides), sides[0].row, f"t = {listed}{more}: {text}"))
         counts = counts | {"jump": counts["jump"] - len(sides)}
     for kind, text in words.items():
         those = [o for o in found if o.kind == kind and not (kind == "jump" and o.row in one_sided)]
         if those:
-            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[:SHOWN])
-            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[:SHOWN]) else ""
+            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[: OUTLIERS.named])
+            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[: OUTLIERS.named]) else ""
             also = _perhaps_a_slip(before_gap) if kind == "spike" else ""
             events.append(
                 Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {text}{also}")
@@ -421,8 +412,8 @@ def _perhaps_a_slip(before_gap: tuple[Outlier, ...]) -> str:
     """What is said of spikes that a gap follows."""
     if not before_gap:
         return ""
-    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in before_gap[:SHOWN])
-    more = " and more" if len(before_gap) > SHOWN else ""
+    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in before_gap[: OUTLIERS.named])
+    more = " and more" if len(before_gap) > OUTLIERS.named else ""
     return (
         f". The last readings before a gap ({listed}{more}) are too few to tell wrong readings from a slip of the counter. "
         "A slip stays: the phase of what follows is then another, and phase = 'per-segment' shows it"

@@ -26,25 +26,79 @@ from piga.records.spool import arrays_like, gathered, spans, steps
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
 
-FALSE_ALARMS = 0.05
-"""Good samples left out per record, expected."""
-MOST = 0.4
-"""Share of bad samples from which a record is refused."""
-ROWS = 200_000
-"""Increments that the robust fit looks at."""
-NARROW = 0.6
-"""Core of the residual increments over their spread from which bad samples are suspected; 1 for normal noise."""
-LEAST = 1e-7
-"""Smallest miss [rad, or rad/s] that makes a sample bad: 0.02 arcsec, finer than any readout."""
-COUNTS = 1.5
-"""Counts by which a sample must miss to be bad: one that toggles on a path known to half a count is not."""
-PAIRS, SMOOTH = 100, 0.8
-"""Neighbouring bad increments, and the share of them that miss to the same side, from which the model is at fault."""
-MOVED, PARTS, LOOKED = 3.0, 8, 4096
-"""Counts by which a reading shall move between the ends of an increment of the robust fit, increments of that kind that
-a stretch must have, samples looked at."""
-SAMPLE = 500_000
-"""Increments that medians are taken of at most."""
+
+@dataclass(frozen=True)
+class OutlierSettings:
+    """When a sample of the output counts as bad, and how bad samples are looked for (own choices).
+
+    Attributes
+    ----------
+    false_alarms:
+        Good samples left out per record, expected.
+    largest_share:
+        Share of bad samples above which a record is refused.
+    robust_rows:
+        Increments that the robust fit looks at.
+    narrow_core:
+        Core of the residual increments over their spread below which bad samples are suspected; 1 for normal noise.
+    least_miss:
+        Smallest miss [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout.
+    least_counts:
+        Counts by which a bad sample must miss: one that toggles on a path known to half a count is not bad.
+    misfit_pairs:
+        Neighbouring bad increments above which the model may be at fault.
+    misfit_share:
+        Share of them that miss to the same side, above which the model is at fault.
+    moved_counts:
+        Counts by which a reading shall move between the ends of an increment of the robust fit.
+    parts_of_a_stretch:
+        Increments of that kind that a stretch must have.
+    samples_for_motion:
+        Samples that are looked at for that.
+    median_samples:
+        Increments that medians are taken of at most.
+    stuck:
+        Equal readings in a row, off the path, that count as stuck.
+    listed:
+        Outliers that a result lists one by one; all are counted.
+    named:
+        Times named in an event.
+    slip_cost:
+        Chi-square that a slip of the counter must gain over wrong readings.
+    wrong_cost:
+        Chi-square that wrong readings must gain for each share of their stretch: where phases do not tell, less than a
+        quarter of a stretch is taken for wrong.
+    judged:
+        Stretches with jumps up to which phases are asked, and segments up to which noise is looked at for that.
+    sweeps:
+        Rounds of asking one stretch after the other.
+    refits:
+        Fits that give the noise levels for it.
+    """
+
+    false_alarms: float = 0.05
+    largest_share: float = 0.4
+    robust_rows: int = 200_000
+    narrow_core: float = 0.6
+    least_miss: float = 1e-7
+    least_counts: float = 1.5
+    misfit_pairs: int = 100
+    misfit_share: float = 0.8
+    moved_counts: float = 3.0
+    parts_of_a_stretch: int = 8
+    samples_for_motion: int = 4096
+    median_samples: int = 500_000
+    stuck: int = 4
+    listed: int = 200_000
+    named: int = 6
+    slip_cost: float = 5.0
+    wrong_cost: float = 20.0
+    judged: int = 100
+    sweeps: int = 5
+    refits: int = 2
+
+
+OUTLIERS = OutlierSettings()
 
 
 @dataclass(frozen=True)
@@ -61,7 +115,7 @@ class Misses:
         return float(np.median(self._thinned(lambda rows: self.h[rows][self.h[rows] > 0.0])))
 
     def sizes(self, flags: Flags | None = None) -> Array:
-        """Absolute residuals of increments that were formed, thinned to about SAMPLE; with ``flags`` of good ones."""
+        """Absolute residuals of increments that were formed, thinned to about ``median_samples``; with ``flags`` of good ones."""
 
         def chosen(rows: slice) -> Array:
             usable = self.h[rows] > 0.0
@@ -70,15 +124,15 @@ class Misses:
         return self._thinned(chosen)
 
     def _thinned(self, part: Callable[[slice], Array]) -> Array:
-        every = max(1, self.d.size // SAMPLE)
+        every = max(1, self.d.size // OUTLIERS.median_samples)
         return np.concatenate([part(rows)[::every].copy() for rows in spans(self.d.size)])
 
 
 def limit(count: int) -> float:
-    """Standard deviations beyond which a sample is bad: FALSE_ALARMS of ``count`` normal ones are."""
+    """Standard deviations beyond which a sample is bad: ``false_alarms`` of ``count`` normal ones are."""
     from scipy.special import ndtri
 
-    return float(-ndtri(0.5 * FALSE_ALARMS / max(count, 100)))
+    return float(-ndtri(0.5 * OUTLIERS.false_alarms / max(count, 100)))
 
 
 def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
@@ -101,9 +155,11 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
         largest = max(largest, float(np.abs(white).max()))
     size, shown = np.concatenate(misses), np.concatenate(whitened)
     spread = float(np.sqrt(np.mean(size**2))) if size.size else 0.0
-    if biggest <= LEAST or spread == 0.0:
+    if biggest <= OUTLIERS.least_miss or spread == 0.0:
         return False
-    narrow = float(np.median(size)) / 0.6745 < NARROW * spread and spread > 10.0 * LEAST
+    narrow = (
+        float(np.median(size)) / 0.6745 < OUTLIERS.narrow_core * spread and spread > 10.0 * OUTLIERS.least_miss
+    )
     if narrow and spread > 1.5 * resolution_of(run):
         return True
     unit = spread if mode == "samples" else 1.0
@@ -135,12 +191,12 @@ def robust_values(design: Design) -> Array:
 
 
 def _thinned(design: Design) -> list[tuple[int, Array]]:
-    """Columns of at most about ROWS increments, each divided by the root of its interval; with their segment.
+    """Columns of at most about ``robust_rows`` increments, each divided by the root of its interval; with their segment.
 
     Increments of a reading that mostly stands still are joined first: nothing moves their median.
     """
     count = 1 if design.point else _joined(design.run)
-    every = max(1, design.rows // count // ROWS)
+    every = max(1, design.rows // count // OUTLIERS.robust_rows)
     parts = []
     for block in design.blocks():
         starts, h = block.joins(count)
@@ -151,10 +207,10 @@ def _thinned(design: Design) -> list[tuple[int, Array]]:
 
 
 def _joined(run: Run) -> int:
-    """Increments to be joined so that the reading moves by MOVED counts in half of them; within a stretch."""
-    least, starts = MOVED * resolution_of(run), np.flatnonzero(run.begins)
-    longest = int(np.median(np.diff(np.append(starts, run.size)))) // PARTS
-    at = np.unique(np.linspace(0, run.size - 1, LOOKED).astype(np.int64))
+    """Increments to be joined so that the reading moves by ``moved_counts`` in half of them; within a stretch."""
+    least, starts = OUTLIERS.moved_counts * resolution_of(run), np.flatnonzero(run.begins)
+    longest = int(np.median(np.diff(np.append(starts, run.size)))) // OUTLIERS.parts_of_a_stretch
+    at = np.unique(np.linspace(0, run.size - 1, OUTLIERS.samples_for_motion).astype(np.int64))
     stretch = np.searchsorted(starts, at, side="right")
     before, count = gathered(run.output, at), 1
     while least > 0.0 and 2 * count <= longest:
@@ -204,7 +260,7 @@ def first_noise(misses: Misses) -> Noise:
 
     A core of equal readings has no width; the smallest miss that can be bad stands for it.
     """
-    sigma = max(float(np.quantile(misses.sizes(), 0.25)) / 0.3186, LEAST)
+    sigma = max(float(np.quantile(misses.sizes(), 0.25)) / 0.3186, OUTLIERS.least_miss)
     if misses.point:
         return Noise(0.0, sigma**2)
     return Noise(sigma**2 / 3.0, sigma**2 / (3.0 * misses.step))
@@ -216,7 +272,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
         good = misses.sizes(flags)
         return Noise(0.0, (float(np.median(good)) / 0.6745) ** 2)
     whitener = Whitener("increments", noise, 1)
-    every = max(1, misses.d.size // SAMPLE)
+    every = max(1, misses.d.size // OUTLIERS.median_samples)
     whitened = [np.zeros(0)]
     for rows in spans(misses.d.size):
         d, h = misses.d[rows].copy()[None, :], misses.h[rows].copy()
@@ -234,11 +290,11 @@ def find_flags(misses: Misses, noise: Noise, resolution: float) -> Flags:
     flags: Flags = arrays_like(misses.d).zeros(misses.d.size, np.int8)
     bound = limit(misses.d.size)
     if misses.point:
-        largest = max(bound * float(np.sqrt(noise.walk)), LEAST)
+        largest = max(bound * float(np.sqrt(noise.walk)), OUTLIERS.least_miss)
         for rows in spans(flags.size):
             flags[rows] = np.abs(misses.d[rows]) > largest
     else:
-        floor = max(COUNTS * resolution, LEAST)
+        floor = max(OUTLIERS.least_counts * resolution, OUTLIERS.least_miss)
         scan_samples(misses.d, misses.h, noise.white, noise.walk, bound, floor, flags)
     return flags
 
@@ -257,11 +313,11 @@ def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
         sign = np.sign(misses.d[rows])
         count += int(pairs.sum())
         alike += int(np.count_nonzero((sign[1:] == sign[:-1]) & pairs))
-    return count > PAIRS and alike > SMOOTH * count
+    return count > OUTLIERS.misfit_pairs and alike > OUTLIERS.misfit_share * count
 
 
 def refuse_if_too_many(flags: Flags) -> None:
-    """Raise when more than MOST of the samples are bad.
+    """Raise when more than the largest share of the samples are bad.
 
     Raises
     ------
@@ -269,10 +325,10 @@ def refuse_if_too_many(flags: Flags) -> None:
         With the share.
     """
     share = count_flags(flags, 1) / flags.size
-    if share > MOST:
+    if share > OUTLIERS.largest_share:
         raise DataError(
             f"{100.0 * share:.0f} % of the samples do not lie on any path that the reference allows; up to "
-            f"{100.0 * MOST:.0f} % would be left out",
+            f"{100.0 * OUTLIERS.largest_share:.0f} % would be left out",
             remedy="check the wiring of the output, its unit and the reference; calibrate a part that is sound",
         )
 
@@ -286,7 +342,7 @@ def resolution_of(run: Run) -> float:
     """Angle of a count, also where the record does not say so but repeats its readings."""
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
-    every = max(1, run.size // SAMPLE)
+    every = max(1, run.size // OUTLIERS.median_samples)
     sizes = np.concatenate([np.abs(steps(run.output, part)[::every]) for part in spans(run.size)])
     moved = sizes[sizes > 0.0]
     return float(np.quantile(moved, 0.01)) if moved.size and moved.size < 0.95 * sizes.size else 0.0

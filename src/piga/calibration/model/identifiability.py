@@ -17,16 +17,34 @@ from piga.units import G0
 
 Array = NDArray[np.float64]
 
-RANK = 1e-9
-"""Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
-USELESS = 0.05
-"""An uncertainty that means more than this fraction of the record's largest specific force is no result."""
-SCATTER = 2.0
-"""Scatter of the segments' mean rates, over what the noise explains, from which it is said."""
-ALIKE = 0.95
-"""Correlation from which coefficients are named as hard to tell apart."""
-SHARE = 0.3
-"""Weight in a null direction from which a term is named."""
+
+@dataclass(frozen=True)
+class SeparationSettings:
+    """When coefficients count as separated and as determined (own choices).
+
+    Attributes
+    ----------
+    rank:
+        Smallest singular value of the column-scaled factor, relative to the largest, that counts as information.
+    named_weight:
+        Weight in a null direction, relative to the largest, above which a term is named.
+    useless:
+        Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result.
+    scatter:
+        Scatter of the segments' mean rates, over what the noise explains, above which it is reported.
+    alike:
+        Correlation above which coefficients are named as hard to tell apart.
+    """
+
+    rank: float = 1e-9
+    named_weight: float = 0.3
+    useless: float = 0.05
+    scatter: float = 2.0
+    alike: float = 0.95
+
+
+SEPARATION = SeparationSettings()
+
 
 _LEVEL = frozenset({"scale_factor", "k0"})
 
@@ -111,11 +129,13 @@ def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
         return Examination(float("inf"), tuple(dict.fromkeys(zero)), asked)
     _, singular, right = np.linalg.svd(factor / norms)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
-    if singular[-1] > RANK * singular[0]:
+    if singular[-1] > SEPARATION.rank * singular[0]:
         return Examination(condition, (), asked)
-    weights = np.linalg.norm(right[singular <= RANK * singular[0]], axis=0)
+    weights = np.linalg.norm(right[singular <= SEPARATION.rank * singular[0]], axis=0)
     named = [
-        term_of(name) for name, weight in zip(names, weights, strict=True) if weight > SHARE * weights.max()
+        term_of(name)
+        for name, weight in zip(names, weights, strict=True)
+        if weight > SEPARATION.named_weight * weights.max()
     ]
     return Examination(condition, tuple(dict.fromkeys(named)), asked)
 
@@ -194,7 +214,7 @@ def refuse_useless(
     bad = []
     for coefficient in coefficients:
         share = coefficient.std * _full_scale(coefficient, largest / G0, duration, spread)
-        if coefficient.name != "phi" and not share < USELESS:
+        if coefficient.name != "phi" and not share < SEPARATION.useless:
             bad.append((coefficient, share))
     if bad:
         listed = "; ".join(
@@ -249,13 +269,13 @@ def notes_in_words(
         )
     force = scatter.segment_scatter_g or 0.0
     ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
-    if ratio > SCATTER:
+    if ratio > SEPARATION.scatter:
         notes.append(
             f"the mean rates of the segments scatter {ratio:.1f} times more than the noise "
             f"explains ({force * 1e6:.2g} ug rms): an effect of the stand or of the servo that "
             "the model does not hold; the standard uncertainties do not include it"
         )
-    elif without_it > SCATTER:
+    elif without_it > SEPARATION.scatter:
         notes.append(
             f"the mean rates of the segments scatter {without_it:.1f} times more "
             f"than the noise of the angle explains ({force * 1e6:.2g} ug rms): the standard "
@@ -274,7 +294,7 @@ def _alike(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str
     while left:
         group = [left.pop(0)]
         for i in group:
-            group += [j for j in left if correlation[i, j] > ALIKE]
+            group += [j for j in left if correlation[i, j] > SEPARATION.alike]
             left = [j for j in left if j not in group]
         if len(group) > 1:
             keys = [coefficients[i].key for i in sorted(group)]

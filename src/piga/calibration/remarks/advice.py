@@ -17,19 +17,56 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request
 from piga.calibration.noise.levels import starting_noise
 from piga.calibration.noise.weighting import Whitener
-from piga.calibration.remarks.advice_sample import Sample, sample_of
-from piga.calibration.remarks.missing_terms import term_values
+from piga.calibration.remarks.missing_terms import smooth_step, term_values
 from piga.errors import PigaError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
+from piga.records.spool import gathered
 from piga.records.terms import SERVO_TERMS
 from piga.units import G0
 
-SNAP = 0.1
-"""Relative distance of the scale factor from a known factor that is taken for it (nominal values are close)."""
+
+@dataclass(frozen=True)
+class AdviceSettings:
+    """When another reading of the data is advised, and on how many samples readings are tried (own choices).
+
+    Attributes
+    ----------
+    far_better:
+        Ratio of residuals above which another reading is advised.
+    as_good:
+        Ratio of residuals up to which readings cannot be told apart.
+    off:
+        Ratio of the scale factor to the nominal one above which something is wrong, and no other reading is likely.
+    most_alike:
+        Readings named that the record cannot tell from the best.
+    snap:
+        Relative distance of the scale factor from a known factor that is taken for it (nominal values are close).
+    samples:
+        Samples that are looked at.
+    window:
+        Samples of a stretch in a row, at most.
+    turn:
+        Turn of the output between samples looked at [rad].
+    """
+
+    far_better: float = 3.0
+    as_good: float = 1.2
+    off: float = 2.0
+    most_alike: int = 3
+    snap: float = 0.1
+    samples: int = 2000
+    window: int = 60
+    turn: float = 0.25
+
+
+ADVICE = AdviceSettings()
+
+
 AXES = ("X0", "Y0", "Z0")
 _ARRAYS = {"reference": "f (wanted in m/s^2)", "time": "t (wanted in s)"}
 """Arguments of ``Run.from_arrays`` by the key of ``[data]``."""
@@ -113,10 +150,10 @@ class Reading:
 
 
 def factor_near(ratio: float) -> Factor | None:
-    """The factor that a ratio, or its inverse, is next to; None beyond ``SNAP``."""
+    """The factor that a ratio, or its inverse, is next to; None where none is near."""
     ratio = max(ratio, 1.0 / ratio)
     near = min(FACTORS, key=lambda factor: abs(ratio / factor.value - 1.0))
-    return near if abs(ratio / near.value - 1.0) < SNAP else None
+    return near if abs(ratio / near.value - 1.0) < ADVICE.snap else None
 
 
 def better_words(ratio: float, reading: Reading, alike: list[Reading], run: Run) -> str:
@@ -177,15 +214,6 @@ def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> st
 
 Array = NDArray[np.float64]
 
-FAR_BETTER = 3.0
-"""Ratio of residuals from which another reading of the data is worth saying."""
-AS_GOOD = 1.2
-"""Ratio of residuals up to which readings cannot be told apart."""
-OFF = 2.0
-"""Ratio of the scale factor to the nominal one from which something is wrong, and no other reading is likely."""
-MOST_ALIKE = 3
-"""Readings named that the record cannot tell from the best."""
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -204,7 +232,7 @@ def looks_wrong(result: Calibration) -> bool:
     found = {c.name: c.value for c in result.coefficients}
     nominal = result.scale_factor_nominal * G0
     scale = found.get("scale_factor", nominal) / nominal + found.get("k1", 0.0)
-    return not 1.0 / OFF < scale < OFF or result.diagnostics.verdict not in (None, "white")
+    return not 1.0 / ADVICE.off < scale < ADVICE.off or result.diagnostics.verdict not in (None, "white")
 
 
 def advise(run: Run, request: Request) -> tuple[str, ...]:
@@ -224,14 +252,14 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
     plain = next((t for t in trials if t.reading == Reading()), None)
     if plain is None:
         return ()
-    likely = [t for t in trials if t is plain or 1.0 / OFF < abs(t.scale) < OFF]
+    likely = [t for t in trials if t is plain or 1.0 / ADVICE.off < abs(t.scale) < ADVICE.off]
     least = min(t.residual for t in likely)
-    if plain.residual <= FAR_BETTER * least:
+    if plain.residual <= ADVICE.far_better * least:
         return _scale_words(plain, trials, run)
-    near = [t for t in likely if t.residual <= AS_GOOD * least]
+    near = [t for t in likely if t.residual <= ADVICE.as_good * least]
     upright = [t for t in near if t.scale > 0.0] or near
     best, *others = sorted(upright, key=lambda t: (t.reading.changes, t.residual))
-    alike = [t.reading for t in others[:MOST_ALIKE]]
+    alike = [t.reading for t in others[: ADVICE.most_alike]]
     words = better_words(plain.residual / best.residual, best.reading, alike, run)
     return (words, *_scale_words(best, trials, run))
 
@@ -245,7 +273,7 @@ def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
 
 def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]:
     """A scale factor that is negative, or off by the factor of a unit; the output may be what is wrong."""
-    as_good = [t.reading.output for t in trials if t.residual <= AS_GOOD * trial.residual]
+    as_good = [t.reading.output for t in trials if t.residual <= ADVICE.as_good * trial.residual]
     found = (sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
     ratio = abs(trial.scale)
     factor = factor_near(ratio) if ratio > 0.0 else None
@@ -269,7 +297,7 @@ def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:
     yield _fit(run, request, sample, replace(base, output=-1.0))
     for factor in FACTORS:
         for known in (factor.value, 1.0 / factor.value):
-            if abs(abs(plain.scale) / known - 1.0) < SNAP:
+            if abs(abs(plain.scale) / known - 1.0) < ADVICE.snap:
                 yield _fit(run, request, sample, replace(base, output=known))
 
 
@@ -314,3 +342,77 @@ def _without(rows: Array, free: int) -> Array:
     """Rows of a segment less what its first ``free`` columns take, and without them."""
     basis = np.linalg.svd(rows[:free].T, full_matrices=False)[0]
     return rows[free:] - (rows[free:] @ basis) @ basis.T
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Samples of a record: ``h`` [s] the interval into each, 0 where a window begins (1 for a log of rates).
+
+    ``t`` and ``warm`` are from their references, ``phase`` [rad] is the angle of the output at the samples,
+    ``observed`` the increments of the output into them (the rates of a log of rates), ``base`` (n, 3) the
+    base rate [rad/s].
+    """
+
+    t: Array
+    h: Array
+    phase: Array
+    observed: Array
+    f: Array
+    base: Array
+    warm: Array
+    segment: NDArray[np.int32]
+    point: bool
+
+    def increments(self, values: Array) -> Array:
+        """Integrals of values (.., n) over the intervals by the trapezoid; the values of a log of rates."""
+        if self.point:
+            return values
+        result = np.zeros_like(values)
+        result[..., 1:] = 0.5 * self.h[1:] * (values[..., 1:] + values[..., :-1])
+        return result
+
+
+def sample_of(run: Run, request: Request) -> Sample:
+    """Windows spread over the record, samples skipped while the output turns little and the force is straight."""
+    index, begins = _thinned(run)
+    point = run.kind == "rate"
+    output = gathered(run.output, index)
+    read = replace(request, phase_source="output")
+    phase = gathered(Design(run, read, run.scale_factor).phase_angle, index) if point else output
+    t, h = gathered(run.t, index), np.ones(index.size)
+    if not point:
+        h[1:] = np.diff(t)
+        h[begins] = 0.0
+    observed = output if point else np.where(h > 0.0, np.diff(output, prepend=output[0]), 0.0)
+    return Sample(
+        t=t - 0.5 * float(run.t[0] + run.t[-1]),
+        h=h,
+        phase=phase,
+        observed=observed,
+        f=gathered(run.f, index),
+        base=np.zeros((index.size, 3)) if run.base_rate is None else gathered(run.base_rate, index),
+        warm=t if run.temperature is None else gathered(run.temperature, index) - request.temperature_reference,
+        segment=gathered(run.segment, index),
+        point=point,
+    )
+
+
+def _thinned(run: Run) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Rows to look at, and where windows of them begin."""
+    begun: NDArray[np.int64] = np.unique(np.append(np.flatnonzero(run.begins), 0))
+    starts = begun[:: max(1, math.ceil(begun.size * 12 / ADVICE.samples))].tolist()
+    ends = np.append(np.flatnonzero(run.begins)[1:], run.size)
+    skip = 1 if run.kind == "rate" else smooth_step(run, ADVICE.turn)
+    share = max(12, ADVICE.samples // len(starts))
+    chosen: list[NDArray[np.int64]] = []
+    for start in starts:
+        end = int(ends[np.searchsorted(ends, start, side="right")])
+        held = (end - start) // skip
+        windows = max(1, min(share, held) // ADVICE.window)
+        length = min(share // windows, held // windows)
+        for first in np.linspace(start, max(start, end - length * skip), windows).astype(np.int64):
+            part = np.arange(first, min(end, first + length * skip), skip)
+            chosen.append(part if run.left_out is None else part[~run.left_out[part]])
+    kept = [part for part in chosen if part.size > 1]
+    begins = [np.arange(part.size) == 0 for part in kept]
+    return np.concatenate(kept), np.concatenate(begins)

@@ -19,7 +19,7 @@ from piga.calibration.model.solution import layout_of, name_coefficients
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
-from piga.calibration.remarks.missing_terms import CONFOUNDED, pieces_of, suggest_terms, suggestions_in_words
+from piga.calibration.remarks.missing_terms import CANDIDATES, pieces_of, suggest_terms, suggestions_in_words
 from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
 from piga.records.spool import extent
 from piga.records.terms import si_factor
@@ -101,7 +101,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Settings:
+class WarmSettings:
     """When it is worth a remark.
 
     Attributes
@@ -118,7 +118,7 @@ class Settings:
     bias: float = 1e-5
 
 
-SETTINGS = Settings()
+WARM = WarmSettings()
 
 
 def in_step(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
@@ -156,15 +156,15 @@ def in_step(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...
     share = inverse @ factor[:m, m]
     left = abs(float(factor[m, m]))
     own = float(np.sum(inverse[at] ** 2))
-    growth = math.inf if left < CONFOUNDED else math.sqrt(1.0 + (float(share[at]) / left) ** 2 / own)
-    moved = abs(float(share[at]) * size[m] / size[at]) * SETTINGS.bias * si_factor("k0_T") * scale.value
-    if growth < SETTINGS.growth or moved < scale.std:
+    growth = math.inf if left < CANDIDATES.confounded else math.sqrt(1.0 + (float(share[at]) / left) ** 2 / own)
+    moved = abs(float(share[at]) * size[m] / size[at]) * WARM.bias * si_factor("k0_T") * scale.value
+    if growth < WARM.growth or moved < scale.std:
         return ()
     much = "without limit" if math.isinf(growth) else f"{growth:.2g} times as large"
     words = (
         f"the temperature moves in step with the positions: scale_factor and k0_T, a bias that follows the temperature, "
         f"cannot be told apart here. With k0_T the fit's standard uncertainty of scale_factor is {much}; a bias of "
-        f"{1e6 * SETTINGS.bias:g} ug/K that is not in the model moves scale_factor by {moved / scale.std:.2g} standard "
+        f"{1e6 * WARM.bias:g} ug/K that is not in the model moves scale_factor by {moved / scale.std:.2g} standard "
         "uncertainties. Take the positions in another order, or twice at different temperatures, or hold the temperature; "
         "or add 'k0_T' to [model] terms"
     )

@@ -48,10 +48,26 @@ from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 
 Array = NDArray[np.float64]
 
-CLEAR = 0.01
-"""Probability of as strong a signature by chance, below which what it may mean is in the budget."""
-SEEN = 2.0
-"""Standard uncertainties from which a k3 that is asked for is said to have another meaning."""
+
+@dataclass(frozen=True)
+class LeftOutSettings:
+    """When what the servo leaves is a source of the budget (own choices).
+
+    Attributes
+    ----------
+    clear:
+        Probability of as strong a signature by chance, below which what it may mean is in the budget.
+    seen:
+        Standard uncertainties above which a k3 that is asked for is said to have another meaning.
+    """
+
+    clear: float = 0.01
+    seen: float = 2.0
+
+
+LEFT_OUT = LeftOutSettings()
+
+
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
 """Names in the budget: they begin as :data:`piga.records.coverage.OF_THE_MODEL` has it."""
@@ -108,14 +124,14 @@ def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[L
     doubts: list[LeftOut] = []
     if square is not None and cube:
         test = tested(pieces, order, ("k3",), rows)
-        if test is not None and test.probability <= CLEAR:
+        if test is not None and test.probability <= LEFT_OUT.clear:
             after = after_change(plain, test.change)
             k3 = float(test.columns[0]) / design.scale_factor
             doubts.append(_both_meanings(coefficients, before, after, k3, square))
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
             order.remove("k3")
     test = tested(pieces, order, ("servo_damping",), rows) if "servo_damping" in order else None
-    if test is not None and (doubts or asked or test.probability <= CLEAR):
+    if test is not None and (doubts or asked or test.probability <= LEFT_OUT.clear):
         beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
         whole = _with_terms(plain, beside)
         if whole is not None:
@@ -179,7 +195,7 @@ def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[Le
     """The other meaning of a ``k3`` that is asked for, where ``a_x^2 + a_t^2`` is ``square`` [m^2/s^4] throughout."""
     named = {c.name: c for c in coefficients}
     scale, k3 = named.get("scale_factor"), named.get("k3")
-    if scale is None or k3 is None or abs(k3.value) <= SEEN * k3.std:
+    if scale is None or k3 is None or abs(k3.value) <= LEFT_OUT.seen * k3.std:
         return ()
     shift = scale.value * k3.value * si_factor("k3") * square
     change = np.array([shift if c is scale else 0.0 for c in coefficients])
@@ -223,7 +239,9 @@ def damped(
         f"g/g^3): taken out it turns {turned}, and the uncertainties hold this. Add 'servo_damping' to [model] terms to "
         "take it out"
     )
-    return LeftOut(DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= CLEAR else "")
+    return LeftOut(
+        DAMPING_SOURCE, change * (1.0 + std / size), words if test.probability <= LEFT_OUT.clear else ""
+    )
 
 
 def difference(
@@ -241,7 +259,7 @@ def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ..
     scaled = any(c.name == "scale_factor" for c in coefficients)
     if odd is None or not scaled or fit.design.turning_servo or constant_squares(fit.design.run)[0] is None:
         return ()
-    if abs(odd.value) <= SEEN * odd.std:
+    if abs(odd.value) <= LEFT_OUT.seen * odd.std:
         return ()
     words = (
         "k2o takes much of what the stiffness of the servo makes of this record, and scale_factor depends on which of "
@@ -317,7 +335,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
         if by_k3 and by_servo:
             doubts.append(_both_meanings_of_runs(fit.coefficients, base, by_k3.after, by_servo))
             base = by_k3.after
-    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else CLEAR
+    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else LEFT_OUT.clear
     wave = _clear(rows, base, ("servo_damping",), limit) if "servo_damping" not in held else None
     if wave:
         scale_factor = fit.summaries[0].scale_factor
@@ -325,7 +343,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     return tuple(doubts)
 
 
-def _clear(rows: Rows, base: JointFit, names: Names, limit: float = CLEAR) -> Wider | None:
+def _clear(rows: Rows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:
     """The runs with these terms as well; None where they cannot tell them apart, or as much comes more often by chance."""
     after = rows.refit((*base.wish.terms, *names))
     if after is None:
@@ -411,7 +429,7 @@ def _asked(rows: Rows, base: JointFit) -> tuple[LeftOut, ...]:
     named = {c.key: c for c in coefficients}
     k3, scale = named["k3"], named["scale_factor"]
     swapped = rows.refit(tuple("servo" if name == "k3" else name for name in terms))
-    if abs(k3.value) <= SEEN * k3.std or swapped is None or rows.refit((*terms, "servo")):
+    if abs(k3.value) <= LEFT_OUT.seen * k3.std or swapped is None or rows.refit((*terms, "servo")):
         return ()
     shift = _values(swapped)["scale_factor"] - _values(base)["scale_factor"]
     change = np.array([shift if c is scale else 0.0 for c in coefficients])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit, whitened_rows
-from piga.calibration.model.identifiability import RANK, SHARE, term_of
+from piga.calibration.model.identifiability import SEPARATION, term_of
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import (
     Estimate,
@@ -28,18 +28,37 @@ from piga.records.calibration import Coefficient, SegmentLeverage
 
 Array = NDArray[np.float64]
 
-DETERMINES = 0.9
-"""Share of a coefficient's information from which one segment determines it: u grows threefold without it."""
-SHIFTS = 3.0
-"""Shift of a coefficient, in standard uncertainties, from which leaving a segment out is said to move it."""
-UNLIKELY = 4.5
-"""The same in standard deviations that the noise gives such a shift: 1 in 150 000."""
+
+@dataclass(frozen=True)
+class LeverageSettings:
+    """When a segment is named (own choices).
+
+    Attributes
+    ----------
+    determines:
+        Share of a coefficient's information above which one segment determines it: u grows threefold without it.
+    influential:
+        Shift of a coefficient, in standard uncertainties, above which a segment is influential.
+    unlikely:
+        The same in standard deviations that the noise gives such a shift: 1 in 150 000.
+    most_segments:
+        Segments up to which each is left out in turn.
+    sentences:
+        Sentences of a kind at most.
+    """
+
+    determines: float = 0.9
+    influential: float = 3.0
+    unlikely: float = 4.5
+    most_segments: int = 500
+    sentences: int = 4
+
+
+LEVERAGE = LeverageSettings()
+
+
 NORMAL_MEDIAN = 0.6745
 """Median size of a normal deviate of one."""
-MOST = 500
-"""Segments up to which each is left out in turn."""
-WORDS = 4
-"""Sentences of a kind at most."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +92,10 @@ def find_leverage(
     tuple
         Leverage by label, sentences on segments that alone determine a coefficient, and sentences on segments that move
         one. The leverages are together the number of parameters; a share is ``1 - (u/u_without)^2``. Empty for one
-        segment, and beyond ``MOST``.
+        segment, and beyond ``most_segments``.
     """
     labels = fit.design.run.labels
-    if not 1 < len(labels) <= MOST:
+    if not 1 < len(labels) <= LEVERAGE.most_segments:
         return {}, (), ()
     layout, linear = layout_of(fit.design), fit.design.has_phases
     parts = _amplitude_parts(layout, fit) if linear else fit.summaries
@@ -102,7 +121,7 @@ def odd_segments(fit: Fit) -> tuple[str, ...]:
         square[segment] += columns[-2] @ columns[-2]
     rate = np.divide(product, square, out=np.zeros(size), where=square > 0.0)
     away = np.abs(rate - np.median(rate))
-    odd = away > UNLIKELY * np.median(away) / NORMAL_MEDIAN
+    odd = away > LEVERAGE.unlikely * np.median(away) / NORMAL_MEDIAN
     return tuple(label for label, far in zip(fit.design.run.labels, odd, strict=True) if far)
 
 
@@ -151,8 +170,12 @@ def _lost(total: Reduction) -> frozenset[str]:
     norms = np.linalg.norm(factor, axis=0)
     lost = {term_of(name) for name, norm in zip(total.names, norms, strict=True) if norm == 0.0}
     _, singular, right = np.linalg.svd(factor / np.where(norms > 0.0, norms, 1.0))
-    for direction in np.abs(right[singular <= RANK * singular[0]]):
-        lost |= {term_of(n) for n, w in zip(total.names, direction, strict=True) if w > SHARE * direction.max()}
+    for direction in np.abs(right[singular <= SEPARATION.rank * singular[0]]):
+        lost |= {
+            term_of(n)
+            for n, w in zip(total.names, direction, strict=True)
+            if w > SEPARATION.named_weight * direction.max()
+        }
     return frozenset(lost | ({"phi"} if "tan_beta" in lost else set()))
 
 
@@ -204,11 +227,11 @@ def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) ->
     """Segments that determine a coefficient alone."""
     found = []
     for label, row in table.items():
-        sole = [c.name for c in common if row.share[c.name] > DETERMINES]
+        sole = [c.name for c in common if row.share[c.name] > LEVERAGE.determines]
         if sole:
             verb = "rests" if len(sole) == 1 else "rest"
             found.append(
-                f"{', '.join(sole)} {verb} on segment '{label}' alone (more than {100.0 * DETERMINES:.0f} % of the "
+                f"{', '.join(sole)} {verb} on segment '{label}' alone (more than {100.0 * LEVERAGE.determines:.0f} % of the "
                 "information): an error there is not seen; add a position or level like it"
             )
     return _few(found)
@@ -222,10 +245,10 @@ def _shift_words(
     for label, row in table.items():
         for c in common:
             share, shift = row.share[c.name], row.shift[c.name]
-            if shift is None or share > DETERMINES or abs(shift) <= SHIFTS:
+            if shift is None or share > LEVERAGE.determines or abs(shift) <= LEVERAGE.influential:
                 continue
             usual = size * whole.std[c.name] * math.sqrt(share / (1.0 - share)) / c.std
-            if abs(shift) > UNLIKELY * usual:
+            if abs(shift) > LEVERAGE.unlikely * usual:
                 words = (
                     f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
                     f"explain {usual:.1g}): look at that segment"
@@ -236,6 +259,6 @@ def _shift_words(
 
 def _few(found: list[str]) -> tuple[str, ...]:
     """The first sentences, and how many more there would be."""
-    more = len(found) - WORDS
+    more = len(found) - LEVERAGE.sentences
     rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
-    return (*found[:WORDS], *rest)
+    return (*found[: LEVERAGE.sentences], *rest)

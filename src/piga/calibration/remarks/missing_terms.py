@@ -27,27 +27,89 @@ from piga.records.run import Run
 from piga.records.spool import extent, gathered
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
 
-WINDOWS, WINDOW_SAMPLES = 8, 1024
-"""Windows spread over the record, and their samples."""
-MOST = 64
-"""Samples that a step spans at most."""
-STRAIGHT = 1e-3
-"""Distance of the force from a straight line between, over the largest force, that is taken as none."""
+
+@dataclass(frozen=True)
+class CandidateSettings:
+    """When a missing term is suggested, and on how many rows candidates are tested (own choices).
+
+    Attributes
+    ----------
+    false_alarms:
+        Probability that a record of a right model gets any suggestion, Bonferroni over the candidates.
+    thermal_alarms:
+        The same for the bias following a recorded temperature: one candidate, expected before the record is looked at.
+    rows:
+        Rows that the test looks at: neighbouring increments of longer records are joined.
+    widest_turn:
+        Turn of the output inside a joined increment [rad]; more would average its harmonics out.
+    sample_turn:
+        Turn of the output between the samples that candidates are evaluated at [rad]: the trapezoid misses 1e-3.
+    confounded:
+        Part of a candidate that the model leaves, relative to its size, below which it cannot be told apart.
+    notable:
+        Chi-square reduction (relative) above which a term is always reported.
+    like_a_cube:
+        Share of the best candidate's fall above which the stiffness of the servo is suggested in place of a cube of a_x.
+    alike:
+        Share of the best candidate's fall above which another explains much the same.
+    suggestions:
+        Terms suggested at most.
+    pieces:
+        Parts that a record of few segments is cut into, for the scatter between parts.
+    spare:
+        Segments beyond the parameters from which the scatter is that between segments.
+    constant:
+        Relative change of a squared force that counts as none.
+    force_samples:
+        Samples that are looked at for that.
+    windows:
+        Windows spread over the record in which its smoothness is looked at.
+    window_samples:
+        Samples of such a window.
+    longest_step:
+        Samples that a step spans at most.
+    straight:
+        Distance of the force from a straight line between, over the largest force, that is taken as none.
+    """
+
+    false_alarms: float = 0.002
+    thermal_alarms: float = 0.005
+    rows: int = 4096
+    widest_turn: float = 0.3
+    sample_turn: float = 0.1
+    confounded: float = 1e-3
+    notable: float = 0.01
+    like_a_cube: float = 0.5
+    alike: float = 0.9
+    suggestions: int = 3
+    pieces: int = 24
+    spare: int = 3
+    constant: float = 1e-3
+    force_samples: int = 4096
+    windows: int = 8
+    window_samples: int = 1024
+    longest_step: int = 64
+    straight: float = 1e-3
+
+
+CANDIDATES = CandidateSettings()
 
 
 def smooth_step(run: Run, turn: float) -> int:
     """Step in samples over which the output turns by less than ``turn`` [rad] and the force is a straight line."""
-    starts = np.unique(np.linspace(0, max(run.size - WINDOW_SAMPLES, 0), WINDOWS).astype(np.int64))
-    return min(_step(run, slice(int(start), int(start) + WINDOW_SAMPLES), turn) for start in starts)
+    starts = np.unique(
+        np.linspace(0, max(run.size - CANDIDATES.window_samples, 0), CANDIDATES.windows).astype(np.int64)
+    )
+    return min(_step(run, slice(int(start), int(start) + CANDIDATES.window_samples), turn) for start in starts)
 
 
 def _step(run: Run, window: slice, turn: float) -> int:
     inside = ~run.begins[window][1:]
     turned = np.abs(np.diff(run.output[window]))[inside]
     largest = float(np.quantile(turned, 0.95)) if turned.size else 0.0
-    step = int(min(turn / largest, MOST)) if largest > 0.0 else 1
+    step = int(min(turn / largest, CANDIDATES.longest_step)) if largest > 0.0 else 1
     f = run.f[window]
-    limit = STRAIGHT * max(float(np.abs(f).max()), 1e-300)
+    limit = CANDIDATES.straight * max(float(np.abs(f).max()), 1e-300)
     while step > 1:
         ends = f[: f.shape[0] - f.shape[0] % step : step]
         middle = f[step // 2 :: step][: ends.shape[0] - 1]
@@ -66,10 +128,6 @@ SINGLE = (
 )  # fmt: skip
 CUBIC = ("servo", "k3", "k2o")
 """Terms that take an odd signature of a_x; the one to think of first comes first."""
-CONSTANT = 1e-3
-"""Relative change of a squared force that counts as none."""
-LOOKED = 4096
-"""Samples that are looked at for that."""
 PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 """Candidates that turn with the output: term that stands for them, and their columns."""
 
@@ -106,12 +164,12 @@ def servo_out_of_reach(design: Design) -> set[str]:
 
 def constant_squares(run: Run) -> tuple[float | None, float | None]:
     """``a_x^2 + a_t^2`` and ``a_t^2`` [m^2/s^4] of a record; None for one that changes."""
-    f = gathered(run.f, np.unique(np.linspace(0, run.size - 1, LOOKED).astype(np.int64)))
+    f = gathered(run.f, np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64)))
     across = f[:, 1] ** 2 + f[:, 2] ** 2
     found: list[float | None] = []
     for square in (across + f[:, 0] ** 2, across):
         low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
-        found.append(float(middle) if high - low <= CONSTANT * middle else None)
+        found.append(float(middle) if high - low <= CANDIDATES.constant * middle else None)
     return found[0], found[1]
 
 
@@ -193,30 +251,6 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
 
 Names = tuple[str, ...]
 
-FALSE_ALARMS = 0.002
-"""Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
-THERMAL = 0.005
-"""The same for the bias following a recorded temperature: one candidate, expected before the record is looked at."""
-ROWS = 4096
-"""Rows that the test looks at: neighbouring increments of longer records are joined."""
-WIDEST = 0.3
-"""Turn of the output inside a joined increment [rad]; more would average its harmonics out."""
-SMOOTH = 0.1
-"""Turn of the output between the samples that candidates are evaluated at [rad]: the trapezoid misses 1e-3."""
-CONFOUNDED = 1e-3
-"""Part of a candidate that the model leaves, relative to its size, below which it cannot be told apart."""
-NOTABLE = 0.01
-"""Fall of the sum of squares from which a term is worth a word by itself."""
-LIKE_A_CUBE = 0.5
-"""Share of the best candidate's fall from which the stiffness of the servo is suggested in place of a cube of a_x."""
-ALIKE = 0.9
-"""Share of the best candidate's fall from which another explains much the same."""
-SUGGESTIONS = 3
-PIECES = 24
-"""Parts that a record of few segments is cut into, for the scatter between parts."""
-SPARE = 3
-"""Segments beyond the parameters from which the scatter is that between segments."""
-
 
 @dataclass(frozen=True)
 class Tested:
@@ -251,29 +285,37 @@ def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Miss
     pieces, rows = pieces_of(fit, [name for names in left for name in names])
     suggestions: list[MissingTerm] = []
     order = [name for names in left for name in names]
-    limit = FALSE_ALARMS / len(left)
+    limit = CANDIDATES.false_alarms / len(left)
     square = constant_squares(fit.design.run)[0]
-    for _ in range(SUGGESTIONS):
+    for _ in range(CANDIDATES.suggestions):
         tests = [
             t
             for names in left
             if (t := tested(pieces, order, names, rows))
-            and t.probability < (THERMAL if names == ("k0_T",) else limit)
+            and t.probability < (CANDIDATES.thermal_alarms if names == ("k0_T",) else limit)
         ]
         shifts = [_largest_shift(fit, coefficients, t) for t in tests]
         worth = [
             (test, shift)
             for test, shift in zip(tests, shifts, strict=True)
-            if shift[0] > 1.0 or test.fall > NOTABLE
+            if shift[0] > 1.0 or test.fall > CANDIDATES.notable
         ]
         if not worth:
             break
         best, shift = max(worth, key=lambda item: item[0].fall)
         if best.names == ("k0_t",):
-            warm = [item for item in worth if item[0].names == ("k0_T",) and item[0].fall > ALIKE * best.fall]
+            warm = [
+                item
+                for item in worth
+                if item[0].names == ("k0_T",) and item[0].fall > CANDIDATES.alike * best.fall
+            ]
             best, shift = (warm or [(best, shift)])[0]
         best, shift = _servo_first(best, shift, worth, square)
-        alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > ALIKE * best.fall]
+        alike = [
+            ", ".join(terms_of(t.names))
+            for t in tests
+            if t is not best and t.fall > CANDIDATES.alike * best.fall
+        ]
         entry = _suggestion(best, shift, alike, fit.design.scale_factor)
         if square is not None and best.names[0] in ("servo", "k3"):
             after = after_change(fit, best.change)
@@ -293,7 +335,7 @@ def _servo_first(
     """The stiffness of the servo in place of a cube of a_x that fits about as well, where the record cannot tell them."""
     if square is None or best.names[0] not in CUBIC:
         return best, shift
-    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > LIKE_A_CUBE * best.fall]
+    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > CANDIDATES.like_a_cube * best.fall]
     return servo[0] if servo else (best, shift)
 
 
@@ -318,7 +360,7 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     design, layout = fit.design, layout_of(fit.design)
     segments = len(design.run.labels)
     parameters = len(layout.columns) + len(extra[:2])
-    parts = 1 if segments >= parameters + SPARE else math.ceil(PIECES / segments)
+    parts = 1 if segments >= parameters + CANDIDATES.spare else math.ceil(CANDIDATES.pieces / segments)
     collected: list[list[Array]] = [[] for _ in range(segments)]
     total = 0
     for segment, weighted, formed in _weighted(fit, extra):
@@ -346,7 +388,7 @@ def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
     Beside a stated scatter of the segments the intervals come first.
     """
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
-    count, step = _joined(fit), smooth_step(design.run, SMOOTH)
+    count, step = _joined(fit), smooth_step(design.run, CANDIDATES.sample_turn)
     stated = _stated(fit)
     whitener = Whitener(mode, fit.noise, len(design.names) + len(extra) + 1 + stated)
     for block in design.blocks():
@@ -367,11 +409,11 @@ def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
 def _joined(fit: Fit) -> int:
     """How many increments are joined to one."""
     run = fit.design.run
-    every = max(1, run.size // ROWS)
+    every = max(1, run.size // CANDIDATES.rows)
     turn = np.abs(np.diff(gathered(fit.design.phase_angle, np.arange(0, run.size, every))))
     step = float(np.quantile(turn, 0.9)) / every
-    most = WIDEST / step if step > 0.0 else math.inf
-    return max(1, min(math.ceil(fit.design.rows / ROWS), int(min(most, 1e6))))
+    most = CANDIDATES.widest_turn / step if step > 0.0 else math.inf
+    return max(1, min(math.ceil(fit.design.rows / CANDIDATES.rows), int(min(most, 1e6))))
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
@@ -387,7 +429,7 @@ def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Te
         return None
     R: Array = np.asarray(np.linalg.qr(stacked / np.append(scale, 1.0), mode="r"))
     own = R[m : m + q, m : m + q]
-    if np.linalg.svd(own, compute_uv=False)[-1] < CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
+    if np.linalg.svd(own, compute_uv=False)[-1] < CANDIDATES.confounded or np.abs(np.diag(R)[:m]).min() == 0.0:
         return None
     z = R[m : m + q, -1]
     fall, rest = float(z @ z), float(R[m + q, -1] ** 2)
