@@ -102,12 +102,12 @@ def issue(
         raise PigaError("--key signs the XML, which is not asked for", remedy="add --dcc")
     file = _issued(read_certificate_file(data), issued)
     raw = _bytes(calibration)
-    found = calibration_from_bytes(raw, calibration)
+    certified = calibration_from_bytes(raw, calibration)
     before = _before(file, data)
-    html = certificate_html(file, found, before, record_sha256=hashlib.sha256(raw).hexdigest())
-    xml = _xml(file, found, before, key, certificate) if dcc else None
+    html = certificate_html(file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest())
+    xml = _xml(file, certified, before, key, certificate) if dcc else None
     copy = certificate_html(
-        file, found, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
+        file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
     )
     inputs = [calibration, *files_named_in(data), *(path for path in (key, certificate) if path is not None)]
     with results(out, "certificate", RESULTS, inputs, force=force) as folder:
@@ -118,12 +118,12 @@ def issue(
             written.append(out / "certificate.xml")
             (folder / "certificate.xml").write_bytes(xml)
     if as_json:
-        cautions = [doubt.words for doubt in found.verdict.doubts]
+        cautions = [doubt.words for doubt in certified.verdict.doubts]
         print_json(
             {"number": file.certificate.number, "files": [str(path) for path in written], "cautions": cautions}
         )
         return
-    for doubt in found.verdict.doubts:
+    for doubt in certified.verdict.doubts:
         note(f"piga: caution: {doubt.words}")
     for path in written:
         say(f"wrote {path}")
@@ -163,7 +163,7 @@ def _before(file: CertificateFile, data: Path) -> Calibration | None:
 
 def _xml(
     file: CertificateFile,
-    found: Calibration,
+    calibration: Calibration,
     before: Calibration | None,
     key: Path | None,
     certificate: Path | None,
@@ -171,7 +171,7 @@ def _xml(
     from piga.certificate.dcc.writer import dcc_document
     from piga.certificate.dcc.xml_signature import sign_xml, written
 
-    root = dcc_document(file, found, before)
+    root = dcc_document(file, calibration, before)
     if key is not None and certificate is not None:
         root = sign_xml(root, key, certificate)
     return written(root)

@@ -102,11 +102,11 @@ def _print_check(run: Path, record: Run, document: dict[str, Any]) -> None:
         say(f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}")
 
 
-def _print_suggestions(found: list[Any]) -> None:
+def _print_suggestions(suggestions: list[Any]) -> None:
     """Lines in the run file's own syntax, with the reason as a comment."""
-    if not found:
+    if not suggestions:
         say("# no run-file line would change what was found")
-    for item in dict.fromkeys(found):
+    for item in dict.fromkeys(suggestions):
         say(f"# {' '.join(item.reason.split())}")
         say(f"{item.line}    # in [{item.table}]")
 

@@ -261,15 +261,15 @@ def _single(
         if record.size <= HELD_ROWS:
             report.take(record, compensate(record, calibration, **options.arguments()))
             watch = None
-    found, parts = FileSummary(), None
+    summary, parts = FileSummary(), None
     if resume:
         age = age_flag(calibration, options.max_age)
         parts = Parts(out, key_of((*astuple(options), kind, age), calibration, record), restart)
 
     def write(path: Path) -> None:
-        nonlocal found
+        nonlocal summary
         with progress("compensating", record.size) as advance:
-            found = compensate_to_file(
+            summary = compensate_to_file(
                 record, calibration, path, kind, resampler=resampler, advance=advance, parts=parts, watch=watch,
                 inputs=inputs, **options.arguments(),
             )  # fmt: skip
@@ -285,9 +285,9 @@ def _single(
     if report is not None:
         report.write(options.in_words(calibration), repairs)
     return {
-        "rows": found.rows,
-        "velocity_m_s": found.velocity,
-        "flags": found.flags,
+        "rows": summary.rows,
+        "velocity_m_s": summary.velocity,
+        "flags": summary.flags,
         "repairs": repairs,
         "inputs": inputs_listed(inputs),
     }
@@ -328,11 +328,11 @@ def _together(
     report = None
     if page is not None:
         report = _SetReport(page, paths, mounted)
-    found: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
 
     def write(path: Path) -> None:
         with progress("compensating") as advance:
-            found.update(
+            summary.update(
                 compensate_set_files(
                     paths, mounted, path, kind, uncertainty=options.uncertainty, max_age_days=options.max_age,
                     force=options.force, period=options.period, method=options.method or "exact", advance=advance,
@@ -342,8 +342,8 @@ def _together(
 
     write_by_rename(out, write)
     if report is not None:
-        report.write({"method": options.method or "exact"} | options.common(), found["inputs"])
-    return found
+        report.write({"method": options.method or "exact"} | options.common(), summary["inputs"])
+    return summary
 
 
 class _Report:

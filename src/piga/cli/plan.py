@@ -39,18 +39,18 @@ def plan(
         request = read_plan(plan_file)
         with progress("planning"):
             mounting = plan_mounting(request)
-            found = plan_test(request)
-        document = plan_document(found, mounting)
+            planned = plan_test(request)
+        document = plan_document(planned, mounting)
         text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         written = [
-            write_text(stage / "scenario.toml", scenario_text(found)),
+            write_text(stage / "scenario.toml", scenario_text(planned)),
             write_text(stage / "plan.json", text),
         ]
         written.append(stage / "report.html")
-        write_plan_report(found, mounting, written[-1])
+        write_plan_report(planned, mounting, written[-1])
     if as_json:
         print_json(document)
         return
-    say(plan_text(found, mounting))
+    say(plan_text(planned, mounting))
     for path in written:
         say(f"wrote {folder / path.name}")

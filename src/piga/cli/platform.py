@@ -80,16 +80,16 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
         )
     with progress("aligning"):
         preparation = prepare(run)
-        found = preparation.alignment
-        if found is None:
+        aligned = preparation.alignment
+        if aligned is None:
             stretch = run.readouts.first(run.scenario.calibration_time)
             orders = run.scenario.compensation.orders
-            found = align_platform(stretch, run.scenario.place, preparation.knowledge, orders=orders)
-    document = alignment_document(found)
+            aligned = align_platform(stretch, run.scenario.place, preparation.knowledge, orders=orders)
+    document = alignment_document(aligned)
     with _results(out, "align", scenario, force, "alignment.json") as folder:
         _write_json(folder / "alignment.json", document)
-        _page(folder, alignment_page(run, found))
-    worst = float(found.std[:3].max()) * 206264.806
+        _page(folder, alignment_page(run, aligned))
+    worst = float(aligned.std[:3].max()) * 206264.806
     _finish(document, json, f"triad attitude to {worst:.2g} arcsec; wrote {out}/alignment.json, report.html")
 
 
@@ -108,15 +108,17 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     run = _simulated(scenario)
     s = run.scenario
     with progress("identifying"):
-        found = identified(run)
+        identification = identified(run)
         stretch = run.readouts.first(s.calibration_time)
-        recursive = identify_recursively(stretch, s.place, sources=found.sources, orders=s.compensation.orders)
-        sources = observability(stretch, found)
-    document = identification_document(found, sources)
+        recursive = identify_recursively(
+            stretch, s.place, sources=identification.sources, orders=s.compensation.orders
+        )
+        sources = observability(stretch, identification)
+    document = identification_document(identification, sources)
     with _results(out, "identify", scenario, force, "identification.json") as folder:
         _write_json(folder / "identification.json", document)
-        _page(folder, identification_page(run, found, recursive, sources))
-    numbers = [(p, rounded(p.value, p.std)) for p in found.parameters]
+        _page(folder, identification_page(run, identification, recursive, sources))
+    numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
     lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
     _finish(document, json, "\n".join([*lines, f"wrote {out}/identification.json, report.html"]))
 

@@ -103,61 +103,73 @@ def say_record(record: Record) -> None:
         say(f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}")
 
 
-def difference_document(found: Difference) -> dict[str, Any]:
+def difference_document(difference: Difference) -> dict[str, Any]:
     """The difference of two records as JSON values."""
     from msgspec import to_builtins
 
     return {
-        "first": found.first.id,
-        "second": found.second.id,
-        "coefficients": [to_builtins(change) | {"ratio": change.ratio} for change in found.coefficients],
-        "facts": {name: list(pair) for name, pair in found.facts.items()},
-        "notes": _type_a_only(found),
+        "first": difference.first.id,
+        "second": difference.second.id,
+        "coefficients": [to_builtins(change) | {"ratio": change.ratio} for change in difference.coefficients],
+        "facts": {name: list(pair) for name, pair in difference.facts.items()},
+        "notes": _type_a_only(difference),
     }
 
 
-def _type_a_only(found: Difference) -> list[str]:
+def _type_a_only(difference: Difference) -> list[str]:
     """What is to be said of the uncertainties."""
     from piga.records.coverage import TYPE_A_ONLY
 
-    return [f"{name}: {TYPE_A_ONLY}" for name in found.type_a_only]
+    return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
 
 
-def say_difference(found: Difference) -> None:
+def say_difference(difference: Difference) -> None:
     """Each coefficient's difference with its uncertainty, then the facts that differ."""
     from piga.records.terms import shown_unit
     from piga.reports.render.numbers import rounded, signed
 
-    say(f"{found.first.id} -> {found.second.id}: second less first, uncertainties taken as independent")
-    for c in found.coefficients:
+    say(
+        f"{difference.first.id} -> {difference.second.id}: second less first, uncertainties taken as independent"
+    )
+    for c in difference.coefficients:
         if c.difference is None or c.ratio is None:
-            say(f"  {c.key:<14} only in {found.first.id if c.second is None else found.second.id}")
+            say(f"  {c.key:<14} only in {difference.first.id if c.second is None else difference.second.id}")
         else:
             scale, unit = shown_unit(c.key, c.unit)
             number = rounded(c.difference * scale, (c.std or 0.0) * scale)
             shown = f"{number.value} +- {number.uncertainty}"
             say(f"  {c.key:<14} {shown:>24} {unit:<8} {signed(c.ratio, 2)} u")
-    for line in _type_a_only(found):
+    for line in _type_a_only(difference):
         say(f"  {line}")
-    for name, (old, new) in found.facts.items():
+    for name, (old, new) in difference.facts.items():
         say(f"  {name}: {old} -> {new}")
 
 
-def print_verification(found: Verification, *, as_json: bool) -> None:
+def print_verification(verification: Verification, *, as_json: bool) -> None:
     """What a check of the chain found."""
     if as_json:
-        document = {"store": found.name, "sound": found.sound, "records": found.records, "files": found.files}
-        print_json(document | {"head": found.head, "known": found.known, "problems": found.problems})
+        document = {
+            "store": verification.name,
+            "sound": verification.sound,
+            "records": verification.records,
+            "files": verification.files,
+        }
+        print_json(
+            document
+            | {"head": verification.head, "known": verification.known, "problems": verification.problems}
+        )
         return
-    if found.sound:
-        say(f"{found.name}: sound: {found.records} records and {found.files} files are what they were")
-    for known, number in found.known.items():
+    if verification.sound:
+        say(
+            f"{verification.name}: sound: {verification.records} records and {verification.files} files are what they were"
+        )
+    for known, number in verification.known.items():
         if number is not None:
             say(f"known head {known[:16]}... is that after record {number}")
-    for problem in found.problems:
+    for problem in verification.problems:
         note(f"piga: {problem}")
-    if found.head:
-        say_head(found.records, found.head)
+    if verification.head:
+        say_head(verification.records, verification.head)
 
 
 def print_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
@@ -169,38 +181,42 @@ def print_written(path: Path, records: int, head: str, *, as_json: bool) -> None
     say_head(records, head)
 
 
-def reproduced_document(found: Reproduced) -> dict[str, Any]:
+def reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
     """A recomputed record as JSON values."""
     return {
-        "id": found.record.id,
-        "verdict": found.verdict,
-        "same_platform": found.same_platform,
-        "changed": {name: list(pair) for name, pair in found.changed.items()},
-        "worst": found.comparison.worst,
-        "differences": list(found.comparison.differences),
+        "id": reproduced.record.id,
+        "verdict": reproduced.verdict,
+        "same_platform": reproduced.same_platform,
+        "changed": {name: list(pair) for name, pair in reproduced.changed.items()},
+        "worst": reproduced.comparison.worst,
+        "differences": list(reproduced.comparison.differences),
     }
 
 
-def say_reproduced(found: Reproduced) -> None:
+def say_reproduced(reproduced: Reproduced) -> None:
     """Whether a recomputed record is the same, and what changed since."""
-    where = "same software and platform" if found.same_platform else f"then and now: {_changes(found)}"
+    where = (
+        "same software and platform" if reproduced.same_platform else f"then and now: {_changes(reproduced)}"
+    )
     words = {
         "identical": "identical to the bit",
-        "within tolerance": f"within 1e-12 kappa ({found.comparison.worst:.1g} of what is allowed)",
+        "within tolerance": f"within 1e-12 kappa ({reproduced.comparison.worst:.1g} of what is allowed)",
         "different": "NOT the same",
     }
-    say(f"{found.record.id}: {words[found.verdict]}; {where}")
-    if not found.reproduced:
-        for line in found.comparison.differences or ("the numbers differ in their last digits",):
-            note(f"piga: {found.record.id}: {line}")
+    say(f"{reproduced.record.id}: {words[reproduced.verdict]}; {where}")
+    if not reproduced.reproduced:
+        for line in reproduced.comparison.differences or ("the numbers differ in their last digits",):
+            note(f"piga: {reproduced.record.id}: {line}")
 
 
-def _changes(found: Reproduced) -> str:
+def _changes(reproduced: Reproduced) -> str:
     changed = {
-        name: pair for name, pair in found.changed.items() if pair[0] is not None and name != "source_sha256"
+        name: pair
+        for name, pair in reproduced.changed.items()
+        if pair[0] is not None and name != "source_sha256"
     }
     words = [f"{name} {then} -> {now}" for name, (then, now) in changed.items()]
-    words += ["other numeric source"] if found.changed.get("source_sha256", (None, None))[0] else []
+    words += ["other numeric source"] if reproduced.changed.get("source_sha256", (None, None))[0] else []
     return "; ".join(words) or "the software of then was not recorded in full"
 
 
@@ -315,24 +331,29 @@ def show(
     from piga.records.calibration_json import to_document
 
     with opened(store) as kept:
-        found, head = kept.record(record), kept.head()
-        calibration = kept.calibration(found.id) if found.file("calibration") else None
+        shown, head = kept.record(record), kept.head()
+        calibration = kept.calibration(shown.id) if shown.file("calibration") else None
         if extract is not None:
-            kept.extract(found.id, output_directory(extract, "--extract"))
+            kept.extract(shown.id, output_directory(extract, "--extract"))
     if as_json:
         result = None if calibration is None else to_document(calibration)
         print_json(
-            {"store": store_name(store), "head": head.sha256, **record_document(found), "calibration": result}
+            {
+                "store": store_name(store),
+                "head": head.sha256,
+                **record_document(shown),
+                "calibration": result,
+            }
         )
         return
-    say_record(found)
+    say_record(shown)
     if calibration is not None:
         from piga.reports.calibration.page import calibration_text
 
         say("")
         say(calibration_text(calibration))
     if extract is not None:
-        say(f"wrote {len(found.document.files)} files to {extract}")
+        say(f"wrote {len(shown.document.files)} files to {extract}")
     say_head(head.number, head.sha256)
 
 
@@ -347,11 +368,11 @@ def diff(
     from piga.ledger.compare import difference
 
     with opened(store) as kept:
-        found, head = difference(kept, first, second), kept.head()
+        changes, head = difference(kept, first, second), kept.head()
     if as_json:
-        print_json({"store": store_name(store), "head": head.sha256, **difference_document(found)})
+        print_json({"store": store_name(store), "head": head.sha256, **difference_document(changes)})
         return
-    say_difference(found)
+    say_difference(changes)
     say_head(head.number, head.sha256)
 
 
@@ -381,9 +402,9 @@ def verify(
     if where is None:
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
     with progress("verifying") as advance:
-        found = check(where, head or (), advance)
-    print_verification(found, as_json=as_json)
-    if not found.sound:
+        verification = check(where, head or (), advance)
+    print_verification(verification, as_json=as_json)
+    if not verification.sound:
         raise typer.Exit(2)
 
 
@@ -403,8 +424,8 @@ def export(
     from piga.ledger.store.transfer import export_records
 
     with opened(store) as kept, progress("exporting") as advance:
-        found = export_records(kept, out, record, advance=advance)
-    print_written(out, found.records, found.head, as_json=as_json)
+        exported = export_records(kept, out, record, advance=advance)
+    print_written(out, exported.records, exported.head, as_json=as_json)
 
 
 @app.command("import")
@@ -445,22 +466,22 @@ def reproduce(
     """
     from piga.ledger import reproduce as recompute
 
-    found = []
+    results_by_record = []
     with opened(store) as kept:
         names = record or [entry.id for entry in kept.each()]
         with progress("recomputing", len(names)) as advance:
             for name in names:
-                found.append(recompute(kept, name))
+                results_by_record.append(recompute(kept, name))
                 advance(1)
         head = kept.head()
     if as_json:
-        results = [reproduced_document(one) for one in found]
+        results = [reproduced_document(one) for one in results_by_record]
         print_json({"store": store_name(store), "head": head.sha256, "records": results})
     else:
-        for one in found:
+        for one in results_by_record:
             say_reproduced(one)
         say_head(head.number, head.sha256)
-    if not all(one.reproduced for one in found):
+    if not all(one.reproduced for one in results_by_record):
         raise typer.Exit(2)
 
 
@@ -477,8 +498,8 @@ def backup(
     from piga.ledger.store.transfer import backup as copy
 
     with opened(store) as kept, progress("copying") as advance:
-        found = copy(kept, out, advance=advance)
-    print_written(out, found.records, found.head, as_json=as_json)
+        copied = copy(kept, out, advance=advance)
+    print_written(out, copied.records, copied.head, as_json=as_json)
 
 
 @app.command()
@@ -495,5 +516,5 @@ def restore(
     from piga.ledger.store.transfer import restore as make
 
     with progress("restoring"):
-        found = make(source, store)
-    print_written(Path(store_name(store)), found.records, found.head, as_json=as_json)
+        restored = make(source, store)
+    print_written(Path(store_name(store)), restored.records, restored.head, as_json=as_json)

@@ -40,34 +40,34 @@ def reproduce(
         for chapter in run_chapters(names):
             chapters.append(chapter)
             advance(1)
-    found = Reproduction(tuple(chapters))
+    reproduction = Reproduction(tuple(chapters))
     if json:
-        print_json(found.document())
+        print_json(reproduction.document())
     else:
-        _print_table(found)
+        _print_table(reproduction)
         say("")
-        say(summary(found))
+        say(summary(reproduction))
     if out is not None:
         with results(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force) as folder:
-            _write(found, folder)
+            _write(reproduction, folder)
         if not json:
-            say(f"wrote {out}/reproduction.html and {len(found.figures)} figures in {out / 'figures'}")
-    if found.failed:
+            say(f"wrote {out}/reproduction.html and {len(reproduction.figures)} figures in {out / 'figures'}")
+    if reproduction.failed:
         raise typer.Exit(1)
 
 
-def _print_table(found: Reproduction) -> None:
+def _print_table(reproduction: Reproduction) -> None:
     from piga.studies.reproduction import text_lines
 
     plain = "NO_COLOR" in os.environ
-    for verdict, line in text_lines(found):
+    for verdict, line in text_lines(reproduction):
         if verdict is None:
             typer.echo(line)
         else:
             typer.echo(f"{line}  {verdict if plain else typer.style(verdict, fg=_COLOURS[verdict])}")
 
 
-def _write(found: Reproduction, folder: Path) -> None:
+def _write(reproduction: Reproduction, folder: Path) -> None:
     from importlib.util import find_spec
 
     from piga.reports.render.page import write_page
@@ -76,12 +76,12 @@ def _write(found: Reproduction, folder: Path) -> None:
 
     pictures = folder / "figures"
     pictures.mkdir()
-    write_page(reproduction_page(found), folder / "reproduction.html")
+    write_page(reproduction_page(reproduction), folder / "reproduction.html")
     kinds = ("svg", "png") if find_spec("matplotlib") else ("svg",)
     if "png" not in kinds:
         note("piga: no PNG figures: they need the extra 'report' (pip install 'piga[report]')")
-    with progress("drawing", len(found.figures)) as advance:
-        for figure in found.figures:
+    with progress("drawing", len(reproduction.figures)) as advance:
+        for figure in reproduction.figures:
             for kind in kinds:
                 write_figure(figure, pictures / f"{figure.key}.{kind}")
             advance(1)

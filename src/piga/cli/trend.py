@@ -70,28 +70,28 @@ def trend(
 
     gc.set_threshold(*RARELY)
     with progress("reading"):
-        found = find_trend(_history(sources or [], store, serial), common=_common(common or []))
-    date = _date(at) if at else found.times[-1] + dt.timedelta(days=365)
-    written = [] if out is None else _written(out, _files(sources or []), found, date, force)
+        drifts = find_trend(_history(sources or [], store, serial), common=_common(common or []))
+    date = _date(at) if at else drifts.times[-1] + dt.timedelta(days=365)
+    written = [] if out is None else _written(out, _files(sources or []), drifts, date, force)
     if as_json:
         from piga.reports.trend import trend_document
 
-        print_json(trend_document(found, at=date))
+        print_json(trend_document(drifts, at=date))
         return
-    say(trend_text(found, at=date))
+    say(trend_text(drifts, at=date))
     for path in written:
         say(f"wrote {path}")
 
 
-def _written(out: Path, inputs: list[Path], found: Trend, date: dt.datetime, force: bool) -> list[Path]:
+def _written(out: Path, inputs: list[Path], drifts: Trend, date: dt.datetime, force: bool) -> list[Path]:
     """trend.json and trend.html."""
     from piga.reports.trend import trend_document, write_trend_report
 
-    text = json.dumps(trend_document(found, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    text = json.dumps(trend_document(drifts, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     with results(out, "trend", ("trend.json", "trend.html"), inputs, force=force) as folder:
         paths = [write_text(folder / "trend.json", text)]
         paths.append(folder / "trend.html")
-        write_trend_report(found, paths[-1], at=date)
+        write_trend_report(drifts, paths[-1], at=date)
     return [out / path.name for path in paths]
 
 
@@ -116,7 +116,7 @@ def stored_history(store: str, serial: str) -> Iterator[HistoryEntry]:
 
 
 def _files(sources: list[Path]) -> list[Path]:
-    found: list[Path] = []
+    paths: list[Path] = []
     for source in sources:
         inside = [source]
         if source.is_dir():
@@ -124,10 +124,10 @@ def _files(sources: list[Path]) -> list[Path]:
             inside = [path for path in named if not any(is_staged(part) for part in path.parents)]
         if not inside:
             raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
-        found += inside
-    if len(found) > MOST_RECORDS:
-        raise PigaError(f"{len(found)} files, more than {MOST_RECORDS}", remedy="name fewer directories")
-    return list(dict.fromkeys(found))
+        paths += inside
+    if len(paths) > MOST_RECORDS:
+        raise PigaError(f"{len(paths)} files, more than {MOST_RECORDS}", remedy="name fewer directories")
+    return list(dict.fromkeys(paths))
 
 
 def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:

@@ -402,11 +402,11 @@ def plan_text(plan: Plan, mounting: Mounting | None) -> str:
     )
     lines += [f"    left out {item.candidate.label}: {item.reason}" for item in plan.excluded]
     if plan.cheapest is not None:
-        found = plan.cheapest
+        cheapest = plan.cheapest
         lines.append(
-            f"  wanted uncertainties: {found.refusal}"
-            if found.plan is None
-            else f"  wanted uncertainties: {found.plan.duration:.6g} s (bound {found.bound:.6g} s)"
+            f"  wanted uncertainties: {cheapest.refusal}"
+            if cheapest.plan is None
+            else f"  wanted uncertainties: {cheapest.plan.duration:.6g} s (bound {cheapest.bound:.6g} s)"
         )
     if mounting is not None:
         lines.append(f"  mounting: {mounting_text(mounting)}")

@@ -72,9 +72,9 @@ def _dates(start: dt.datetime, years: np.ndarray | float) -> np.ndarray:
     return start.timestamp() / DAY + np.asarray(years, dtype=float) * YEAR / DAY
 
 
-def trend_figure(found: Trend, trend: CoefficientTrend, ahead: float | None) -> Figure:
+def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Figure:
     """Values and control chart of one coefficient; ``ahead`` is the time of the forecast in years since the start."""
-    start, scale = found.start, scale_of(trend)
+    start, scale = drifts.start, scale_of(trend)
     panels = [_values(trend, start, scale, ahead)]
     if np.isfinite(trend.chart.score).any():
         panels.append(_control(trend, start))
@@ -167,27 +167,27 @@ def _control(trend: CoefficientTrend, start: dt.datetime) -> Panel:
     return Panel(DATE, Axis("deviation from the forecast", "std"), tuple(series), title="Control chart")
 
 
-def write_trend_report(found: Trend, path: Path, *, at: dt.datetime | None = None) -> Path:
+def write_trend_report(drifts: Trend, path: Path, *, at: dt.datetime | None = None) -> Path:
     """Write the page as one HTML file that opens offline; ``at`` is the date of the forecast."""
-    return write_page(trend_page(found, at=at), path)
+    return write_page(trend_page(drifts, at=at), path)
 
 
-def trend_page(found: Trend, *, at: dt.datetime | None = None) -> Page:
+def trend_page(drifts: Trend, *, at: dt.datetime | None = None) -> Page:
     """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
-    ahead = None if at is None else found.years(at)
-    span = found.years(found.times[-1])
-    blocks: list[Block] = [Notice("problem", alarm) for alarm in found.alarms]
+    ahead = None if at is None else drifts.years(at)
+    span = drifts.years(drifts.times[-1])
+    blocks: list[Block] = [Notice("problem", alarm) for alarm in drifts.alarms]
     blocks = blocks or [Notice("good", "No record is out of control.")]
-    blocks += [Notice("warning", remark) for remark in found.remarks]
+    blocks += [Notice("warning", remark) for remark in drifts.remarks]
     sections = [
         Section("Judgement", "judgement", tuple(blocks)),
-        Section("Stability and drift", "stability", (Text(_LEAD, lead=True), summary_table(found, at))),
+        Section("Stability and drift", "stability", (Text(_LEAD, lead=True), summary_table(drifts, at))),
     ]
-    sections += [_section(found, trend, ahead) for trend in found.coefficients]
+    sections += [_section(drifts, trend, ahead) for trend in drifts.coefficients]
     return Page(
-        title=f"Trend of {found.serial}",
-        subtitle=f"{len(found.records)} records from {found.times[0]:%Y-%m-%d} to {found.times[-1]:%Y-%m-%d}.",
-        tiles=_tiles(found, span),
+        title=f"Trend of {drifts.serial}",
+        subtitle=f"{len(drifts.records)} records from {drifts.times[0]:%Y-%m-%d} to {drifts.times[-1]:%Y-%m-%d}.",
+        tiles=_tiles(drifts, span),
         sections=tuple(sections),
         kicker="piga · trend",
         footer=f"Made by piga {__version__}. This file holds all it shows: it opens without a network, and prints on A4.",
@@ -201,26 +201,26 @@ _LEAD = (
 )
 
 
-def _tiles(found: Trend, span: float) -> tuple[Tile, ...]:
-    days = len({point.day for point in found.coefficients[0].points}) if found.coefficients else 0
-    drifting = [t.key for t in found.coefficients if t.drift and abs(t.drift.value) > t.drift.half_width()]
-    count = len(found.alarms)
+def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
+    days = len({point.day for point in drifts.coefficients[0].points}) if drifts.coefficients else 0
+    drifting = [t.key for t in drifts.coefficients if t.drift and abs(t.drift.value) > t.drift.half_width()]
+    count = len(drifts.alarms)
     period = f"{fixed(span, 1)}" if span >= 1.0 else f"{span * 365.25:.0f}"
     return (
-        Tile("Records", str(len(found.records)), "", f"on {days} days"),
+        Tile("Records", str(len(drifts.records)), "", f"on {days} days"),
         Tile("Span", period, "years" if span >= 1.0 else "days"),
         Tile("Alarms", str(count), "", "see below" if count else "all in control", "bad" if count else "good"),
         Tile(
             "Coefficients that drift",
             str(len(drifting)),
-            f"of {len(found.coefficients)}",
+            f"of {len(drifts.coefficients)}",
             ", ".join(drifting) or "none beyond its uncertainty",
             "doubtful" if drifting else "good",
         ),
     )
 
 
-def summary_table(found: Trend, at: dt.datetime | None = None) -> Table:
+def summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
     """One row per coefficient: value on the last day, stability, drift, forecast."""
     columns = [
         Column("Coefficient", align="text"),
@@ -232,11 +232,11 @@ def summary_table(found: Trend, at: dt.datetime | None = None) -> Table:
     ]
     if at is not None:
         columns.append(Column(f"Forecast for {at:%Y-%m-%d}"))
-    rows = [_summary_row(found, trend, at) for trend in found.coefficients]
+    rows = [_summary_row(drifts, trend, at) for trend in drifts.coefficients]
     return Table(tuple(columns), tuple(rows))
 
 
-def _summary_row(found: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> tuple[str | Cell, ...]:
+def _summary_row(drifts: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> tuple[str | Cell, ...]:
     scale, unit = shown_unit(trend.key, trend.unit)
     last = trend.points[-1].time
     row: list[str | Cell] = [
@@ -253,7 +253,7 @@ def _summary_row(found: Trend, trend: CoefficientTrend, at: dt.datetime | None) 
         clear = abs(drift.value) > drift.half_width()
         row.append(Cell(_interval(drift, scale), "doubtful" if clear else ""))
     if at is not None:
-        row.append(_interval(trend.model.coefficient_at(found.years(at)), scale) if trend.model.line else "–")
+        row.append(_interval(trend.model.coefficient_at(drifts.years(at)), scale) if trend.model.line else "–")
     return tuple(row)
 
 
@@ -280,14 +280,14 @@ def _spread(value: float) -> str:
     return "–" if math.isnan(value) else printed(short(value, 2))
 
 
-def _section(found: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
-    figure = FigureBlock(trend_figure(found, trend, ahead))
+def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
+    figure = FigureBlock(trend_figure(drifts, trend, ahead))
     lead = Text(f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}.", lead=True)
     anchor = f"coefficient-{trend.key.replace('_', '-')}"
-    return Section(trend.key, anchor, (lead, figure, record_table(found, trend)))
+    return Section(trend.key, anchor, (lead, figure, record_table(drifts, trend)))
 
 
-def record_table(found: Trend, trend: CoefficientTrend) -> Table:
+def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
     """Every record with what was expected of it."""
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
@@ -302,7 +302,7 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
         Column("Score"),
     )
     rows: list[tuple[str | Cell, ...]] = []
-    for point, time in zip(trend.points, found.times, strict=True):
+    for point, time in zip(trend.points, drifts.times, strict=True):
         number = rounded(point.value * scale, point.std * scale)
         expected = "–" if point.forecast is None else _interval(point.forecast, scale)
         score = "–" if point.forecast is None else printed(signed(point.score, 1))
@@ -321,13 +321,13 @@ def record_table(found: Trend, trend: CoefficientTrend) -> Table:
     return Table(columns, tuple(rows), "Records: an expectation needs three earlier days.")
 
 
-def trend_text(found: Trend, *, at: dt.datetime | None = None) -> str:
+def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
     """Summary for the terminal."""
-    table = summary_table(found, at)
+    table = summary_table(drifts, at)
     lines = [[column.heading for column in table.columns]]
     lines += [[_ascii(cell.text) for cell in row] for row in table.cells]
     width = [max(len(line[column]) for line in lines) for column in range(len(table.columns))]
-    head = f"Trend of {found.serial}: {len(found.records)} records, {found.times[0]:%Y-%m-%d} to {found.times[-1]:%Y-%m-%d}"
+    head = f"Trend of {drifts.serial}: {len(drifts.records)} records, {drifts.times[0]:%Y-%m-%d} to {drifts.times[-1]:%Y-%m-%d}"
     body = [
         "  "
         + "  ".join(
@@ -336,8 +336,8 @@ def trend_text(found: Trend, *, at: dt.datetime | None = None) -> str:
         )
         for line in lines
     ]
-    alarms = [f"alarm: {alarm}" for alarm in found.alarms] or ["no alarm"]
-    remarks = [f"note: {remark}" for remark in found.remarks]
+    alarms = [f"alarm: {alarm}" for alarm in drifts.alarms] or ["no alarm"]
+    remarks = [f"note: {remark}" for remark in drifts.remarks]
     return "\n".join([head, "", *(line.rstrip() for line in body), "", *alarms, *remarks])
 
 
@@ -350,19 +350,19 @@ def _ascii(text: str) -> str:
     return re.sub(r"[\u00a0\u202f]", "", plain).translate(_ASCII)
 
 
-def trend_document(found: Trend, *, at: dt.datetime | None = None) -> dict[str, Any]:
+def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str, Any]:
     """The trend as plain JSON values, in file units; nan becomes null."""
     return {
         "schema": "piga.trend/1",
-        "serial": found.serial,
-        "start": found.times[0].isoformat(),
-        "alarms": list(found.alarms),
-        "remarks": list(found.remarks),
-        "coefficients": [_coefficient_document(found, trend, at) for trend in found.coefficients],
+        "serial": drifts.serial,
+        "start": drifts.times[0].isoformat(),
+        "alarms": list(drifts.alarms),
+        "remarks": list(drifts.remarks),
+        "coefficients": [_coefficient_document(drifts, trend, at) for trend in drifts.coefficients],
     }
 
 
-def _coefficient_document(found: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> dict[str, Any]:
+def _coefficient_document(drifts: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> dict[str, Any]:
     line = trend.model.line
     return {
         "name": trend.key,
@@ -372,8 +372,8 @@ def _coefficient_document(found: Trend, trend: CoefficientTrend, at: dt.datetime
         "drift_per_year": _forecast_document(trend.drift),
         "forecast": None
         if at is None or line is None
-        else _dated(trend.model.coefficient_at(found.years(at)), at),
-        "next_record": None if at is None or line is None else _dated(trend.next_record(found.years(at)), at),
+        else _dated(trend.model.coefficient_at(drifts.years(at)), at),
+        "next_record": None if at is None or line is None else _dated(trend.next_record(drifts.years(at)), at),
         "records": [
             {
                 "record": point.record,
@@ -387,7 +387,7 @@ def _coefficient_document(found: Trend, trend: CoefficientTrend, at: dt.datetime
                 "score": _number(point.score),
                 "out_of_control": point.outside,
             }
-            for point, time in zip(trend.points, found.times, strict=True)
+            for point, time in zip(trend.points, drifts.times, strict=True)
         ],
     }
 

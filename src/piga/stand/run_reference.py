@@ -237,10 +237,10 @@ def _followed(
         return FollowedStand(stand)
     planned = [part for part in stand.segments() if part.recorded]
     by_name = dict(zip(names or tuple(part.label for part in planned), planned, strict=True))
-    found = labels()
-    parts = [by_name.get(label.split("/")[0]) for label in found]
+    recorded = labels()
+    parts = [by_name.get(label.split("/")[0]) for label in recorded]
     if None in parts:
-        parts = list(_in_order(planned, found))
+        parts = list(_in_order(planned, recorded))
     starts, durations = np.array([(part.start, part.duration) for part in parts if part is not None]).T
     return FollowedStand(stand, starts, durations)
 

@@ -435,11 +435,11 @@ def _harmonics(table: ScenarioTable) -> Harmonics:
     """Amplitudes [m/s^2] of sine and cosine by order."""
     result: dict[int, tuple[float, float]] = {}
     for name, value in table.truth.items():
-        found = harmonic(name)
-        if found is not None:
+        wave = harmonic(name)
+        if wave is not None:
             amplitude = to_si(value, "g", what=f"[truth] {name}")
-            sine, cosine = result.get(found[1], (0.0, 0.0))
-            result[found[1]] = (amplitude, cosine) if found[0] == "s" else (sine, amplitude)
+            sine, cosine = result.get(wave[1], (0.0, 0.0))
+            result[wave[1]] = (amplitude, cosine) if wave[0] == "s" else (sine, amplitude)
     return result
 
 

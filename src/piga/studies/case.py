@@ -150,9 +150,9 @@ def own_calibration(profile: Profile) -> Calibration:
     return calibrate(record(profile), terms=["tan_beta"], method="recursive")
 
 
-def raw_state(found: Calibration) -> tuple[float, float]:
+def raw_state(calibration: Calibration) -> tuple[float, float]:
     """[tan_beta, phi] as the recursion leaves them: tan_beta may be negative, phi beyond half a turn."""
-    history = found.history or {}
+    history = calibration.history or {}
     return float(history["tan_beta"][-1]), float(history["phi"][-1])
 
 
@@ -167,15 +167,15 @@ def model_phase(run: Run) -> Array:
     return np.asarray(run.scale_factor * np.concatenate(([0.0], np.cumsum(steps))))
 
 
-def model_residual(run: Run, found: Calibration) -> Array:
+def model_residual(run: Run, calibration: Calibration) -> Array:
     """What the published model leaves of the error at its own phase [g] (a_Z = 0)."""
-    phase = model_phase(run) + found["phi"].value
-    return np.asarray(raw_error(run) - run.f[:, 1] / G0 * found["tan_beta"].value * np.sin(phase))
+    phase = model_phase(run) + calibration["phi"].value
+    return np.asarray(raw_error(run) - run.f[:, 1] / G0 * calibration["tan_beta"].value * np.sin(phase))
 
 
-def compensated_error(run: Run, found: Calibration, method: str) -> Array:
+def compensated_error(run: Run, calibration: Calibration, method: str) -> Array:
     """Compensated less true specific force of a rate record [g]."""
-    return np.asarray((compensate(run, found, method=method, uncertainty=False).ax - run.f[:, 0]) / G0)
+    return np.asarray((compensate(run, calibration, method=method, uncertainty=False).ax - run.f[:, 0]) / G0)
 
 
 def closed_form_phase(r: float, alpha0: float) -> tuple[float, float]:

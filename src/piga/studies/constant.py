@@ -84,7 +84,7 @@ def _integrated(example: Example, t: Array) -> tuple[Array, Array]:
     from scipy.integrate import solve_ivp
 
     a, b = (INSTRUMENT.scale_factor * v for v in (example.force[0], example.force[1] * INSTRUMENT.tan_beta))
-    found = solve_ivp(
+    solution = solve_ivp(
         lambda _t, alpha: [a + b * math.sin(alpha[0])],
         (0.0, DURATION),
         [INSTRUMENT.alpha0],
@@ -93,7 +93,7 @@ def _integrated(example: Example, t: Array) -> tuple[Array, Array]:
         rtol=1e-12,
         atol=1e-13,
     )
-    return found.y[0], a + b * np.sin(found.y[0])
+    return solution.y[0], a + b * np.sin(solution.y[0])
 
 
 def examples() -> Chapter:
@@ -116,7 +116,7 @@ def examples() -> Chapter:
 
 def _example_cases(example: Example) -> list[Case]:
     name, source = f"constant-input.example-{example.number}", f"[Wei2020] example {example.number}"
-    found = solved(example)
+    known = solved(example)
     ideal = math.degrees(INSTRUMENT.scale_factor * example.force[0])
     digits = (
         "a_x is zero, so that K a_x is zero exactly: no tolerance"
@@ -135,21 +135,21 @@ def _example_cases(example: Example) -> list[Case]:
             digits,
         )
     ]
-    at = int(np.argmax(np.abs(found.published - found.integrated[1])))
+    at = int(np.argmax(np.abs(known.published - known.integrated[1])))
     cases.append(
         Case(
             f"{name}.form",
             source,
-            f"rate by form {example.number} where it is farthest from the integration (t = {found.t[at]:.2f} s)",
+            f"rate by form {example.number} where it is farthest from the integration (t = {known.t[at]:.2f} s)",
             "deg/s",
-            math.degrees(found.published[at]),
-            math.degrees(found.integrated[1][at]),
+            math.degrees(known.published[at]),
+            math.degrees(known.integrated[1][at]),
             1e-9,
             "both solve one equation exactly: the integrator keeps 1e-12 of the angle per step, "
             "which over 100 s stays below 1e-9 deg/s",
         )
     )
-    worst = max(float(np.abs(one[0] - found.integrated[0]).max()) for one in (found.closed, found.sampled))
+    worst = max(float(np.abs(one[0] - known.integrated[0]).max()) for one in (known.closed, known.sampled))
     cases.append(
         Case(
             f"{name}.agreement",
@@ -182,15 +182,15 @@ def _last_case(example: Example, name: str, source: str) -> Case:
 def _rate_figure() -> Figure:
     panels = []
     for example in EXAMPLES:
-        found = solved(example)
-        shown = found.t <= (20.0 if example.number == 4 else DURATION)
-        shown &= np.arange(found.t.size) % 5 == 0
-        t, ideal = found.t[shown], math.degrees(INSTRUMENT.scale_factor * example.force[0])
+        known = solved(example)
+        shown = known.t <= (20.0 if example.number == 4 else DURATION)
+        shown &= np.arange(known.t.size) % 5 == 0
+        t, ideal = known.t[shown], math.degrees(INSTRUMENT.scale_factor * example.force[0])
         dots = slice(None, None, max(1, t.size // _DOTS))
         series = (
             Series([0.0, t[-1]], [ideal, ideal], "ideal: K a_x", role="reference", dashed=True),
-            Series(t, np.degrees(found.closed[1][shown]), "cross-coupled: closed form", role="after"),
-            Series(t[dots], np.degrees(found.published[shown][dots]), "published form", "points", "before"),
+            Series(t, np.degrees(known.closed[1][shown]), "cross-coupled: closed form", role="after"),
+            Series(t[dots], np.degrees(known.published[shown][dots]), "published form", "points", "before"),
         )
         title = f"{example.number}  {example.regime}: a_x = {example.a_x:.5g} g"
         panels.append(Panel(Axis("time", "s"), Axis("output rate", "deg/s"), series, title))
@@ -208,13 +208,13 @@ def _rate_figure() -> Figure:
 def _agreement_figure() -> Figure:
     panels = []
     for example in EXAMPLES:
-        found = solved(example)
+        known = solved(example)
         every = slice(1, None, 8)
-        left = np.abs(found.closed[0] - found.integrated[0])[every]
-        right = np.abs(found.closed[0] - found.sampled[0])[every]
+        left = np.abs(known.closed[0] - known.integrated[0])[every]
+        right = np.abs(known.closed[0] - known.sampled[0])[every]
         series = (
-            Series(found.t[every], np.maximum(left, _FLOOR), "closed form less integration", role="before"),
-            Series(found.t[every], np.maximum(right, _FLOOR), "closed form less propagator", role="after"),
+            Series(known.t[every], np.maximum(left, _FLOOR), "closed form less integration", role="before"),
+            Series(known.t[every], np.maximum(right, _FLOOR), "closed form less propagator", role="after"),
         )
         axis = Axis("difference in angle", "rad", log=True, limits=(_FLOOR, 1e-9))
         panels.append(Panel(Axis("time", "s"), axis, series, f"{example.number}  {example.regime}"))

@@ -143,8 +143,8 @@ def _square_cases() -> list[Case]:
 
 def _phase_cases() -> list[Case]:
     _, walk, predicted = phase_walk()
-    log, found = record("ramp"), published_calibration("ramp")
-    left = float(np.abs(model_residual(log, found)).max())
+    log, calibration = record("ramp"), published_calibration("ramp")
+    left = float(np.abs(model_residual(log, calibration)).max())
     constant, lead = closed_form_phase(TRANSVERSE * INSTRUMENT.tan_beta, INSTRUMENT.alpha0)
     bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(model_phase_error()).max())
     source = "[Wei2024] eq. 12-18, own prediction"
@@ -154,7 +154,7 @@ def _phase_cases() -> list[Case]:
              "the first column holds the prediction, a drift of K V r^2/2; the ripple of each revolution, which does not end with "
              "the record, takes up to 5 % of the slope"),
         Case("errata.phase-shift", source, "phi that the recursion finds less C - asin(r)", "rad",
-             -0.6 * float(predicted[-1]), raw_state(found)[1] - (constant - lead), 0.06 * float(predicted[-1]),
+             -0.6 * float(predicted[-1]), raw_state(calibration)[1] - (constant - lead), 0.06 * float(predicted[-1]),
              "the first column holds the prediction: on an even ramp least squares weighs the drift to 3/5 of its end value; "
              "a tenth of that for the ripple. The printed 0.802 is C - asin(r) without drift, that is, a run of few revolutions"),
         Case("errata.phase-residual", "[Wei2024] eq. 12-18", "residual that the published calibration leaves", "g", None, left,

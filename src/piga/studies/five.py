@@ -72,15 +72,15 @@ def noisy_successes() -> tuple[int, int]:
     Noise: the random walk of the real record. The published method succeeds with all five within half of their
     printed digits, ours with the phase from the input and all five within four standard uncertainties.
     """
-    clean, found = model_record(), [0, 0]
+    clean, successes = model_record(), [0, 0]
     for seed in range(_TRIALS):
         noise = _WALK / math.sqrt(_STEP) * np.random.default_rng(seed).standard_normal(clean.size)
         noisy = replace(clean, output=clean.output + noise)
         old = calibrate(replace(noisy, estimation=_START), terms=TERMS, method="published")
         new = calibrate(noisy, terms=TERMS, method="rate", phase_source="input")
-        found[0] += all(abs(old[name].value - true) <= 0.5 * _DIGIT[name] for name, true in TRUTH.items())
-        found[1] += all(abs(new[name].value - true) <= 4.0 * new[name].std for name, true in TRUTH.items())
-    return found[0], found[1]
+        successes[0] += all(abs(old[name].value - true) <= 0.5 * _DIGIT[name] for name, true in TRUTH.items())
+        successes[1] += all(abs(new[name].value - true) <= 4.0 * new[name].std for name, true in TRUTH.items())
+    return successes[0], successes[1]
 
 
 @cache
@@ -186,10 +186,10 @@ def _indicated_error(run: Run, every: int = 10) -> tuple[Array, Array, Array]:
     return 0.5 * (t[1:] + t[:-1]), error, 0.5 * (psi[1:] + psi[:-1])
 
 
-def _model_error(found: Calibration, force: Array, psi: Array) -> Array:
+def _model_error(calibration: Calibration, force: Array, psi: Array) -> Array:
     """Error [g] by the coefficients of a calibration, at force (n, 3) [m/s^2] and phase ``psi`` [rad]."""
     a_x, a_Y = force[:, 0] / G0, force[:, 1] / G0
-    value = {name: found[name].value for name in TRUTH}
+    value = {name: calibration[name].value for name in TRUTH}
     coupling = value["tan_beta"] * a_Y * np.sin(psi + value["phi"])
     return np.asarray(coupling + value["k0"] + value["k1"] * a_x + value["k2"] * a_x**2)
 
@@ -267,7 +267,8 @@ _SHOWN = (
 def _history_figure() -> Figure:
     t = real_record().t
     ours, old = (
-        {k: v[::2] for k, v in (found.history or {}).items()} for found in (own(), published(real=True))
+        {k: v[::2] for k, v in (calibration.history or {}).items()}
+        for calibration in (own(), published(real=True))
     )
     panels = []
     for name, scale, axis in _SHOWN:

@@ -238,8 +238,8 @@ def _simulated_rate(eta: float, drift: dict[str, float]) -> float:
         equatorial=Gyro(drift=(drift["w2y"], drift["w2z"])),
         redundancy=eta,
     )
-    found = simulate(scenario).truth.eta
-    return float(found[-1] - found[0]) / scenario.duration
+    eta_readout = simulate(scenario).truth.eta
+    return float(eta_readout[-1] - eta_readout[0]) / scenario.duration
 
 
 def _coupling_figure(drift: dict[str, float]) -> Figure:
@@ -331,8 +331,8 @@ def last_lines(comparison: Comparison, model: Model) -> dict[str, float]:
     named = channels(errors)
     late = errors.times > errors.times[-1] - _LATE
     table = np.stack([named[c.channel][late] for c in CHANNELS], axis=1)
-    found = line_amplitudes(errors.times[late], table, CASE_RATE, LATITUDE)
-    return {c.channel: float(v) for c, v in zip(CHANNELS, found, strict=True)}
+    amplitude = line_amplitudes(errors.times[late], table, CASE_RATE, LATITUDE)
+    return {c.channel: float(v) for c, v in zip(CHANNELS, amplitude, strict=True)}
 
 
 def formula(channel: str) -> float:

@@ -90,7 +90,7 @@ def _published_cases() -> list[Case]:
 
 
 def _own_cases() -> list[Case]:
-    found = own_calibration("ramp")
+    calibration = own_calibration("ramp")
     source = "[Wei2024] eq. 12-18, our estimator"
     return [
         Case(
@@ -99,7 +99,7 @@ def _own_cases() -> list[Case]:
             "tan(beta) by the linear estimator",
             "1",
             PUBLISHED_TAN_BETA,
-            found["tan_beta"].value,
+            calibration["tan_beta"].value,
             0.5e-6,
             "half of the printed digit",
         ),
@@ -109,7 +109,7 @@ def _own_cases() -> list[Case]:
             "tan(beta) by the linear estimator less tan(1000 arcsec)",
             "1",
             0.0,
-            found["tan_beta"].value - INSTRUMENT.tan_beta,
+            calibration["tan_beta"].value - INSTRUMENT.tan_beta,
             1e-12,
             "the record is free of noise and the model exact: rounding of 10 001 samples is left",
         ),
@@ -119,7 +119,7 @@ def _own_cases() -> list[Case]:
             "phi by the linear estimator less alpha0 = pi/4",
             "rad",
             0.0,
-            found["phi"].value - INSTRUMENT.alpha0,
+            calibration["phi"].value - INSTRUMENT.alpha0,
             1e-9,
             "measured angle as phase: no walk; rounding of 10 001 samples is left",
         ),
@@ -161,7 +161,7 @@ def _constant_cases() -> list[Case]:
 def _history_panels(profile: Profile) -> tuple[Panel, ...]:
     """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
     t = record(profile).t
-    found: tuple[tuple[Calibration, str, Role], ...] = (
+    estimate: tuple[tuple[Calibration, str, Role], ...] = (
         (published_calibration(profile), "published recursion", "before"),
         (own_calibration(profile), "linear estimator, no first guess", "after"),
     )
@@ -176,7 +176,7 @@ def _history_panels(profile: Profile) -> tuple[Panel, ...]:
                 Series([begin, t[-1]], [scale * true] * 2, "true", role="reference", dashed=True),
                 Series([begin, t[-1]], [scale * printed] * 2, "published result", role="warning", dashed=True),
             ]
-            for calibration, label, role in found:
+            for calibration, label, role in estimate:
                 history = calibration.history or {}
                 when = t[history["sample"].astype(int) - 1]
                 shown = when >= begin
@@ -252,10 +252,10 @@ def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, .
     )
 
 
-def with_phase(found: Calibration, phi: float) -> Calibration:
+def with_phase(calibration: Calibration, phi: float) -> Calibration:
     """The calibration with another phase [rad], its phase being that of the output."""
-    changed = tuple(replace(c, value=phi) if c.name == "phi" else c for c in found.coefficients)
-    return replace(found, coefficients=changed, phase_source="output")
+    changed = tuple(replace(c, value=phi) if c.name == "phi" else c for c in calibration.coefficients)
+    return replace(calibration, coefficients=changed, phase_source="output")
 
 
 def _compensation_figure(before: Array, model: Array, formula: Array, exact: Array) -> Figure:

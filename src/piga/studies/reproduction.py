@@ -123,24 +123,24 @@ def difference(case: Case) -> str:
     return number(case.difference, 3)
 
 
-def reproduction_page(found: Reproduction) -> Page:
+def reproduction_page(reproduction: Reproduction) -> Page:
     """All tables and figures on one page, with sections by publication."""
-    counts = {verdict: sum(case.verdict == verdict for case in found.cases) for verdict in TONES}
+    counts = {verdict: sum(case.verdict == verdict for case in reproduction.cases) for verdict in TONES}
     tiles = (
-        Tile("Cases", str(len(found.cases)), detail=f"in {len(found.chapters)} chapters"),
+        Tile("Cases", str(len(reproduction.cases)), detail=f"in {len(reproduction.chapters)} chapters"),
         Tile("Agree", str(counts["pass"]), detail="within the tolerance in their note", tone="good"),
         Tile("Disagree", str(counts["fail"]), tone="bad" if counts["fail"] else "good"),
         Tile("For information", str(counts["info"]), detail="no comparable published number", tone="quiet"),
-        Tile("Figures", str(len(found.figures))),
+        Tile("Figures", str(len(reproduction.figures))),
     )
-    sections = [_section(chapter) for chapter in found.chapters]
+    sections = [_section(chapter) for chapter in reproduction.chapters]
     return Page(
         title="The published cases, reproduced",
         subtitle="Every number and figure of three publications beside ours, and what they got wrong.",
         tiles=tiles,
         sections=(*sections, _sources()),
         kicker="piga · reproduction",
-        footer=f"Made by piga {found.version}; every computed number comes from this run.",
+        footer=f"Made by piga {reproduction.version}; every computed number comes from this run.",
     )
 
 
@@ -196,7 +196,7 @@ def _sources() -> Section:
     return Section("Sources", "sources", (table,))
 
 
-def text_lines(found: Reproduction) -> list[tuple[Verdict | None, str]]:
+def text_lines(reproduction: Reproduction) -> list[tuple[Verdict | None, str]]:
     """Lines of the terminal table, each with the verdict that it ends on (None: a heading)."""
     heads = ("case", "published", "computed", "difference", "tolerance", "unit", "verdict")
     rows = [
@@ -209,7 +209,7 @@ def text_lines(found: Reproduction) -> list[tuple[Verdict | None, str]]:
             case.unit,
             case.verdict,
         )
-        for case in found.cases
+        for case in reproduction.cases
     ]
     widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
 
@@ -220,7 +220,7 @@ def text_lines(found: Reproduction) -> list[tuple[Verdict | None, str]]:
         return "  ".join(cells[:-1])
 
     lines: list[tuple[Verdict | None, str]] = [(None, f"{line(heads)}  verdict")]
-    for chapter in found.chapters:
+    for chapter in reproduction.chapters:
         lines.append((None, ""))
         lines.append((None, f"{chapter.title}  {chapter.source}"))
         part = [row for row in rows if row[0].startswith(f"{chapter.id}.")]
@@ -228,9 +228,9 @@ def text_lines(found: Reproduction) -> list[tuple[Verdict | None, str]]:
     return lines
 
 
-def summary(found: Reproduction) -> str:
+def summary(reproduction: Reproduction) -> str:
     """One line: how many agree."""
-    passed = sum(case.verdict == "pass" for case in found.cases)
-    unjudged = sum(case.verdict == "info" for case in found.cases)
-    judged = f"{len(found.cases)} cases: {passed} agree, {len(found.failed)} do not"
+    passed = sum(case.verdict == "pass" for case in reproduction.cases)
+    unjudged = sum(case.verdict == "info" for case in reproduction.cases)
+    judged = f"{len(reproduction.cases)} cases: {passed} agree, {len(reproduction.failed)} do not"
     return f"{judged}, {unjudged} without a comparable published number"

@@ -103,9 +103,9 @@ def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> Solution
     levels = [max(float(np.linalg.norm(p.factor[:, -1]) / np.sqrt(p.rows)), _SMALLEST_SIGMA) for p in parts]
     solution = solve(parts, levels, names)
     for _ in range(20):
-        found = noise_levels(parts, solution)
-        settled = np.allclose(found, solution.levels, rtol=1e-4, atol=0.0)
-        solution = solve(parts, found, names)
+        estimated = noise_levels(parts, solution)
+        settled = np.allclose(estimated, solution.levels, rtol=1e-4, atol=0.0)
+        solution = solve(parts, estimated, names)
         if settled:
             break
     return solution

@@ -130,12 +130,12 @@ def _parameters(vector: Array, covariance: Array, orders: int, with_eta: bool) -
         jacobian[:, k] = np.where(labels_are_angles(labels), wrapped(difference), difference) / (2.0 * step[k])
     stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:tips, :tips], jacobian))
     stds = np.where(labels_are_angles(labels), np.minimum(stds, UNKNOWN_PHASE), stds)
-    found = [Parameter(n, float(v), float(s), "rad") for n, v, s in zip(labels, values, stds, strict=True)]
+    parameters = [Parameter(n, float(v), float(s), "rad") for n, v, s in zip(labels, values, stds, strict=True)]
     if with_eta:
         std = np.sqrt(np.diag(covariance))
-        found.append(Parameter("redundancy.initial", float(vector[tips]), float(std[tips]), "rad"))
-        found.append(Parameter("redundancy.rate", float(vector[tips + 1]), float(std[tips + 1]), "rad/s"))
-    return tuple(found)
+        parameters.append(Parameter("redundancy.initial", float(vector[tips]), float(std[tips]), "rad"))
+        parameters.append(Parameter("redundancy.rate", float(vector[tips + 1]), float(std[tips + 1]), "rad/s"))
+    return tuple(parameters)
 
 
 def _labels(orders: int) -> list[str]:
@@ -252,10 +252,14 @@ def identify_recursively(
     last = Solution(
         0.0 * values[-1], inverse @ inverse.T, start.condition, tuple(levels[p.name] for p in parts)
     )
-    found = result(record, end, parts, replace(last, levels=tuple(noise_levels(parts, last))))
-    seen = [record.names.index(name) for name in found.names]
-    history = {"time": times, "values": found.values + (values - values[-1])[:, seen], "stds": stds[:, seen]}
-    return replace(found, history=history)
+    identification = result(record, end, parts, replace(last, levels=tuple(noise_levels(parts, last))))
+    seen = [record.names.index(name) for name in identification.names]
+    history = {
+        "time": times,
+        "values": identification.values + (values - values[-1])[:, seen],
+        "stds": stds[:, seen],
+    }
+    return replace(identification, history=history)
 
 
 def _taken_in(stream: list[tuple[Array, Array]], size: int, points: int) -> tuple[Array, Array]:

@@ -339,8 +339,10 @@ class Stretch:
         force = r.increments / r.step
         undone = np.einsum("nji,nj->ni", attitude[1::2], force)
         orthonormal, triangle = self._basis
-        found = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ self._smooth(undone)))
-        slow = _spline(np.linspace(0.0, 1.0, len(half[0])), self._pieces, np.asarray(found, dtype=np.float64))
+        solution = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ self._smooth(undone)))
+        slow = _spline(
+            np.linspace(0.0, 1.0, len(half[0])), self._pieces, np.asarray(solution, dtype=np.float64)
+        )
         felt = np.einsum("nij,nj->ni", attitude, slow)
         predicted = (felt[:-1:2] + 4.0 * felt[1::2] + felt[2::2]) / 6.0
         points = [v[1::2][self._points] for v in half]

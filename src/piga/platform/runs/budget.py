@@ -53,8 +53,8 @@ def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbati
     """The usual sources, each at a size that a good platform reaches (or at what the alignment found)."""
     tilt = (ARCSEC, ARCSEC, ARCSEC)
     if alignment is not None:
-        found = alignment.std
-        tilt = (float(found[0]), float(found[1]), float(found[2]))
+        std = alignment.std
+        tilt = (float(std[0]), float(std[1]), float(std[2]))
     drift = np.radians(1e-5) / 3600.0
     micro_g = 9.80665e-6
     return {
@@ -211,8 +211,8 @@ def monte_carlo(scenario: Scenario, seeds: int, *, workers: int | None = None) -
     numbers = tuple(scenario.seed + k for k in range(seeds))
 
     def once(seed: int) -> dict[Model, list[float]]:
-        found = compare(replace(scenario, seed=seed)).models
-        return {m: [float(r.lines.position.max()), *last_east_lines(r.lines)] for m, r in found.items()}
+        models = compare(replace(scenario, seed=seed)).models
+        return {m: [float(r.lines.position.max()), *last_east_lines(r.lines)] for m, r in models.items()}
 
     with ThreadPoolExecutor(workers or _cores()) as pool:
         results = list(pool.map(once, numbers))

@@ -80,16 +80,16 @@ def identified(run: Run) -> Identification:
 def prepare(run: Run) -> Preparation:
     """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
     s, c = run.scenario, run.scenario.compensation
-    found = None
+    identification = None
     notes: list[str] = []
     if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
-        found = identified(run)
-        notes += found.notes
+        identification = identified(run)
+        notes += identification.notes
     elif c.misalignment == "identified":
         notes.append("the cases are at rest: nothing can be identified; the true misalignments are used")
     if indistinct := lines_note(s):
         notes.append(indistinct)
-    known = true_knowledge(s) if found is None else found.knowledge
+    known = true_knowledge(s) if identification is None else identification.knowledge
     aligned = None
     start = true_start(run.truth)
     if "aligned" in (c.attitude, c.drift):
@@ -98,7 +98,7 @@ def prepare(run: Run) -> Preparation:
             start = aligned.start(with_drift=False)
     drift = _drift(s, aligned)
     return Preparation(
-        known, Start(start.position, start.velocity, start.triad, drift), found, aligned, tuple(notes)
+        known, Start(start.position, start.velocity, start.triad, drift), identification, aligned, tuple(notes)
     )
 
 

@@ -87,22 +87,22 @@ def navigation_table(run: ModelRun) -> pa.Table:
     return _table(columns)
 
 
-def identification_document(found: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
+def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
     """JSON document of ``piga platform identify``."""
     return {
-        "sources": list(found.sources),
+        "sources": list(identification.sources),
         "parameters": [
-            {"name": p.name, "value": p.value, "std": p.std, "unit": p.unit} for p in found.parameters
+            {"name": p.name, "value": p.value, "std": p.std, "unit": p.unit} for p in identification.parameters
         ],
         "covariance": {
-            "names": list(found.names),
-            "values": found.values.tolist(),
-            "matrix": found.covariance.tolist(),
+            "names": list(identification.names),
+            "values": identification.values.tolist(),
+            "matrix": identification.covariance.tolist(),
         },
-        "noise": found.noise,
-        "degrees_of_freedom": found.degrees_of_freedom,
-        "condition": found.condition,
-        "notes": list(found.notes),
+        "noise": identification.noise,
+        "degrees_of_freedom": identification.degrees_of_freedom,
+        "condition": identification.condition,
+        "notes": list(identification.notes),
         "observability": [
             {
                 "source": o.source,
@@ -118,16 +118,16 @@ def identification_document(found: Identification, sources: Sequence[Observabili
     }
 
 
-def alignment_document(found: Alignment) -> dict[str, Any]:
+def alignment_document(alignment: Alignment) -> dict[str, Any]:
     """JSON document of ``piga platform align``."""
     return {
-        "triad_to_inertial": found.triad.tolist(),
-        "triad_rotation_vector_rad": found.triad_vector.tolist(),
-        "drift_rad_s": found.drift.tolist(),
-        "base_roll_pitch_heading_rad": found.base_angles.tolist(),
-        "covariance": {"names": list(UNKNOWNS), "matrix": found.covariance.tolist()},
-        "noise": found.noise,
-        "condition": found.condition,
+        "triad_to_inertial": alignment.triad.tolist(),
+        "triad_rotation_vector_rad": alignment.triad_vector.tolist(),
+        "drift_rad_s": alignment.drift.tolist(),
+        "base_roll_pitch_heading_rad": alignment.base_angles.tolist(),
+        "covariance": {"names": list(UNKNOWNS), "matrix": alignment.covariance.tolist()},
+        "noise": alignment.noise,
+        "condition": alignment.condition,
     }
 
 

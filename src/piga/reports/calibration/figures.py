@@ -28,25 +28,25 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: f
     ``bias_drift`` that found [rad/s/sqrt(s)]; without one a line of its slope is drawn for comparison.
     """
     white, walk = noise[0] ** 2, noise[1] ** 2
-    found = allan_deviation(
+    deviation = allan_deviation(
         np.asarray(residuals.after, dtype=float),
         np.asarray(residuals.t),
         _begins(residuals),
         white=white,
         walk=walk,
     )
-    if found.tau.size < 2:
+    if deviation.tau.size < 2:
         return None
-    tau = found.tau
+    tau = deviation.tau
     angle, wander = (part / ARCSEC for part in model_deviation(tau, white, walk))
     both = np.hypot(np.hypot(angle, wander), drift_line(tau, bias_drift / ARCSEC))
     level = bias_drift / ARCSEC or both[-1] / math.sqrt(tau[-1] / 3.0)
     drift = drift_line(tau, level)
     near = (tau >= 0.1 * tau[-1]) | (bias_drift > 0.0)
-    band = Series(tau, found.lower / ARCSEC, "68 % band", "band", "muted", upper=found.upper / ARCSEC)
+    band = Series(tau, deviation.lower / ARCSEC, "68 % band", "band", "muted", upper=deviation.upper / ARCSEC)
     series = [
         band,
-        Series(tau, found.deviation / ARCSEC, "residual", "line+points", "after"),
+        Series(tau, deviation.deviation / ARCSEC, "residual", "line+points", "after"),
         Series(tau, both, "noise found", role="model"),
     ]
     series += [Series(tau, angle, "white noise", role="x", dashed=True)] if white > 0.0 else []
@@ -60,8 +60,8 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: f
             dashed=True,
         )
     )
-    low = 0.3 * min(float((found.deviation / ARCSEC).min()), float(both.min()))
-    high = 3.0 * max(float((found.upper / ARCSEC).max()), float(both.max()))
+    low = 0.3 * min(float((deviation.deviation / ARCSEC).min()), float(both.min()))
+    high = 3.0 * max(float((deviation.upper / ARCSEC).max()), float(both.max()))
     y = Axis("Allan deviation of the rate", "arcsec/s", log=True, limits=(low, high))
     return Figure(
         key="allan",
@@ -227,12 +227,12 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
 
 def residual_angles(cal: Calibration) -> Residuals:
     """The residuals as angles: those of a rate log integrated over each segment."""
-    found = cal.residuals
-    if found is None or residual_quantity(cal)[1] == "arcsec":
-        return cast("Residuals", found)
-    step = np.diff(found.t, prepend=found.t[:1])
-    step[np.diff(found.segment, prepend=found.segment[:1]) != 0] = 0.0
-    return replace(found, before=_integral(found.before, step), after=_integral(found.after, step))
+    residuals = cal.residuals
+    if residuals is None or residual_quantity(cal)[1] == "arcsec":
+        return cast("Residuals", residuals)
+    step = np.diff(residuals.t, prepend=residuals.t[:1])
+    step[np.diff(residuals.segment, prepend=residuals.segment[:1]) != 0] = 0.0
+    return replace(residuals, before=_integral(residuals.before, step), after=_integral(residuals.after, step))
 
 
 def _integral(rate: Array, step: Array) -> Array:
@@ -350,16 +350,16 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
 
 def run_figures(cal: Calibration) -> tuple[Figure, ...]:
     """Residuals against time of every run at hand, each with its own clock and scales."""
-    found = cal.residuals
-    if found is None or found.run is None:
+    residuals = cal.residuals
+    if residuals is None or residuals.run is None:
         return ()
     figures = []
     for index, run in enumerate(cal.runs):
-        rows = found.run == index
+        rows = residuals.run == index
         if rows.any():
             own = Residuals(
-                found.row[rows], found.t[rows], found.psi[rows], found.a_x[rows], found.before[rows],
-                found.after[rows], found.innovation[rows], found.segment[rows],
+                residuals.row[rows], residuals.t[rows], residuals.psi[rows], residuals.a_x[rows], residuals.before[rows],
+                residuals.after[rows], residuals.innovation[rows], residuals.segment[rows],
             )  # fmt: skip
             figure = residual_figure(outline(own), residual_quantity(cal))
             figures.append(
@@ -446,8 +446,8 @@ def autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
     lags = min(lags, max(values.size - 2, 0))
     centred = values - values.mean() if values.size else values
     total = float(centred @ centred) or 1.0
-    found = [float(centred[lag:] @ centred[:-lag]) / total for lag in range(1, lags + 1)]
-    return np.arange(1.0, lags + 1.0), np.array(found)
+    correlation = [float(centred[lag:] @ centred[:-lag]) / total for lag in range(1, lags + 1)]
+    return np.arange(1.0, lags + 1.0), np.array(correlation)
 
 
 def segment_figure(cal: Calibration) -> Figure:

@@ -73,32 +73,35 @@ def comparison_rows(document: dict[str, Any]) -> tuple[tuple[str, ...], list[tup
     order = sorted(
         enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", float("inf")), item[0])
     )
-    return HEADS, [_row(number, found, document) for number, found in order]
+    return HEADS, [_row(number, candidate, document) for number, candidate in order]
 
 
-def _row(number: int, found: dict[str, Any], document: dict[str, Any]) -> tuple[str, ...]:
-    head = (str(number), _terms(found["terms"]))
-    if "bic" not in found:
-        return (*head, *("–",) * (len(HEADS) - 3), found["reason"])
-    figures: tuple[str, ...] = (str(found["parameters"]), _plain(found["chi_square_per_degree"], 4))
-    figures += (_plain(found["bic_above_best"]), _plain(found["weight"]) if found["weight"] > 1e-6 else "0")
-    if "prediction_chi_square" not in found:
-        return (*head, *figures, "–", "–", _remark(found, document))
-    above, error = found["prediction_above_best"], found["prediction_standard_error"]
-    spread = f" ± {_plain(error, 2)}" if error > 1e-6 * found["prediction_chi_square"] else ""
+def _row(number: int, candidate: dict[str, Any], document: dict[str, Any]) -> tuple[str, ...]:
+    head = (str(number), _terms(candidate["terms"]))
+    if "bic" not in candidate:
+        return (*head, *("–",) * (len(HEADS) - 3), candidate["reason"])
+    figures: tuple[str, ...] = (str(candidate["parameters"]), _plain(candidate["chi_square_per_degree"], 4))
+    figures += (
+        _plain(candidate["bic_above_best"]),
+        _plain(candidate["weight"]) if candidate["weight"] > 1e-6 else "0",
+    )
+    if "prediction_chi_square" not in candidate:
+        return (*head, *figures, "–", "–", _remark(candidate, document))
+    above, error = candidate["prediction_above_best"], candidate["prediction_standard_error"]
+    spread = f" ± {_plain(error, 2)}" if error > 1e-6 * candidate["prediction_chi_square"] else ""
     excess = f"{_plain(above)}{spread}" if spread else "0"
     return (
         *head,
         *figures,
         excess,
-        _plain(found["prediction_force_error"] / MICRO_G),
-        _remark(found, document),
+        _plain(candidate["prediction_force_error"] / MICRO_G),
+        _remark(candidate, document),
     )
 
 
-def _remark(found: dict[str, Any], document: dict[str, Any]) -> str:
-    remarks = ["least BIC"] if found["terms"] == document["best"] else []
-    remarks += ["predicts as well as any"] if found["terms"] == document["best_prediction"] else []
+def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str:
+    remarks = ["least BIC"] if candidate["terms"] == document["best"] else []
+    remarks += ["predicts as well as any"] if candidate["terms"] == document["best_prediction"] else []
     return ", ".join(remarks)
 
 
@@ -164,19 +167,26 @@ def comparison_table(document: dict[str, Any]) -> Table:
 
 def comparison_figure(document: dict[str, Any]) -> Figure | None:
     """BIC and error of prediction of every set."""
-    sets = [(number, found) for number, found in enumerate(document["sets"], start=1) if "bic" in found]
+    sets = [
+        (number, candidate) for number, candidate in enumerate(document["sets"], start=1) if "bic" in candidate
+    ]
     if not sets:
         return None
     axis = Axis("set (number of the table)", "1", limits=(0.5, len(document["sets"]) + 0.5))
-    names = tuple(_terms(found["terms"]) for _, found in sets)
+    names = tuple(_terms(candidate["terms"]) for _, candidate in sets)
     numbers = [float(number) for number, _ in sets]
     above = Series(
-        numbers, [found["bic_above_best"] + 1.0 for _, found in sets], "BIC", "points", "model", text=names
+        numbers,
+        [candidate["bic_above_best"] + 1.0 for _, candidate in sets],
+        "BIC",
+        "points",
+        "model",
+        text=names,
     )
     panels = [Panel(axis, Axis("BIC above the best + 1", "1", log=True), (above,), title="Likelihood")]
     predicted = [(n, f) for n, f in sets if "prediction_force_error" in f]
     if predicted:
-        missed = [found["prediction_force_error"] / MICRO_G for _, found in predicted]
+        missed = [candidate["prediction_force_error"] / MICRO_G for _, candidate in predicted]
         series = Series([float(n) for n, _ in predicted], missed, "missed", "points", "after", text=names)
         panels.append(Panel(axis, Axis("error of prediction", "µg", log=True), (series,), title="Prediction"))
     return Figure(
@@ -192,17 +202,21 @@ def comparison_figure(document: dict[str, Any]) -> Figure | None:
 
 def shift_table(document: dict[str, Any]) -> Table | None:
     """Every coefficient in every set that is determined."""
-    sets = [(number, found) for number, found in enumerate(document["sets"], start=1) if "bic" in found]
+    sets = [
+        (number, candidate) for number, candidate in enumerate(document["sets"], start=1) if "bic" in candidate
+    ]
     keys = list(
-        dict.fromkeys(c["key"] for _, found in sets for c in found["coefficients"] if "[" not in c["key"])
+        dict.fromkeys(
+            c["key"] for _, candidate in sets for c in candidate["coefficients"] if "[" not in c["key"]
+        )
     )
     if len(sets) < 2:
         return None
     rows = []
     for key in keys:
         cells: list[str | Cell] = [key, ""]
-        for _, found in sets:
-            c = next((c for c in found["coefficients"] if c["key"] == key), None)
+        for _, candidate in sets:
+            c = next((c for c in candidate["coefficients"] if c["key"] == key), None)
             if c is None:
                 cells.append("–")
                 continue

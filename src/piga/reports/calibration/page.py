@@ -321,10 +321,10 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
 
 def _data_tile(cal: Calibration) -> Tile:
     share = 100.0 * cal.quality.used / cal.quality.rows if cal.quality.rows else 0.0
-    found = sum(event.count for event in cal.quality.events)
+    events = sum(event.count for event in cal.quality.events)
     detail = (
-        f"of {count(cal.quality.rows)} rows; {count(found)} findings"
-        if found
+        f"of {count(cal.quality.rows)} rows; {count(events)} findings"
+        if events
         else f"of {count(cal.quality.rows)} rows"
     )
     return Tile("Data used", f"{share:.4g}", "%", detail, "doubtful" if share < 95.0 else "")
@@ -381,8 +381,8 @@ def _residuals(figures: dict[str, Figure]) -> Section:
         "it, and what it leaves should be noise."
     )
     missing = "The residuals are not part of this record: run the calibration again to see them."
-    found: list[Block] = [FigureBlock(f) for key, f in figures.items() if key.startswith("residual-time")]
-    blocks = found or [Notice("info", missing)]
+    drawn: list[Block] = [FigureBlock(f) for key, f in figures.items() if key.startswith("residual-time")]
+    blocks = drawn or [Notice("info", missing)]
     return Section("Residuals against time", "residuals", (Text(lead, lead=True), *blocks))
 
 
@@ -462,8 +462,8 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
-    for found, text in ((leverage_table(cal), LEVERAGE_LEAD), (propagation_table(cal), PROPAGATION_LEAD)):
-        blocks += [Text(text, lead=True), found] if found is not None else []
+    for table, text in ((leverage_table(cal), LEVERAGE_LEAD), (propagation_table(cal), PROPAGATION_LEAD)):
+        blocks += [Text(text, lead=True), table] if table is not None else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
 
 

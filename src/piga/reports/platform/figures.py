@@ -117,11 +117,11 @@ def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
     return t / MINUTE, mean - basis @ fitted
 
 
-def convergence_figure(found: Identification) -> Figure:
+def convergence_figure(identification: Identification) -> Figure:
     """Recursive estimates against time with their 95 % band, relative to the last one."""
-    t = found.history["time"] / MINUTE
-    values, stds = found.history["values"], found.history["stds"]
-    half = (len(found.names) - 2 * ("eta0" in found.names)) // 2
+    t = identification.history["time"] / MINUTE
+    values, stds = identification.history["values"], identification.history["stds"]
+    half = (len(identification.names) - 2 * ("eta0" in identification.names)) // 2
     panels = []
     roles: tuple[Role, Role] = ("x", "y")
     for at, title in ((0, "polar"), (half, "equatorial")):
@@ -203,17 +203,17 @@ def lines_figure(comparison: Comparison, which: Case = "amplitude") -> Figure:
     for name in ("east_velocity", "heading", "roll", "north_velocity"):
         quantity, unit, scale = _LABELS[name]
         series = []
-        for model, found in comparison.models.items():
+        for model, run in comparison.models.items():
             role = MODEL_ROLES[model]
             label = model_name(model)
             series.append(
-                Series(found.lines.day, getattr(found.lines, which)[name] / scale, label, "line+points", role)
+                Series(run.lines.day, getattr(run.lines, which)[name] / scale, label, "line+points", role)
             )
-            if model == REFERENCE_MODEL[which] and found.theory is not None:
+            if model == REFERENCE_MODEL[which] and run.theory is not None:
                 series.append(
                     Series(
-                        found.theory.day,
-                        getattr(found.theory, which)[name] / scale,
+                        run.theory.day,
+                        getattr(run.theory, which)[name] / scale,
                         f"theory, {model_name(model)}",
                         "line",
                         "reference",
@@ -399,10 +399,10 @@ def model_figure(run: ModelRun) -> Figure:
     )
 
 
-def force_day_figure(found: Capstone) -> Figure:
+def force_day_figure(capstone: Capstone) -> Figure:
     """Specific force along each input axis over a sidereal day, with the locked zone marked."""
-    times, along = found.day
-    sensors = found.scenario.sensors.piga
+    times, along = capstone.day
+    sensors = capstone.scenario.sensors.piga
     width = 9.8 * (sensors.tan_beta if sensors else 0.0)
     roles: tuple[Role, ...] = ("x", "y", "z")
     panel = Panel(
@@ -422,9 +422,9 @@ def force_day_figure(found: Capstone) -> Figure:
     )
 
 
-def passage_figure(found: Capstone) -> Figure | None:
+def passage_figure(capstone: Capstone) -> Figure | None:
     """One passage through the locked zone: true force, raw output, solved output."""
-    p = found.passage
+    p = capstone.passage
     if p is None:
         return None
     minutes = (p.times - p.times[0]) / MINUTE
@@ -465,7 +465,7 @@ def passage_figure(found: Capstone) -> Figure | None:
     )
 
 
-def capstone_figure(found: Capstone) -> Figure:
+def capstone_figure(capstone: Capstone) -> Figure:
     """Horizontal position error over the run for every reading."""
     looks: dict[str, tuple[Role, bool]] = {
         "ideal": ("reference", True),
@@ -475,7 +475,7 @@ def capstone_figure(found: Capstone) -> Figure:
         "triad skewed": ("model", True),
         "triad, calibrated": ("z", True),
     }
-    axis, unit = time_axis(float(found.scenario.duration))
+    axis, unit = time_axis(float(capstone.scenario.duration))
     series = tuple(
         Series(
             o.errors.times / unit,
@@ -485,7 +485,7 @@ def capstone_figure(found: Capstone) -> Figure:
             looks[name][0],
             dashed=looks[name][1],
         )
-        for name, o in found.outcomes.items()
+        for name, o in capstone.outcomes.items()
     )
     return Figure(
         "fig-capstone",

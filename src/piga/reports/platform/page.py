@@ -54,12 +54,12 @@ def page(title: str, s: Scenario, tiles: tuple[Tile, ...], sections: tuple[Secti
     return Page(title, where, tiles, sections, "piga platform", _FOOTER)
 
 
-def parameter_table(found: Identification, s: Scenario) -> Table:
+def parameter_table(identification: Identification, s: Scenario) -> Table:
     """Identified amplitudes and phases with their uncertainties, beside the truth."""
     truth = _truth_by_name(
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
     )
-    rows = [_parameter_row(p, truth.get(p.name)) for p in found.parameters]
+    rows = [_parameter_row(p, truth.get(p.name)) for p in identification.parameters]
     columns = (
         Column("quantity", align="text"),
         Column("value"),
@@ -67,7 +67,7 @@ def parameter_table(found: Identification, s: Scenario) -> Table:
         Column("unit", align="text"),
         Column("off truth, in uncertainties"),
     )
-    noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in found.noise.items())
+    noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in identification.noise.items())
     return Table(
         columns,
         tuple(rows),
@@ -126,11 +126,11 @@ def simulation_page(run: Run) -> Page:
 
 
 def identification_page(
-    run: Run, found: Identification, recursive: Identification | None, sources: Sequence[Observability]
+    run: Run, identification: Identification, recursive: Identification | None, sources: Sequence[Observability]
 ) -> Page:
     """Page of ``piga platform identify``."""
     s = run.scenario
-    m1, m2 = found["polar.misalignment"], found["equatorial.misalignment"]
+    m1, m2 = identification["polar.misalignment"], identification["equatorial.misalignment"]
     tiles = (
         Tile("polar misalignment", f"{m1.value / ARCMIN:.5f}", "arcmin", f"± {short(m1.std / ARCSEC)} arcsec"),
         Tile(
@@ -139,10 +139,10 @@ def identification_page(
             "arcmin",
             f"± {short(m2.std / ARCSEC)} arcsec",
         ),
-        Tile("condition", short(found.condition), "", " + ".join(found.sources)),
+        Tile("condition", short(identification.condition), "", " + ".join(identification.sources)),
     )
-    blocks: list[Block] = [parameter_table(found, s)]
-    blocks += [Notice("info", note) for note in found.notes]
+    blocks: list[Block] = [parameter_table(identification, s)]
+    blocks += [Notice("info", note) for note in identification.notes]
     sections = [Section("Misalignments, phases and harmonics", "parameters", tuple(blocks))]
     if recursive is not None:
         sections.append(Section("Sample by sample", "recursive", (FigureBlock(convergence_figure(recursive)),)))
@@ -492,10 +492,10 @@ def _scatter_table(scatter: Scatter) -> Table:
     )
 
 
-def capstone_page(found: Capstone) -> Page:
+def capstone_page(capstone: Capstone) -> Page:
     """The page that tells what the locked zone does on the platform and what recovers it."""
-    raw, solved = found.outcomes["raw tripod"], found.outcomes["triad"]
-    skewed = found.outcomes["raw skewed"]
+    raw, solved = capstone.outcomes["raw tripod"], capstone.outcomes["triad"]
+    skewed = capstone.outcomes["raw skewed"]
     tiles = (
         Tile("raw output", short(raw.position), "m", "largest horizontal error, axes at right angles", "bad"),
         Tile("skewed mounting", short(skewed.position), "m", "raw output, axes near the pole", "doubtful"),
@@ -505,32 +505,32 @@ def capstone_page(found: Capstone) -> Page:
         "The platform stands still in inertial space and the Earth turns under it. Each input "
         "axis crosses the horizontal twice "
         "a sidereal day and is inside its locked zone for "
-        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(found)} "
+        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(capstone)} "
         f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
         "Mounted within the latitude of the pole the axes never come to the horizontal: "
         f"{short(skewed.position)} m, with "
         f"{short(skewed.noise_gain)} times the noise. Solved together with their effective axes "
         "the three instruments give the force "
         f"back in any mounting: {short(solved.position)} m, against "
-        f"{short(found.outcomes['ideal'].position)} m with ideal ones."
+        f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
     )
-    passage = passage_figure(found)
-    day: tuple[Block, ...] = (FigureBlock(force_day_figure(found)),)
+    passage = passage_figure(capstone)
+    day: tuple[Block, ...] = (FigureBlock(force_day_figure(capstone)),)
     if passage is not None:
         day = (*day, FigureBlock(passage))
     sections = (
         Section(
             "What happens",
             "story",
-            (Text(story, lead=True), FigureBlock(capstone_figure(found)), _capstone_table(found)),
+            (Text(story, lead=True), FigureBlock(capstone_figure(capstone)), _capstone_table(capstone)),
         ),
         Section("Why", "why", day),
     )
-    return page("Gyro accelerometers on the space-stable platform", found.scenario, tiles, sections)
+    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
 
 
-def _passage_words(found: Capstone) -> str:
-    p = found.passage
+def _passage_words(capstone: Capstone) -> str:
+    p = capstone.passage
     if p is None:
         return "No instrument passes its locked zone here."
     return (
@@ -540,7 +540,7 @@ def _passage_words(found: Capstone) -> str:
     )
 
 
-def _capstone_table(found: Capstone) -> Table:
+def _capstone_table(capstone: Capstone) -> Table:
     columns = (
         Column("reading", align="text"),
         Column("position error", "m"),
@@ -558,7 +558,7 @@ def _capstone_table(found: Capstone) -> Table:
             short(o.noise_gain),
             o.reading.sentence,
         )
-        for name, o in found.outcomes.items()
+        for name, o in capstone.outcomes.items()
     )
     return Table(
         columns,
