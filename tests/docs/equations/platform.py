@@ -10,7 +10,7 @@ from scipy.special import fresnel
 
 from piga import earth
 from piga._kernels.platform.motion import drift_triad
-from piga._kernels.platform.navigation import navigate_chunk
+from piga._kernels.platform.navigation import Correction, Stepping, Triad, navigate_chunk
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
 from piga.platform import Perturbation, compensator, linear_errors, theory_lines, true_knowledge
@@ -123,10 +123,9 @@ def _step() -> Iterator[Pair]:
     state, nothing = np.zeros((9, 3)), np.zeros(0)
     state[:7] = r, v, g, g1, g2, D[1], D[2]
     positions, velocities = np.empty((1, 3)), np.empty((1, 3))
-    navigate_chunk(
-        D[:1], still, still, none, one, np.zeros(6), nothing, nothing, nothing, nothing, np.eye(3), np.zeros(3),
-        none, np.zeros(2), KERNEL_EARTH, h, state, positions, velocities, 1,
-    )  # fmt: skip
+    known = Correction(still, still, none, one, np.zeros(6), nothing, nothing, nothing, nothing)
+    triad, stepping = Triad(np.eye(3), np.zeros(3)), Stepping(h, 1, np.zeros(2), KERNEL_EARTH)
+    navigate_chunk(D[:1], known, triad, none, stepping, state, positions, velocities)
     yield r_next, positions[0], 2e-9
     yield v_next, velocities[0], 1e-12
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,24 +13,33 @@ from piga._kernels.jit import inline, kernel
 Array = NDArray[np.float64]
 
 
+class ErrorModel(NamedTuple):
+    """A navigator at rest and what is wrong with it.
+
+    ``r0, f0`` position [m] and specific force [m/s^2] of the base and ``axes`` its ``C_n^e``, all in Earth axes at time
+    zero; errors of attitude [rad], drift [rad/s], bias [m/s^2] and reference height [m]; ``gains`` of the altitude
+    loop; GM, 1.5 J2 a^2 and rate of the Earth.
+    """
+
+    r0: Array
+    f0: Array
+    axes: Array
+    attitude: Array
+    drift: Array
+    bias: Array
+    height: float
+    gains: Array
+    gm: float
+    j2a2: float
+    earth_rate: float
+
+
 @inline
-def error_rates(
-    t: float,
-    state: Array,
-    r0: Array,
-    f0: Array,
-    axes: Array,
-    attitude: Array,
-    drift: Array,
-    bias: Array,
-    height: float,
-    gains: Array,
-    gm: float,
-    j2a2: float,
-    earth_rate: float,
-    rate: Array,
-) -> None:
+def error_rates(t: float, state: Array, model: ErrorModel, rate: Array) -> None:
     """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.platform.navigation.navigator`."""
+    r0, f0, axes, earth_rate = model.r0, model.f0, model.axes, model.earth_rate
+    attitude, drift, bias, gains = model.attitude, model.drift, model.bias, model.gains
+    height, gm, j2a2 = model.height, model.gm, model.j2a2
     c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
     x, y, z = c * r0[0] - s * r0[1], s * r0[0] + c * r0[1], r0[2]
     fx, fy, fz = c * f0[0] - s * f0[1], s * f0[0] + c * f0[1], f0[2]
@@ -53,27 +63,12 @@ def error_rates(
 
 
 @kernel
-def propagate_errors(
-    start: Array,
-    r0: Array,
-    f0: Array,
-    axes: Array,
-    attitude: Array,
-    drift: Array,
-    bias: Array,
-    height: float,
-    gains: Array,
-    gm: float,
-    j2a2: float,
-    earth_rate: float,
-    h: float,
-    out: Array,
-) -> None:
+def propagate_errors(start: Array, model: ErrorModel, h: float, out: Array) -> None:
     """Errors (m, 6) in local axes (position n, e, d; velocity n, e, d over the Earth) every ``h`` seconds.
 
-    ``start`` (6,) in inertial axes; ``r0, f0`` position and specific force of a base at rest and ``axes``
-    its ``C_n^e``, all in Earth axes at time zero.
+    ``start`` (6,) in inertial axes.
     """
+    axes, earth_rate = model.axes, model.earth_rate
     state, moved = start.copy(), start.copy()
     k = np.zeros((4, 6))
     for i in range(out.shape[0]):
@@ -92,21 +87,6 @@ def propagate_errors(
             fraction = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             for j in range(6):
                 moved[j] = state[j] + (fraction * h * k[stage - 1, j] if stage > 0 else 0.0)
-            error_rates(
-                t + fraction * h,
-                moved,
-                r0,
-                f0,
-                axes,
-                attitude,
-                drift,
-                bias,
-                height,
-                gains,
-                gm,
-                j2a2,
-                earth_rate,
-                k[stage],
-            )
+            error_rates(t + fraction * h, moved, model, k[stage])
         for j in range(6):
             state[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])

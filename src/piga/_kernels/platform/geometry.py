@@ -7,6 +7,7 @@ case-rotation axis; the platform is servoed so that each momentum lies along its
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,36 +17,37 @@ from piga._kernels.jit import inline, kernel
 Array = NDArray[np.float64]
 
 
+class Misalignment(NamedTuple):
+    """Misalignment of one gyro over its case angle: ``m(c) = m + sum_k A_k cos(k c) + B_k sin(k c)`` [rad]."""
+
+    constant: float
+    cosines: Array
+    sines: Array
+
+
 @inline
-def misalignment_at(constant: float, cosines: Array, sines: Array, c: float, s: float) -> float:
-    """Misalignment ``m(c) = m + sum_k A_k cos(k c) + B_k sin(k c)`` [rad] from cosine and sine of c."""
-    total = constant
+def misalignment_at(m: Misalignment, c: float, s: float) -> float:
+    """Misalignment [rad] from cosine and sine of the case angle."""
+    total = m.constant
     ck, sk = 1.0, 0.0
-    for k in range(cosines.shape[0]):
+    for k in range(m.cosines.shape[0]):
         ck, sk = ck * c - sk * s, sk * c + ck * s
-        total += cosines[k] * ck + sines[k] * sk
+        total += m.cosines[k] * ck + m.sines[k] * sk
     return total
 
 
 @inline
 def nulled_platform(
-    sin_m1: float,
-    cos_m1: float,
-    s1: float,
-    c1: float,
-    sin_m2: float,
-    cos_m2: float,
-    s2: float,
-    c2: float,
-    eta: float,
-    out: Array,
+    m1: float, s1: float, c1: float, m2: float, s2: float, c2: float, eta: float, out: Array
 ) -> float:
     """Exact attitude ``C_G^P`` (into ``out`` (3, 3)) and redundancy-ring angle Y [rad], both pick-offs nulled.
 
     Polar tip in P: ``n1 = (-sin m1 sin c1, sin m1 cos c1, cos m1)``; equatorial tip in the ring:
-    ``n2 = (cos m2, -sin m2 sin c2, sin m2 cos c2)``. Y solves ``n1 . R_y(Y) n2 = -sin(eta)``; the
-    attitude is then the triad of the two momenta. Own derivation, docs/platform.md section 2.
+    ``n2 = (cos m2, -sin m2 sin c2, sin m2 cos c2)``; ``s1, c1, s2, c2`` are sines and cosines of the case angles.
+    Y solves ``n1 . R_y(Y) n2 = -sin(eta)``; the attitude is then the triad of the two momenta. Own derivation,
+    docs/platform.md section 2.
     """
+    sin_m1, cos_m1, sin_m2, cos_m2 = math.sin(m1), math.cos(m1), math.sin(m2), math.cos(m2)
     n1x, n1y, n1z = -sin_m1 * s1, sin_m1 * c1, cos_m1
     n2x, n2y, n2z = cos_m2, -sin_m2 * s2, sin_m2 * c2
     along = n1x * n2x + n1z * n2z
@@ -118,22 +120,10 @@ def case_angle(t: float, rate: float, turns: float) -> float:
 
 @kernel
 def exact_geometry_series(
-    m1: float,
-    a1: Array,
-    b1: Array,
-    c1: Array,
-    m2: float,
-    a2: Array,
-    b2: Array,
-    c2: Array,
-    eta: Array,
-    attitude: Array,
-    ring: Array,
+    first: Misalignment, c1: Array, second: Misalignment, c2: Array, eta: Array, attitude: Array, ring: Array
 ) -> None:
     """Exact ``C_G^P`` (n, 3, 3) and ring angle (n,) for case angles ``c1, c2`` (n,) and ``eta`` (n,)."""
     for i in range(c1.shape[0]):
         s1, k1, s2, k2 = math.sin(c1[i]), math.cos(c1[i]), math.sin(c2[i]), math.cos(c2[i])
-        p, q = misalignment_at(m1, a1, b1, k1, s1), misalignment_at(m2, a2, b2, k2, s2)
-        ring[i] = nulled_platform(
-            math.sin(p), math.cos(p), s1, k1, math.sin(q), math.cos(q), s2, k2, eta[i], attitude[i]
-        )
+        p, q = misalignment_at(first, k1, s1), misalignment_at(second, k2, s2)
+        ring[i] = nulled_platform(p, s1, k1, q, s2, k2, eta[i], attitude[i])

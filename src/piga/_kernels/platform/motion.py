@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.jit import inline, kernel
 from piga._kernels.platform.geometry import (
+    Misalignment,
     body_to_earth,
     case_angle,
     gimbal_angles,
@@ -19,6 +21,49 @@ from piga._kernels.platform.geometry import (
 )
 
 Array = NDArray[np.float64]
+Phasors = tuple[float, float, float, float]
+
+
+class Gyros(NamedTuple):
+    """Polar and equatorial gyro: misalignments, their phases [rad], drift and case rotation.
+
+    ``rates`` (8,) see :func:`drift_triad`; ``case`` (4,) rate 1, turns before reversal 1, rate 2, turns 2.
+    """
+
+    first: Misalignment
+    phase1: float
+    second: Misalignment
+    phase2: float
+    rates: Array
+    case: Array
+
+
+class Base(NamedTuple):
+    """Base of the platform.
+
+    ``f_e`` specific force in Earth axes at every half step (2n + 1, 3) or (1, 3); ``attitude`` roll, pitch, heading
+    and ``place`` latitude, longitude at the nodes (n + 1, k) or (1, k).
+    """
+
+    f_e: Array
+    attitude: Array
+    place: Array
+    earth_rate: float
+
+
+class TrueRows(NamedTuple):
+    """What is written.
+
+    ``dv`` (n, 3) by Simpson's rule, ``force`` (n + 1, 3) at the nodes, ``gimbals`` (n + 1, 3), ``ring`` and ``eta``
+    (n + 1,), ``spin`` (n, 3) or (0, 3): turn of the platform over the step in P axes.
+    """
+
+    dv: Array
+    force: Array
+    gimbals: Array
+    ring: Array
+    eta: Array
+    spin: Array
 
 
 @inline
@@ -48,33 +93,20 @@ def drift_triad(
 
 
 @inline
-def platform_at(
-    s1: float,
-    k1: float,
-    s2: float,
-    k2: float,
-    gyro: Array,
-    a1: Array,
-    b1: Array,
-    a2: Array,
-    b2: Array,
-    eta: float,
-    c_ig: Array,
-    c_gp: Array,
-    c_ip: Array,
-) -> float:
+def platform_at(at: Phasors, gyros: Gyros, eta: float, c_ig: Array, c_gp: Array, c_ip: Array) -> float:
     """Exact ``C_i^P`` at one instant, from sine and cosine of both case angles; returns the ring angle."""
-    m1, m2 = misalignment_at(gyro[0], a1, b1, k1, s1), misalignment_at(gyro[2], a2, b2, k2, s2)
-    ring = nulled_platform(math.sin(m1), math.cos(m1), s1, k1, math.sin(m2), math.cos(m2), s2, k2, eta, c_gp)
+    s1, k1, s2, k2 = at
+    m1, m2 = misalignment_at(gyros.first, k1, s1), misalignment_at(gyros.second, k2, s2)
+    ring = nulled_platform(m1, s1, k1, m2, s2, k2, eta, c_gp)
     multiply(c_gp, c_ig, c_ip)
     return ring
 
 
 @inline
-def case_phasors(t: float, case: Array, gyro: Array) -> tuple[float, float, float, float]:
+def case_phasors(t: float, gyros: Gyros) -> tuple[float, float, float, float]:
     """Sine and cosine of the polar, then of the equatorial case angle, phases included."""
-    first = case_angle(t, case[0], case[1]) + gyro[1]
-    second = case_angle(t, case[2], case[3]) + gyro[3]
+    first = case_angle(t, gyros.case[0], gyros.case[1]) + gyros.phase1
+    second = case_angle(t, gyros.case[2], gyros.case[3]) + gyros.phase2
     return math.sin(first), math.cos(first), math.sin(second), math.cos(second)
 
 
@@ -94,39 +126,15 @@ def force_in_platform(
 
 @kernel
 def simulate_platform(
-    gyro: Array,
-    a1: Array,
-    b1: Array,
-    a2: Array,
-    b2: Array,
-    rates: Array,
-    case: Array,
-    f_e: Array,
-    attitude: Array,
-    place: Array,
-    earth_rate: float,
-    start: float,
-    h: float,
-    c_ig: Array,
-    eta: float,
-    work: Array,
-    dv: Array,
-    force: Array,
-    gimbals: Array,
-    ring: Array,
-    eta_out: Array,
-    spin: Array,
+    gyros: Gyros, base: Base, start: float, h: float, c_ig: Array, eta: float, rows: TrueRows
 ) -> float:
-    """True readouts over ``n = dv.shape[0]`` steps of ``h``; node k at ``start + k h``. Returns the last eta.
+    """True readouts over ``n`` steps of ``h``; node k at ``start + k h``. Returns the last eta.
 
-    ``gyro`` (4,) m1, phase 1, m2, phase 2; ``a1 .. b2`` harmonics [rad]; ``rates`` (8,) see
-    :func:`drift_triad`; ``case`` (4,) rate 1, turns before reversal 1, rate 2, turns 2; ``f_e`` specific
-    force in Earth axes at every half step (2n + 1, 3) or (1, 3); ``attitude`` roll, pitch, heading and
-    ``place`` latitude, longitude at the nodes (n + 1, k) or (1, k); ``c_ig`` (3, 3) is advanced.
-    Written: ``dv`` (n, 3) by Simpson's rule, ``force`` (n + 1, 3) at the nodes, ``gimbals`` (n + 1, 3),
-    ``ring`` and ``eta_out`` (n + 1,), ``spin`` (n, 3) or (0, 3): turn of the platform over the step in P axes.
-    ``work`` (6, 3, 3) is scratch space.
+    ``c_ig`` (3, 3) is advanced.
     """
+    f_e, attitude, place, earth_rate, rates = base.f_e, base.attitude, base.place, base.earth_rate, gyros.rates
+    dv, force, spin = rows.dv, rows.force, rows.spin
+    work = np.zeros((6, 3, 3))
     n = dv.shape[0]
     force_stride = 1 if f_e.shape[0] > 1 else 0
     moving = attitude.shape[0] > 1
@@ -134,10 +142,10 @@ def simulate_platform(
     c_gp, c_ip, c_be, c_bi, c_bp, before = work[0], work[1], work[2], work[3], work[4], work[5]
     body_to_earth(attitude[0, 0], attitude[0, 1], attitude[0, 2], place[0, 0], place[0, 1], c_bi, c_be)
     gx = gy = gz = mx = my = mz = 0.0
-    s1, k1, s2, k2 = case_phasors(start, case, gyro)
+    s1, k1, s2, k2 = case_phasors(start, gyros)
     for i in range(n + 1):
         t = start + i * h
-        ring_angle = platform_at(s1, k1, s2, k2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
+        ring_angle = platform_at((s1, k1, s2, k2), gyros, eta, c_ig, c_gp, c_ip)
         fx, fy, fz = force_in_platform(t, earth_rate, c_ip, f_e, 2 * i * force_stride)
         if i > 0:
             dv[i - 1, 0] = h / 6.0 * (gx + 4.0 * mx + fx)
@@ -155,22 +163,22 @@ def simulate_platform(
             body_to_earth(attitude[i, 0], attitude[i, 1], attitude[i, 2], place[k, 0], place[k, 1], c_bi, c_be)
         turn_about_pole(math.cos(earth_rate * t), math.sin(earth_rate * t), c_be, c_bi)
         multiply(c_ip, c_bi, c_bp)
-        gimbal_angles(c_bp, gimbals[i])
+        gimbal_angles(c_bp, rows.gimbals[i])
         force[i, 0], force[i, 1], force[i, 2] = fx, fy, fz
-        ring[i], eta_out[i] = ring_angle, eta
+        rows.ring[i], rows.eta[i] = ring_angle, eta
         if i == n:
             break
         if want_spin:
             before[:, :] = c_ip
         gx, gy, gz = fx, fy, fz
         middle = t + 0.5 * h
-        p1, q1, p2, q2 = case_phasors(middle, case, gyro)
+        p1, q1, p2, q2 = case_phasors(middle, gyros)
         eta = drift_triad(
             c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
         )
-        platform_at(p1, q1, p2, q2, gyro, a1, b1, a2, b2, eta, c_ig, c_gp, c_ip)
+        platform_at((p1, q1, p2, q2), gyros, eta, c_ig, c_gp, c_ip)
         mx, my, mz = force_in_platform(middle, earth_rate, c_ip, f_e, (2 * i + 1) * force_stride)
-        s1, k1, s2, k2 = case_phasors(t + h, case, gyro)
+        s1, k1, s2, k2 = case_phasors(t + h, gyros)
         eta = drift_triad(
             c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
         )

@@ -8,6 +8,7 @@ that motion faster than the step is not lost.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,53 @@ from numpy.typing import NDArray
 from piga._kernels.jit import inline, kernel
 
 Array = NDArray[np.float64]
+
+
+class Correction(NamedTuple):
+    """What the navigator knows of the misalignments, row by row.
+
+    ``z1, z2`` (n, 2) cosine and sine of the case encoders; ``tan_eta, sec_eta`` (n,) or (1,); ``tips`` (6,) = cosine
+    and sine of phase 1 and 2, m1, m2 [rad], with harmonics over the encoder angle in ``a1, b1, a2, b2`` (K,) [rad].
+    """
+
+    z1: Array
+    z2: Array
+    tan_eta: Array
+    sec_eta: Array
+    tips: Array
+    a1: Array
+    b1: Array
+    a2: Array
+    b2: Array
+
+
+class Triad(NamedTuple):
+    """``c_gi`` (3, 3) triad to inertial axes at the start of the rows; ``drift`` (3,) of the triad [rad/s]."""
+
+    c_gi: Array
+    drift: Array
+
+
+class Stepping(NamedTuple):
+    """How the navigator steps.
+
+    ``h`` step [s]; every ``every``-th new state is kept; ``damping`` (2,) gains [1/s, 1/s^2]; ``earth`` (5,) = GM,
+    1.5 J2 a^2, b, e^2, 1/(1 - e^2).
+    """
+
+    h: float
+    every: int
+    damping: Array
+    earth: Array
+
+
+class States(NamedTuple):
+    """Navigator states: inertial ``r, v`` (n, 3), gimbal angles (n, 3) and ``times`` (n,) at the same instants."""
+
+    r: Array
+    v: Array
+    gimbals: Array
+    times: Array
 
 
 @inline
@@ -45,27 +93,19 @@ def height_and_normal(
 
 
 @inline
-def compensation_angles(
-    c1: float,
-    s1: float,
-    c2: float,
-    s2: float,
-    tan_eta: float,
-    sec_eta: float,
-    tips: Array,
-    a1: Array,
-    b1: Array,
-    a2: Array,
-    b2: Array,
-) -> tuple[float, float, float]:
+def compensation_angles(known: Correction, i: int) -> tuple[float, float, float]:
     """Small angles e_x, e_y, e_z [rad] of the platform against the triad [He2014], with harmonics (model C)."""
+    c1, s1, c2, s2 = known.z1[i, 0], known.z1[i, 1], known.z2[i, 0], known.z2[i, 1]
+    k = i if known.tan_eta.shape[0] > 1 else 0
+    tan_eta, sec_eta, tips = known.tan_eta[k], known.sec_eta[k], known.tips
+    a1, b1, a2, b2 = known.a1, known.b1, known.a2, known.b2
     m1, m2 = tips[4], tips[5]
     p, r, f, g = 1.0, 0.0, 1.0, 0.0
-    for k in range(a1.shape[0]):
+    for n in range(a1.shape[0]):
         p, r = p * c1 - r * s1, r * c1 + p * s1
         f, g = f * c2 - g * s2, g * c2 + f * s2
-        m1 += a1[k] * p + b1[k] * r
-        m2 += a2[k] * f + b2[k] * g
+        m1 += a1[n] * p + b1[n] * r
+        m2 += a2[n] * f + b2[n] * g
     ex = m1 * (tips[0] * c1 - tips[1] * s1)
     ey = m1 * (tips[1] * c1 + tips[0] * s1)
     return ex, ey, m2 * (tips[3] * c2 + tips[2] * s2) * sec_eta - ex * tan_eta
@@ -81,37 +121,22 @@ def moved(h: float, v: float, d: float, d1: float, d2: float, g: float, g1: floa
 @kernel
 def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     dv: Array,
-    z1: Array,
-    z2: Array,
-    tan_eta: Array,
-    sec_eta: Array,
-    tips: Array,
-    a1: Array,
-    b1: Array,
-    a2: Array,
-    b2: Array,
-    c_gi: Array,
-    drift: Array,
+    known: Correction,
+    triad: Triad,
     altitude: Array,
-    damping: Array,
-    earth: Array,
-    h: float,
+    stepping: Stepping,
     state: Array,
     positions: Array,
     velocities: Array,
-    every: int,
 ) -> int:
     """Advance the navigator over a chunk of velocity increments; returns the number of rows written.
 
-    ``dv`` (n, 3) increments in platform axes [m/s]; ``z1, z2`` (n, 2) cosine and sine of the case
-    encoders at the middle of each step; ``tan_eta, sec_eta`` (n,) or (1,); ``tips`` (6,) =
-    cosine and sine of phase 1 and 2, m1, m2 [rad], with harmonics over the encoder angle in
-    ``a1, b1, a2, b2`` (K,) [rad]; ``c_gi`` (3, 3) triad to inertial axes at the start of the chunk;
-    ``drift`` (3,) triad drift [rad/s]; ``altitude`` (n,) or (1,) reference height [m]; ``damping``
-    (2,) gains [1/s, 1/s^2]; ``earth`` (5,) = GM, 1.5 J2 a^2, b, e^2, 1/(1 - e^2); ``h`` step [s];
-    ``state`` (9, 3) in and out: r, v, three gravitations, two increments, (height error, -, -), normal.
-    Every ``every``-th new state goes to ``positions`` and ``velocities``.
+    ``dv`` (n, 3) increments in platform axes [m/s]; ``known`` at the middle of each step; ``altitude`` (n,) or (1,)
+    reference height [m]; ``state`` (9, 3) in and out: r, v, three gravitations, two increments, (height error, -, -),
+    normal. The states that are kept go to ``positions`` and ``velocities``.
     """
+    h, every, damping, earth = stepping.h, stepping.every, stepping.damping, stepping.earth
+    c_gi, drift = triad.c_gi, triad.drift
     n = dv.shape[0]
     gm, j2a2, semi_minor, e2, q = earth[0], earth[1], earth[2], earth[3], earth[4]
     k1, k2 = damping[0] * h, damping[1] * h
@@ -127,15 +152,11 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     c00, c01, c02 = c_gi[0, 0], c_gi[0, 1], c_gi[0, 2]
     c10, c11, c12 = c_gi[1, 0], c_gi[1, 1], c_gi[1, 2]
     c20, c21, c22 = c_gi[2, 0], c_gi[2, 1], c_gi[2, 2]
-    eta_stride = 1 if tan_eta.shape[0] > 1 else 0
     altitude_stride = 1 if altitude.shape[0] > 1 else 0
     h24 = h / 24.0
     written, left = 0, every
     for i in range(n):
-        k = i * eta_stride
-        ex, ey, ez = compensation_angles(
-            z1[i, 0], z1[i, 1], z2[i, 0], z2[i, 1], tan_eta[k], sec_eta[k], tips, a1, b1, a2, b2
-        )
+        ex, ey, ez = compensation_angles(known, i)
         middle = (i + 0.5) * h
         ex, ey, ez = ex + drift[0] * middle, ey + drift[1] * middle, ez + drift[2] * middle
         fx, fy, fz = dv[i, 0], dv[i, 1], dv[i, 2]
@@ -217,24 +238,21 @@ def turn(
 
 @inline
 def base_angles(
-    ci: float,
-    si: float,
-    cl: float,
-    sl: float,
-    c_gi: Array,
-    drift: Array,
+    place: tuple[float, float, float, float],
+    triad: Triad,
     rate: float,
     t: float,
-    ex: float,
-    ey: float,
-    ez: float,
+    e: tuple[float, float, float],
     gimbals: Array,
 ) -> tuple[float, float, float]:
     """Roll, pitch, heading [rad]: local axes turned to triad, platform and, by the gimbals, body axes.
 
-    ``ci, si`` cosine and sine of the inertial longitude, ``cl, sl`` of the latitude; body axes by
-    ``(R3(sigma) R2(theta) R3(psi))^T``; other arguments as in :func:`local_level`.
+    ``place``: cosine and sine of the inertial longitude, then of the latitude; ``rate`` the size of the drift; ``e``
+    the small angles of the platform; body axes by ``(R3(sigma) R2(theta) R3(psi))^T``.
     """
+    ci, si, cl, sl = place
+    ex, ey, ez = e
+    c_gi, drift = triad.c_gi, triad.drift
     ci1, si1 = math.cos(gimbals[0]), math.sin(gimbals[0])
     ci2, si2 = math.cos(gimbals[1]), math.sin(gimbals[1])
     ci3, si3 = math.cos(gimbals[2]), math.sin(gimbals[2])
@@ -265,34 +283,14 @@ def base_angles(
 
 @kernel
 def local_level(
-    r: Array,
-    v: Array,
-    gimbals: Array,
-    z1: Array,
-    z2: Array,
-    tan_eta: Array,
-    sec_eta: Array,
-    tips: Array,
-    a1: Array,
-    b1: Array,
-    a2: Array,
-    b2: Array,
-    c_gi: Array,
-    drift: Array,
-    times: Array,
-    earth_rate: float,
-    semi_major: float,
-    e2: float,
-    out: Array,
+    states: States, known: Correction, triad: Triad, earth_rate: float, semi_major: float, e2: float, out: Array
 ) -> None:
     """Navigator states to what the navigator shows, ``out`` (n, 9).
 
-    Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]
-    at ``times`` (n,) from inertial ``r, v`` (n, 3), gimbal angles (n, 3) and case encoders at the same
-    instants; the other arguments are those of :func:`navigate_chunk`, ``c_gi`` at time zero and
-    ``drift`` (3,) along triad axes turned out as one rotation vector.
+    Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]. ``known`` is of
+    the instants of the states; ``triad`` of time zero, its drift along triad axes turned out as one rotation vector.
     """
-    stride = 1 if tan_eta.shape[0] > 1 else 0
+    r, v, times, drift = states.r, states.v, states.times, triad.drift
     rate = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
     for i in range(r.shape[0]):
         angle = earth_rate * times[i]
@@ -307,10 +305,6 @@ def local_level(
         out[i, 3] = cl * v[i, 2] - sl * radial
         out[i, 4] = co * w - so * u
         out[i, 5] = -cl * radial - sl * v[i, 2]
-        k = i * stride
-        ex, ey, ez = compensation_angles(
-            z1[i, 0], z1[i, 1], z2[i, 0], z2[i, 1], tan_eta[k], sec_eta[k], tips, a1, b1, a2, b2
-        )
-        out[i, 6], out[i, 7], out[i, 8] = base_angles(
-            ce * co - se * so, se * co + ce * so, cl, sl, c_gi, drift, rate, times[i], ex, ey, ez, gimbals[i]
-        )
+        e = compensation_angles(known, i)
+        place = (ce * co - se * so, se * co + ce * so, cl, sl)
+        out[i, 6], out[i, 7], out[i, 8] = base_angles(place, triad, rate, times[i], e, states.gimbals[i])

@@ -25,7 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.geometry import exact_geometry_series
+from piga._kernels.platform.geometry import Misalignment, exact_geometry_series
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.platform.identification.estimate import Group
@@ -160,10 +160,14 @@ def exact_platform(x: Unknowns, times: Array, encoder1: Array, encoder2: Array) 
     """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) for the unknowns."""
     attitude, ring = np.empty((len(times), 3, 3)), np.empty(len(times))
     exact_geometry_series(
-        float(np.hypot(x.polar.u, x.polar.v)), *x.polar.over_case_angle(), encoder1 + x.polar.phase,
-        float(np.hypot(x.equatorial.u, x.equatorial.v)), *x.equatorial.over_case_angle(),
-        encoder2 + x.equatorial.phase, x.eta0 + x.eta_rate * times, attitude, ring,
-    )  # fmt: skip
+        Misalignment(float(np.hypot(x.polar.u, x.polar.v)), *x.polar.over_case_angle()),
+        encoder1 + x.polar.phase,
+        Misalignment(float(np.hypot(x.equatorial.u, x.equatorial.v)), *x.equatorial.over_case_angle()),
+        encoder2 + x.equatorial.phase,
+        x.eta0 + x.eta_rate * times,
+        attitude,
+        ring,
+    )
     return attitude, ring
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga import earth
-from piga._kernels.platform.geometry import exact_geometry_series
+from piga._kernels.platform.geometry import Misalignment, exact_geometry_series
 from piga.frames import axis_turn, skew
 from piga.platform.model.scenario import Gyro, Rotation
 
@@ -111,6 +111,11 @@ def harmonic_arrays(gyro: Gyro) -> tuple[Array, Array]:
     return cosines, sines
 
 
+def over_case_angle(gyro: Gyro) -> Misalignment:
+    """The misalignment of a gyro as the kernels take it."""
+    return Misalignment(gyro.misalignment, *harmonic_arrays(gyro))
+
+
 def misalignment(gyro: Gyro, angle: ArrayLike) -> Array:
     """``m(c) = m + sum_k a_k cos(k c + p_k)`` [rad] at case angles ``c`` [rad], phase included."""
     c = np.asarray(angle, dtype=float)
@@ -129,11 +134,7 @@ def nulled_attitude(
     """
     a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
     attitude, ring = np.empty((a.size, 3, 3)), np.empty(a.size)
-    exact_geometry_series(
-        polar.misalignment, *harmonic_arrays(polar), a,
-        equatorial.misalignment, *harmonic_arrays(equatorial), b, e,
-        attitude, ring,
-    )  # fmt: skip
+    exact_geometry_series(over_case_angle(polar), a, over_case_angle(equatorial), b, e, attitude, ring)
     return attitude, ring
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.motion import simulate_platform
+from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform
 from piga._kernels.platform.triad import solve_triad
 from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
@@ -24,11 +24,11 @@ from piga.platform.model.geometry import (
     encoder_angle,
     geodetic_to_earth,
     gravitation,
-    harmonic_arrays,
     local_axes,
+    over_case_angle,
     specific_force_at_rest,
 )
-from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Place, Scenario, Sensors
+from piga.platform.model.scenario import MotionPlan, Oscillation, PigaSensors, Place, Scenario, Sensors
 from piga.records.limits import read_whole
 
 Array = NDArray[np.float64]
@@ -379,18 +379,10 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
     spin = np.empty((n if scenario.sensors.piga else 0, 3))
     start = rotation_vector_to_matrix(np.array(scenario.triad)).T
     triad = start.copy()
-    simulate_platform(
-        _gyro_constants(scenario.polar, scenario.equatorial),
-        *harmonic_arrays(scenario.polar),
-        *harmonic_arrays(scenario.equatorial),
-        np.array([*scenario.polar.drift, *scenario.equatorial.drift, *scenario.polar.case_drift,
-                  *scenario.equatorial.case_drift]),
-        np.array([scenario.polar_rotation.rate, float(scenario.polar_rotation.turns),
-                  scenario.equatorial_rotation.rate, float(scenario.equatorial_rotation.turns)]),
-        motion.force, motion.attitude, np.ascontiguousarray(motion.place[:, :2]),
-        earth.EARTH_RATE, 0.0, h, triad, scenario.redundancy, np.zeros((6, 3, 3)),
-        increments, force, gimbals, ring, eta, spin,
-    )  # fmt: skip
+    gyros = _gyros(scenario)
+    base = Base(motion.force, motion.attitude, np.ascontiguousarray(motion.place[:, :2]), earth.EARTH_RATE)
+    rows = TrueRows(increments, force, gimbals, ring, eta, spin)
+    simulate_platform(gyros, base, 0.0, h, triad, scenario.redundancy, rows)
     times = h * np.arange(n + 1, dtype=np.float64)
     if scenario.sensors.piga is not None:
         increments = through_pigas(scenario.sensors.piga, times, force, spin)
@@ -398,8 +390,17 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
     return Run(scenario, readouts, Truth(motion, force, eta, start, triad))
 
 
-def _gyro_constants(polar: Gyro, equatorial: Gyro) -> Array:
-    return np.array([polar.misalignment, polar.phase, equatorial.misalignment, equatorial.phase])
+def _gyros(s: Scenario) -> Gyros:
+    """Both gyros as the kernel takes them."""
+    turning = (s.polar_rotation, s.equatorial_rotation)
+    return Gyros(
+        over_case_angle(s.polar),
+        s.polar.phase,
+        over_case_angle(s.equatorial),
+        s.equatorial.phase,
+        np.array([*s.polar.drift, *s.equatorial.drift, *s.polar.case_drift, *s.equatorial.case_drift]),
+        np.array([float(value) for rotation in turning for value in (rotation.rate, rotation.turns)]),
+    )
 
 
 def _read(s: Scenario, times: Array, increments: Array, gimbals: Array, ring: Array, height: Array) -> Readouts:

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.errors import propagate_errors
-from piga._kernels.platform.navigation import local_level, navigate_chunk
+from piga._kernels.platform.errors import ErrorModel, propagate_errors
+from piga._kernels.platform.navigation import Correction, States, Stepping, Triad, local_level, navigate_chunk
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix
 from piga.platform.model.geometry import (
@@ -101,14 +101,17 @@ class Navigator:
             self._prime(increments)
         rate = float(np.linalg.norm(self.drift))
         block = n if rate == 0.0 else max(every, int(_LARGEST_TURN / (rate * self.step)) // every * every)
+        stepping = Stepping(self.step, every, self.damping, KERNEL_EARTH)
         for at in range(0, n, max(block, 1)):
             part = slice(at, min(at + block, n))
             rows = slice(at // every, part.stop // every)
+            known = Correction(
+                case1[part], case2[part], _cut(tangent, part), _cut(secant, part),
+                self.compensator.tips, *self.compensator.harmonics,
+            )  # fmt: skip
             navigate_chunk(
-                increments[part], case1[part], case2[part], _cut(tangent, part), _cut(secant, part),
-                self.compensator.tips, *self.compensator.harmonics, self._triad_now(), self.drift,
-                _cut(altitude, part), self.damping, KERNEL_EARTH, self.step, self.state,
-                positions[rows], velocities[rows], every,
+                increments[part], known, Triad(self._triad_now(), self.drift), _cut(altitude, part),
+                stepping, self.state, positions[rows], velocities[rows],
             )  # fmt: skip
             self.steps += part.stop - part.start
         return positions, velocities
@@ -199,11 +202,13 @@ def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damp
     )
     times = readouts.times[node]
     table = np.empty((len(times), 9))
+    known = Correction(
+        case1[node], case2[node], _cut(tangent, node), _cut(secant, node),
+        compensator.tips, *compensator.harmonics,
+    )  # fmt: skip
     local_level(
-        position, velocity, readouts.gimbals[node], case1[node], case2[node],
-        _cut(tangent, node), _cut(secant, node), compensator.tips, *compensator.harmonics,
-        start.triad, start.drift,
-        times, earth.EARTH_RATE, earth.SEMI_MAJOR_AXIS, earth.ECCENTRICITY_SQUARED, table,
+        States(position, velocity, readouts.gimbals[node], times), known, Triad(start.triad, start.drift),
+        earth.EARTH_RATE, earth.SEMI_MAJOR_AXIS, earth.ECCENTRICITY_SQUARED, table,
     )  # fmt: skip
     return Navigation(compensator.model, times, table, position, velocity)
 
@@ -297,9 +302,10 @@ def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, 
     start[:3] = axes @ np.array(perturbation.position)
     start[3:] = axes @ np.array(perturbation.velocity) + np.cross(spin, start[:3])
     out = np.empty((count + 1, 6))
-    propagate_errors(
-        start, position, specific_force_at_rest(position), axes, np.array(perturbation.attitude),
+    model = ErrorModel(
+        position, specific_force_at_rest(position), axes, np.array(perturbation.attitude),
         np.array(perturbation.drift), np.array(perturbation.bias), perturbation.height,
-        damping_gains(damping_time), KERNEL_EARTH[0], KERNEL_EARTH[1], earth.EARTH_RATE, step, out,
+        damping_gains(damping_time), KERNEL_EARTH[0], KERNEL_EARTH[1], earth.EARTH_RATE,
     )  # fmt: skip
+    propagate_errors(start, model, step, out)
     return np.column_stack([np.arange(count + 1) * step, out])
