@@ -220,7 +220,7 @@ def accuracy():
     out, constants = np.zeros(5), p.constants()
 
     def rhs(s, x):
-        servo.derivative(constants, s, x, *f[0], *omega[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, out)
+        servo.derivative(constants, s, x, servo.Inputs(*f[0], *omega[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), out)
         return out.copy()
 
     start = [p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0]

@@ -56,14 +56,17 @@ def close_block(w: Array, m: int, turns: float, alpha: Array) -> tuple[float, fl
 
 @kernel
 def run_block(
-    w: Array, m: int, turns: float, p: float, q: float, alpha: Array, t: Array, f: Array, out: Array
+    w: Array, m: int, start: tuple[float, float, float], alpha: Array, ahead: tuple[Array, Array, Array]
 ) -> tuple[bool, float, float, float]:
     """Pairs and angles (unless ``alpha`` is empty) of a block whose increments stand in ``w``.
 
-    ``t``, ``f`` and ``out`` begin where the next block does, to be fetched meanwhile.
+    ``start``: turns, P, Q. The times, inputs and outputs ``ahead`` begin where the next block does, to be fetched
+    meanwhile.
     """
+    turns, p, q = start
     if block.matrices(w, m) < m:
         return stepwise(w, m, turns, p, q, alpha)
+    t, f, out = ahead
     block.chain(w, m, p, q, t, f, out)
     turns, p, q = close_block(w, m, turns, alpha)
     return True, turns, p, q

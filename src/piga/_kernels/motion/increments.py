@@ -144,9 +144,8 @@ def propagate_increments(
             edge_step(w, 1, min(2, m + follow), min(3, m + follow))
         if follow == 0:
             edge_step(w, m, max(m - 1, 1 - lead), max(m - 2, 1 - lead))
-        usable, turns, p, q = run_block(
-            w, m, turns, p, q, alpha[first + 1 : end + 1], t[end + 1 :], dv[end:], alpha[end + 1 :]
-        )
+        ahead = (t[end + 1 :], dv[end:], alpha[end + 1 :])
+        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : end + 1], ahead)
         if not usable:
             return first
         first += m

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,23 +28,35 @@ from piga._kernels.motion.transfer import (
 Array = NDArray[np.float64]
 
 
+class Samples(NamedTuple):
+    """A record of specific force, linear between samples, and the instrument's constants.
+
+    Times ``t`` (n,) [s], ``f`` (n, 3) [m/s^2], ``base_rate`` (n, 3) or (0, 3) [rad/s]; ``extra`` (n,) or (0,) [rad/s] is
+    added to ``u_x`` at the samples and ``extra_mean`` (n - 1,) or (0,) to its mean over each step; the offsets [rad/s]
+    are added to the transverse rates.
+    """
+
+    t: Array
+    f: Array
+    base_rate: Array
+    extra: Array
+    extra_mean: Array
+    K: float
+    tan_beta: float
+    offset_y: float
+    offset_z: float
+
+
 @kernel
-def load_rates(
-    f: Array,
-    base_rate: Array,
-    extra: Array,
-    K: float,
-    tan_beta: float,
-    offset_y: float,
-    offset_z: float,
-    w: Array,
-) -> None:
-    """Effective rates ``a, y, z`` [rad/s] at the samples of a block."""
+def load_rates(samples: Samples, start: int, stop: int, w: Array) -> None:
+    """Effective rates ``a, y, z`` [rad/s] at the samples ``start`` to ``stop - 1``, a block."""
+    f, K, tan_beta = samples.f[start:stop], samples.K, samples.tan_beta
+    base_rate, extra = samples.base_rate[start:stop], samples.extra[start:stop]
     coupling = K * tan_beta
     for j in range(f.shape[0]):
         w[RATE_A + j] = K * f[j, 0]
-        w[RATE_Y + j] = coupling * f[j, 1] + offset_y
-        w[RATE_Z + j] = coupling * f[j, 2] + offset_z
+        w[RATE_Y + j] = coupling * f[j, 1] + samples.offset_y
+        w[RATE_Z + j] = coupling * f[j, 2] + samples.offset_z
     for j in range(base_rate.shape[0]):
         w[RATE_A + j] -= base_rate[j, 0]
         w[RATE_Y + j] -= tan_beta * base_rate[j, 1]
@@ -73,44 +87,31 @@ def steps_from_samples(t: Array, extra_mean: Array, w: Array, m: int) -> int:
 
 
 @kernel
-def propagate_samples(
-    state: Array,
-    alpha: Array,
-    rate: Array,
-    t: Array,
-    f: Array,
-    base_rate: Array,
-    extra: Array,
-    extra_mean: Array,
-    K: float,
-    tan_beta: float,
-    offset_y: float,
-    offset_z: float,
-) -> int:
+def propagate_samples(state: Array, alpha: Array, rate: Array, samples: Samples) -> int:
     """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
 
-    ``base_rate`` (n, 3) or (0, 3); ``extra`` (n,) [rad/s] is added to ``u_x`` at the samples and
-    ``extra_mean`` (n - 1,) [rad/s] to its mean over each step; ``alpha`` and ``rate`` (n,): each of
-    these may be empty. ``state``: turns, P, Q; updated (the turns only if ``alpha`` is wanted).
+    ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated (the turns only if
+    ``alpha`` is wanted).
     """
     w = np.empty(SIZE)
+    t, f = samples.t, samples.f
     turns, p, q = state[0], state[1], state[2]
     n = t.size
     if alpha.size:
         alpha[0] = unwrapped(turns, double_arctangent(p, q))
     if n == 1:
-        load_rates(f, base_rate, extra, K, tan_beta, offset_y, offset_z, w)
+        load_rates(samples, 0, 1, w)
         w[PAIR_P], w[PAIR_Q] = p, q
         block.rates(w, rate)
     first = 0
     while first < n - 1:
         m = min(BLOCK, n - 1 - first)
         stop = first + m + 1
-        load_rates(f[first:stop], base_rate[first:stop], extra[first:stop], K, tan_beta, offset_y, offset_z, w)
-        if steps_from_samples(t[first:stop], extra_mean[first : stop - 1], w, m) < m:
+        load_rates(samples, first, stop, w)
+        if steps_from_samples(t[first:stop], samples.extra_mean[first : stop - 1], w, m) < m:
             return first
-        ahead = alpha[stop:] if alpha.size else rate[stop:]
-        usable, turns, p, q = run_block(w, m, turns, p, q, alpha[first + 1 : stop], t[stop:], f[stop:], ahead)
+        ahead = (t[stop:], f[stop:], alpha[stop:] if alpha.size else rate[stop:])
+        usable, turns, p, q = run_block(w, m, (turns, p, q), alpha[first + 1 : stop], ahead)
         if not usable:
             return first
         block.rates(w, rate[first:stop])

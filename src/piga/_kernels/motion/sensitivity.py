@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from piga._kernels.arithmetic.trig import double_arctangent
 from piga._kernels.jit import inline, kernel
 from piga._kernels.motion.blocks import GOOD
+from piga._kernels.motion.samples import Samples
 from piga._kernels.motion.step import advance, unwrapped
 
 Array = NDArray[np.float64]
@@ -95,10 +96,13 @@ def advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Arr
 
 @kernel
 def propagate_sensitivities(
-    t: Array, f: Array, omega: Array, K: float, tan_beta: float, state: Array,
-    alpha: Array, rate: Array, d_alpha: Array, d_rate: Array,
-) -> int:  # fmt: skip
-    """Angle, rate (n,) and their derivatives (n, PARAMETERS) at the samples; ``state``: turns, P, Q."""
+    samples: Samples, state: Array, alpha: Array, rate: Array, d_alpha: Array, d_rate: Array
+) -> int:
+    """Angle, rate (n,) and their derivatives (n, PARAMETERS) at the samples; ``state``: turns, P, Q.
+
+    Of the samples, ``base_rate`` is (n, 3), and what an error model adds is left out.
+    """
+    t, f, omega, K, tan_beta = samples.t, samples.f, samples.base_rate, samples.K, samples.tan_beta
     turns, p, q = state[0], state[1], state[2]
     rest = double_arctangent(p, q)
     r0, r1, step, carried = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(PARAMETERS)

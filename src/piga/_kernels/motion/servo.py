@@ -102,26 +102,46 @@ def stop_torque(p: ServoConstants, beta: float, v: float) -> float:
     return 0.0
 
 
+class Inputs(NamedTuple):
+    """Specific force [m/s^2], base rate [rad/s], its rate of change, and noise of both torques and the pick-off."""
+
+    a_x: float
+    a_Y: float
+    a_Z: float
+    o_x: float
+    o_Y: float
+    o_Z: float
+    do_x: float
+    do_Y: float
+    do_Z: float
+    n_x: float
+    n_y: float
+    n_e: float
+
+
+class Nodes(NamedTuple):
+    """Times (n,) [s], specific force (n, 3), base rate (n, 3) and noise (n, 3) at the nodes."""
+
+    t: Array
+    f: Array
+    o: Array
+    noise: Array
+
+
+class Method(NamedTuple):
+    """Coefficients of the Runge-Kutta method: stages, weights, nodes and both error estimates."""
+
+    tableau: Array
+    weights: Array
+    nodes: Array
+    E3: Array
+    E5: Array
+
+
 @kernel
-def derivative(
-    p: ServoConstants,
-    t: float,
-    x: Array,
-    a_x: float,
-    a_Y: float,
-    a_Z: float,
-    o_x: float,
-    o_Y: float,
-    o_Z: float,
-    do_x: float,
-    do_Y: float,
-    do_Z: float,
-    n_x: float,
-    n_y: float,
-    n_e: float,
-    out: Array,
-) -> None:
+def derivative(p: ServoConstants, t: float, x: Array, inputs: Inputs, out: Array) -> None:
     """Write the time derivative of the state ``x`` into ``out``."""
+    a_x, a_Y, a_Z, o_x, o_Y, o_Z, do_x, do_Y, do_Z, n_x, n_y, n_e = inputs
     alpha, beta, w, v, z = x[0], x[1], x[2], x[3], x[4]
     sa, ca = math.sin(alpha), math.cos(alpha)
     sb, cb = math.sin(beta), math.cos(beta)
@@ -159,23 +179,11 @@ def derivative(
 
 @kernel
 def at(
-    p: ServoConstants,
-    t: float,
-    x: Array,
-    f: Array,
-    o: Array,
-    i: int,
-    s: float,
-    span: float,
-    noise: Array,
-    out: Array,
+    p: ServoConstants, x: Array, drive: Nodes, i: int, now: float, s: float, span: float, out: Array
 ) -> None:
-    """Derivative at fraction ``s`` of the interval after node ``i`` (inputs linear, noise held)."""
-    k = i + 1
-    derivative(
-        p,
-        t,
-        x,
+    """Derivative ``now`` after node ``i``, at fraction ``s`` of the interval (inputs linear, noise held)."""
+    f, o, noise, k = drive.f, drive.o, drive.noise, i + 1
+    inputs = Inputs(
         f[i, 0] + s * (f[k, 0] - f[i, 0]),
         f[i, 1] + s * (f[k, 1] - f[i, 1]),
         f[i, 2] + s * (f[k, 2] - f[i, 2]),
@@ -188,8 +196,8 @@ def at(
         noise[i, 0],
         noise[i, 1],
         noise[i, 2],
-        out,
     )
+    derivative(p, drive.t[i] + now, x, inputs, out)
 
 
 @kernel
@@ -215,48 +223,31 @@ def error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> t
 @kernel
 def try_step(
     p: ServoConstants,
-    t: float,
     x: Array,
-    f: Array,
-    o: Array,
-    i: int,
-    done: float,
-    step: float,
-    span: float,
-    noise: Array,
-    tableau: Array,
-    weights: Array,
-    nodes: Array,
+    drive: Nodes,
+    place: tuple[int, float, float, float],
+    method: Method,
     K: Array,
     y: Array,
 ) -> None:
-    """One step from ``x``, ``done`` after node ``i`` at time ``t``: stages into ``K``, new state into ``y``."""
+    """One step from ``x``: stages into ``K``, new state into ``y``.
+
+    ``place``: node, time done after it, step and interval [s].
+    """
+    i, done, step, span = place
     for s in range(1, STAGES + 1):
         for j in range(STATES):
             total = 0.0
             for m in range(s):
-                total += (tableau[s, m] if s < STAGES else weights[m]) * K[m, j]
+                total += (method.tableau[s, m] if s < STAGES else method.weights[m]) * K[m, j]
             y[j] = x[j] + step * total
-        now = done + (nodes[s] if s < STAGES else 1.0) * step
-        at(p, t + now, y, f, o, i, now / span, span, noise, K[s])
+        now = done + (method.nodes[s] if s < STAGES else 1.0) * step
+        at(p, y, drive, i, now, now / span, span, K[s])
 
 
 @kernel
 def integrate(
-    p: ServoConstants,
-    t: Array,
-    f: Array,
-    o: Array,
-    noise: Array,
-    x: Array,
-    h: float,
-    tolerance: Array,
-    tableau: Array,
-    weights: Array,
-    nodes: Array,
-    E3: Array,
-    E5: Array,
-    out: Array,
+    p: ServoConstants, drive: Nodes, x: Array, h: float, tolerance: Array, method: Method, out: Array
 ) -> tuple[float, float, int, int]:
     """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
 
@@ -264,6 +255,7 @@ def integrate(
     taken, and the node after which the step became smaller than 1e-13 of the interval or ``MAX_TRIES``
     steps did not reach the next node (else -1).
     """
+    t = drive.t
     K = np.empty((STAGES + 1, STATES))
     y = np.empty(STATES)
     total_error, steps = 0.0, 0
@@ -271,13 +263,13 @@ def integrate(
         out[0, j] = x[j]
     for i in range(t.shape[0] - 1):
         span, done, tries = t[i + 1] - t[i], 0.0, 0
-        at(p, t[i], x, f, o, i, 0.0, span, noise, K[0])
+        at(p, x, drive, i, 0.0, 0.0, span, K[0])
         while done < span:
             rest = span - done
             step = rest if h >= rest else (0.5 * rest if 2.0 * h > rest else h)
             tries += 1
-            try_step(p, t[i], x, f, o, i, done, step, span, noise, tableau, weights, nodes, K, y)
-            ratio, alpha_error = error_ratio(K, E3, E5, step, tolerance)
+            try_step(p, x, drive, (i, done, step, span), method, K, y)
+            ratio, alpha_error = error_ratio(K, method.E3, method.E5, step, tolerance)
             factor = 5.0 if ratio < 1e-7 else min(5.0, max(0.2, 0.9 * ratio ** (-0.125)))
             if ratio <= 1.0:
                 for j in range(STATES):

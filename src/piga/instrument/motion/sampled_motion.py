@@ -13,14 +13,14 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.motion.blocks import GOOD
 from piga._kernels.motion.increments import propagate_increments as run_increments
-from piga._kernels.motion.samples import propagate_samples
+from piga._kernels.motion.samples import Samples, propagate_samples
 from piga._kernels.motion.sensitivity import PARAMETERS, propagate_sensitivities
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
@@ -33,31 +33,10 @@ _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
 
 
-@dataclass(frozen=True)
-class SampledInput:
-    """A checked record: what the kernels take."""
-
-    t: Array
-    f: Array
-    base_rate: Array
-    extra: Array
-    extra_mean: Array
-    K: float
-    tan_beta: float
-    offset_y: float
-    offset_z: float
-
-    def arguments(self) -> tuple[Any, ...]:
-        """What the kernels take."""
-        return (
-            self.t, self.f, self.base_rate, self.extra, self.extra_mean,
-            self.K, self.tan_beta, self.offset_y, self.offset_z,
-        )  # fmt: skip
-
-    def require(self, status: int) -> None:
-        """Raise an ArgumentError that names the fault unless a kernel returned GOOD."""
-        if status != GOOD:
-            explain(self.t, status, f=self.f, base_rate=self.base_rate)
+def _require(samples: Samples, status: int) -> None:
+    """Raise an ArgumentError that names the fault unless a kernel returned GOOD."""
+    if status != GOOD:
+        explain(samples.t, status, f=samples.f, base_rate=samples.base_rate)
 
 
 def _error_rates(
@@ -89,7 +68,7 @@ def sampled_input(
     base_rate: ArrayLike | None = None,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
-) -> SampledInput:
+) -> Samples:
     """Check shapes and prepare the input of :func:`propagate`; nothing is copied that is float64, C-order.
 
     Raises
@@ -114,9 +93,7 @@ def sampled_input(
     if times.size == 1:
         for name, array in (("t", times), ("f", force), ("base_rate", omega)):
             require_finite(name, array)
-    return SampledInput(
-        times, force, omega, extra, extra_mean, inst.scale_factor, inst.tan_beta, offset_y, offset_z
-    )
+    return Samples(times, force, omega, extra, extra_mean, inst.scale_factor, inst.tan_beta, offset_y, offset_z)
 
 
 def initial_state(alpha0: float) -> Array:
@@ -125,7 +102,7 @@ def initial_state(alpha0: float) -> Array:
     return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
 
 
-def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array) -> None:
+def run_samples(record: Samples, alpha0: float, alpha: Array, rate: Array) -> None:
     """Fill ``alpha`` and ``rate`` (each (n,) or empty).
 
     Raises
@@ -134,8 +111,8 @@ def run_samples(record: SampledInput, alpha0: float, alpha: Array, rate: Array) 
         If a sample is not finite or a time does not increase.
     """
     with np.errstate(all="ignore"):
-        status = propagate_samples(initial_state(alpha0), alpha, rate, *record.arguments())
-    record.require(status)
+        status = propagate_samples(initial_state(alpha0), alpha, rate, record)
+    _require(record, status)
 
 
 @overload
@@ -397,11 +374,9 @@ def sensitivities(
     d_alpha, d_rate = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
     with np.errstate(all="ignore"):
         status = propagate_sensitivities(
-            record.t, record.f, omega, record.K, record.tan_beta, initial_state(inst.alpha0),
-            alpha, rate, d_alpha, d_rate,
-        )  # fmt: skip
-    if status != GOOD:
-        explain(record.t, status, f=record.f, base_rate=record.base_rate)
+            record._replace(base_rate=omega), initial_state(inst.alpha0), alpha, rate, d_alpha, d_rate
+        )
+    _require(record, status)
     alpha[0] = inst.alpha0
     return Sensitivities(alpha, rate, d_alpha, d_rate)
 

@@ -47,21 +47,12 @@ class TwinMotion:
         return tuple((float(self.t[i + 1]), "recovered" if self.locked[i + 1] else "lost") for i in turns)
 
 
-@dataclass(frozen=True)
-class _Tableau:
-    tableau: Array
-    weights: Array
-    nodes: Array
-    E3: Array
-    E5: Array
-
-
-def _tableau() -> _Tableau:
+def _tableau() -> servo.Method:
     """The eighth-order method of Dormand and Prince with its two error estimators, as SciPy publishes it."""
     from scipy.integrate import DOP853
 
     parts = (DOP853.A, DOP853.B, DOP853.C, DOP853.E3, DOP853.E5)
-    return _Tableau(*(np.ascontiguousarray(part, dtype=float) for part in parts))
+    return servo.Method(*(np.ascontiguousarray(part, dtype=float) for part in parts))
 
 
 def _inputs(t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None) -> tuple[Array, Array, Array]:
@@ -136,13 +127,12 @@ def _tolerance(p: TwinParameters, accuracy: float) -> Array:
 def _run(
     p: TwinParameters, t: Array, f: Array, base_rate: Array, noise: Array, start: Array, accuracy: float
 ) -> tuple[Array, float, int]:
-    method = _tableau()
     states = np.empty((t.size, servo.STATES))
     step = min(float(t[1] - t[0]), 0.5 / p.nutation)
+    drive = servo.Nodes(t, f, base_rate, noise)
     _, error, steps, failed = servo.integrate(
-        p.constants(), t, f, base_rate, noise, start.copy(), step, _tolerance(p, accuracy),
-        method.tableau, method.weights, method.nodes, method.E3, method.E5, states,
-    )  # fmt: skip
+        p.constants(), drive, start.copy(), step, _tolerance(p, accuracy), _tableau(), states
+    )
     if failed >= 0:
         raise PigaError(
             f"the twin's motion cannot be followed beyond t = {t[failed]:.6g} s: it is too fast",
