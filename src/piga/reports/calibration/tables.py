@@ -28,9 +28,9 @@ MANY = 1_000_000
 
 def judgement(cal: Calibration, subject: str = "") -> Judgement:
     """The verdict on a calibration as the box of a page; ``subject`` says which, where the page is of something else."""
-    found = cal.verdict
-    problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in found.doubts)
-    return Judgement(found.level, f"{subject}{found.headline}", problems, found.holds)
+    verdict = cal.verdict
+    problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts)
+    return Judgement(verdict.level, f"{subject}{verdict.headline}", problems, verdict.holds)
 
 
 def sentence(text: str) -> str:
@@ -450,10 +450,10 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
 
 
 def _sensitivity(row: BudgetEntry, coefficient: Coefficient, scale: float) -> str | Cell:
-    found = row.sensitivities.get(coefficient.key)
-    if found is None or abs(row.contribution(coefficient)) <= NOTHING * coefficient.std:
+    sensitivity = row.sensitivities.get(coefficient.key)
+    if sensitivity is None or abs(row.contribution(coefficient)) <= NOTHING * coefficient.std:
         return Cell("–", "quiet")
-    return printed(short(found.value * scale, 3))
+    return printed(short(sensitivity.value * scale, 3))
 
 
 def budget_text(cal: Calibration) -> list[str]:
@@ -482,9 +482,9 @@ def _text_rows(cal: Calibration, coefficient: Coefficient) -> list[tuple[str, ..
         share = (part / whole) ** 2 if whole else 0.0
         if share < SLIGHT:
             continue
-        given, found = row.standard_uncertainty, row.sensitivities.get(coefficient.key)
+        given, effect = row.standard_uncertainty, row.sensitivities.get(coefficient.key)
         entered = f"{short(given.value)} {given.unit}" if given else ""
-        sensitivity = f"{short(found.value * scale, 3)} per {given.unit}" if given and found else ""
+        sensitivity = f"{short(effect.value * scale, 3)} per {given.unit}" if given and effect else ""
         shown = (
             row.source,
             row.type,
@@ -513,10 +513,10 @@ _ALONE, _SHIFT = 0.9, 3.0
 
 def leverage_table(cal: Calibration) -> Table | None:
     """Leverage of the segments, of many those with the most; None without."""
-    found = cal.diagnostics.leverage
-    if not found:
+    leverage = cal.diagnostics.leverage
+    if not leverage:
         return None
-    most = sorted(found, key=lambda label: -found[label].leverage)[:_SHOWN]
+    most = sorted(leverage, key=lambda label: -leverage[label].leverage)[:_SHOWN]
     names = [c.name for c in common_coefficients(cal)]
     columns = (Column("Segment", align="text"), Column("Leverage"), *(Column(name) for name in names))
     rows: tuple[tuple[str | Cell, ...], ...] = tuple(
@@ -525,10 +525,12 @@ def leverage_table(cal: Calibration) -> Table | None:
             f"{row.leverage:.2f}",
             *(_share(row.share.get(name), row.shift.get(name)) for name in names),
         )
-        for label, row in found.items()
+        for label, row in leverage.items()
         if label in most
     )
-    notes = (f"The {_SHOWN} of {len(found)} segments with the most leverage.",) if len(found) > _SHOWN else ()
+    notes = (
+        (f"The {_SHOWN} of {len(leverage)} segments with the most leverage.",) if len(leverage) > _SHOWN else ()
+    )
     return Table(columns, rows, notes=notes)
 
 
@@ -543,8 +545,8 @@ def _share(share: float | None, shift: float | None) -> Cell:
 
 def propagation_table(cal: Calibration) -> Table | None:
     """First-order and Monte Carlo intervals side by side with the verdict; None without Monte Carlo."""
-    found = cal.diagnostics.monte_carlo
-    if found is None:
+    monte_carlo = cal.diagnostics.monte_carlo
+    if monte_carlo is None:
         return None
     columns = (
         Column("Coefficient", align="text"),
@@ -559,7 +561,7 @@ def propagation_table(cal: Calibration) -> Table | None:
     )
     rows: list[tuple[str | Cell, ...]] = []
     for c in cal.coefficients:
-        row = found.coefficients.get(c.key)
+        row = monte_carlo.coefficients.get(c.key)
         if row is None:
             continue
         scale, unit = shown_unit(c.name, c.unit)
@@ -571,7 +573,7 @@ def propagation_table(cal: Calibration) -> Table | None:
                 *intervals, printed(short(row.tolerance * scale, 1)), verdict,
             )
         )  # fmt: skip
-    return Table(columns, tuple(rows), notes=(f"{found.trials} trials.",))
+    return Table(columns, tuple(rows), notes=(f"{monte_carlo.trials} trials.",))
 
 
 def _interval(ends: tuple[float, float], scale: float) -> str:
