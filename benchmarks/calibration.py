@@ -1,6 +1,7 @@
 """Speed of the calibration: ratios against named baselines in one run.
 
-Run with ``python benchmarks/calibration.py``; prints a Markdown table. Baselines: a nonlinear fit of the same
+Run with ``python benchmarks/calibration.py [--record]``; prints a table.
+``--record`` puts it into docs/measured. Baselines: a nonlinear fit of the same
 record with SciPy, and one pass of NumPy over the same arrays (the sum of squares of six columns).
 """
 
@@ -14,6 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import measured
 import numpy as np
 
 import piga
@@ -82,7 +84,7 @@ def recursive_updates(rows: int = 200_000) -> tuple[float, float]:
     return ours / rows * 1e9, published / rows * 1e9
 
 
-def cold_command(run: piga.Run) -> float:
+def cold_command(run: piga.Run, *options: str) -> float:
     """Processor seconds of the whole command from Parquet, in a fresh process (compiled code cached)."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -108,7 +110,7 @@ def cold_command(run: piga.Run) -> float:
         times = []
         for _ in range(4):
             start = os.times()
-            subprocess.run([*command, "--force"], check=True, capture_output=True)
+            subprocess.run([*command, *options, "--force"], check=True, capture_output=True)
             end = os.times()
             times.append(sum(end[2:4]) - sum(start[2:4]))
         return statistics.median(times[1:])
@@ -120,15 +122,26 @@ def main() -> None:
     ours = median_time(lambda: piga.calibrate(run, TERMS))
     fit = median_time(lambda: scipy_fit(run), repeats=5)
     qr, recursion = recursive_updates()
-    cold = cold_command(run)
-    print("| job | time | ratio |")
-    print("|---|---|---|")
-    print(f"| calibrate, {ROWS:,} rows, {len(TERMS)} terms, warm | {ours:.3f} s | 1 |")
-    print(f"| SciPy least_squares, same record (trapezoid, no whitening) | {fit:.2f} s | {fit / ours:.1f} x |")
-    print(f"| one NumPy sweep over the same arrays | {sweep * 1e3:.1f} ms | {sweep / ours:.3f} x |")
-    print(f"| whole cold command from Parquet, report included: processor time | {cold:.1f} s | |")
-    print(f"| one recursive square-root update, 5 states | {qr:.0f} ns | |")
-    print(f"| one update of the published recursion, 5 states | {recursion:.0f} ns | |")
+    measurements = {
+        "calibrate, warm": (ours, "s"),
+        "SciPy least_squares, same record (trapezoid, no whitening)": (fit, "s"),
+        "SciPy least_squares over calibrate": (fit / ours, ""),
+        "one NumPy sweep over the same arrays": (sweep, "s"),
+        "whole cold command from Parquet, with report: processor time": (cold_command(run), "s"),
+        "whole cold command from Parquet, without report: processor time": (
+            cold_command(run, "--no-report"),
+            "s",
+        ),
+        "one recursive square-root update, 5 states": (qr, "ns"),
+        "one update of the published recursion, 5 states": (recursion, "ns"),
+    }
+    for name, (value, unit) in measurements.items():
+        print(f"{name:70s} {value:.3g} {unit}")
+    if "--record" in sys.argv:
+        kept = {figure["name"] for figure in measured.load("calibration")[1]}
+        measured.record(
+            "calibration", {k: float(f"{v:.3g}") for k, (v, _) in measurements.items() if k in kept}
+        )
 
 
 if __name__ == "__main__":

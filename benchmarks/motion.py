@@ -1,16 +1,15 @@
 """Speed, accuracy and memory of the exact motion, with named baselines in the same run.
 
-Run: python benchmarks/motion.py [--out FILE.json] [--quick]
+Run: python benchmarks/motion.py [--record] [--quick]; ``--record`` puts the figures into docs/measured/motion.json.
 
 Every time is the median of at least five repetitions, with the smallest beside it (on a busy machine the
 better guide). Baselines: numpy.sin and a memory copy for the machine, a compiled Runge-Kutta of order
-4, SciPy's DOP853. docs/benchmarks.md shows the output of one run.
+4, SciPy's DOP853.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import platform
@@ -19,9 +18,9 @@ import sys
 import time
 import tracemalloc
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
+import measured
 import numba
 import numpy as np
 import scipy
@@ -42,7 +41,7 @@ from piga.units import G0
 INST = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
 K, TAN_BETA = INST.scale_factor, INST.tan_beta
 W = 2.0 * math.pi * 2.0  # the 2 Hz vibration
-RESULTS: list[dict[str, Any]] = []
+RESULTS: dict[str, dict[str, Any]] = {}
 
 
 def timed(work: Callable[[], Any], per: int, repeats: int = 11) -> tuple[float, float]:
@@ -58,8 +57,14 @@ def timed(work: Callable[[], Any], per: int, repeats: int = 11) -> tuple[float, 
 
 def show(name: str, value: tuple[float, float] | float, unit: str, note: str = "") -> None:
     pair = value if isinstance(value, tuple) else (value, value)
-    RESULTS.append({"name": name, "median": pair[0], "min": pair[1], "unit": unit, "note": note})
+    best = {} if pair[0] == pair[1] else {"least": rounded(pair[1])}
+    RESULTS[name] = {"value": rounded(pair[0]), **best, "unit": unit, "note": note}
     print(f"| {name} | {pair[0]:.4g} | {pair[1]:.4g} | {unit} | {note} |", flush=True)
+
+
+def rounded(value: float) -> float:
+    """Three digits."""
+    return float(f"{value:.3g}")
 
 
 def force(t: np.ndarray) -> np.ndarray:
@@ -157,7 +162,7 @@ def fleets(instruments: int, samples: int) -> None:
     count = instruments * samples
     show(f"fleet of {instruments}, angle, one thread", per(times["1"], count), "ns/instrument-sample")
     show(f"fleet of {instruments}, angle, two threads", per(times["2"], count), "ns/instrument-sample", "bar 6")
-    show("... speed-up over one thread", ratio(times["1"], times["2"]), "1", "bar 1.8")
+    show("fleet, two threads over one", ratio(times["1"], times["2"]), "1", "bar 1.8")
 
 
 def interpolated(at: np.ndarray, t: np.ndarray, f: np.ndarray) -> np.ndarray:
@@ -203,11 +208,11 @@ def equal_accuracy_sampled(seconds: float) -> None:
     base = timed(lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, parts, alpha), 1)
     note = f"error {error:.1e} rad, {parts} step(s) a sample"
     show("sampled vibration: compiled RK4", (base[0] / n, base[1] / n), "ns/sample", note)
-    show("... ratio to exact motion", (base[0] / ours[0], base[1] / ours[1]), "1", "bar 10")
+    show("sampled vibration: RK4 over exact motion", (base[0] / ours[0], base[1] / ours[1]), "1", "bar 10")
     end, wall = dop853_sampled(t, f, 1e-9)
     note = f"error {abs(end - reference[-1]):.1e} rad, restarted at each sample"
     show("sampled vibration: SciPy DOP853", wall / n * 1e9, "ns/sample", note)
-    show("... ratio to exact motion", wall * 1e9 / ours[0], "1", "bar 1000")
+    show("sampled vibration: DOP853 over exact motion", wall * 1e9 / ours[0], "1", "bar 1000")
 
 
 def equal_accuracy_smooth(seconds: float) -> None:
@@ -232,12 +237,12 @@ def equal_accuracy_smooth(seconds: float) -> None:
     error = abs(propagate_increments(INST, grid, dv)[-1] - reference)
     ours = timed(lambda: propagate_increments(INST, grid, dv), 1)
     show("smooth vibration: increments at 140 Hz", ours[1] * 1e-6, "ms", f"error {error:.1e} rad")
-    show("... ratio", (base[0] / ours[0], base[1] / ours[1]), "1")
+    show("smooth vibration: DOP853 over increments", (base[0] / ours[0], base[1] / ours[1]), "1")
     ends = [0.0, seconds]
     adaptive = timed(lambda: propagate_function(INST, ends, force, tolerance=1e-9, vectorized=True), 1, 5)
     error = abs(propagate_function(INST, ends, force, tolerance=1e-9, vectorized=True)[-1] - reference)
     show("smooth vibration: function, tolerance 1e-9", adaptive[1] * 1e-6, "ms", f"error {error:.1e} rad")
-    show("... ratio", (base[0] / adaptive[0], base[1] / adaptive[1]), "1")
+    show("smooth vibration: DOP853 over function", (base[0] / adaptive[0], base[1] / adaptive[1]), "1")
 
 
 def constant_stretch() -> None:
@@ -290,7 +295,7 @@ def start_up() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="write the results as JSON")
+    parser.add_argument("--record", action="store_true", help="put the figures into docs/measured/motion.json")
     parser.add_argument("--quick", action="store_true", help="a tenth of the samples")
     options = parser.parse_args()
     scale = 10 if options.quick else 1
@@ -305,8 +310,10 @@ def main() -> None:
     constant_stretch()
     memory(1_000_000 // scale)
     start_up()
-    if options.out:
-        options.out.write_text(json.dumps({"versions": versions, "results": RESULTS}, indent=1))
+    if options.record:
+        kept = {figure["name"] for figure in measured.load("motion")[1]}
+        where = f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores"
+        measured.record("motion", {k: v for k, v in RESULTS.items() if k in kept}, conditions=where)
 
 
 if __name__ == "__main__":

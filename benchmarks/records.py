@@ -1,4 +1,6 @@
-"""The ledger at 1e3, 1e4 and 1e5 records: processor time and memory of each command: ``python benchmarks/records.py [COUNT ...]``.
+"""The ledger at 1e3, 1e4 and 1e5 records: processor time and memory of each command.
+
+Run: ``python benchmarks/records.py [--record] [COUNT ...]``.
 
 One instrument has up to 3000 records, the rest belong to others, a hundred each. Each record holds a run file and a
 calibration of 5 kB (that of the instrument: 30 kB, as large as a real one). Every command runs in a process of its own.
@@ -16,6 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+import measured as figures
 
 import piga
 from piga.cli.calibrate import copy_example
@@ -105,7 +109,8 @@ def measured(command: str, store: Path, folder: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    counts = [int(word) for word in sys.argv[1:]] or [1000, 10_000, 100_000]
+    counts = [int(word) for word in sys.argv[1:] if word != "--record"] or [1000, 10_000, 100_000]
+    kept: dict[str, float] = {}
     with tempfile.TemporaryDirectory(dir=".") as name:
         folder = Path(name)
         whole, small = documents(folder)
@@ -118,7 +123,14 @@ def main() -> None:
             measured("trend --serial A", store, folder)  # compiled kernels are kept from here on
             for command in COMMANDS:
                 seconds, memory = measured(command, store, folder)
+                kept |= {
+                    f"{command}, {count}: time": round(seconds, 1),
+                    f"{command}, {count}: memory": round(memory),
+                }
                 print(f"  records {command:<18} {seconds:7.2f} s {memory:6.0f} MB", flush=True)
+    if "--record" in sys.argv:
+        known = {figure["name"] for figure in figures.load("ledger")[1]}
+        figures.record("ledger", {name: value for name, value in kept.items() if name in known})
 
 
 if __name__ == "__main__":

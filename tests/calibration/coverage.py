@@ -1,7 +1,8 @@
 """Do the intervals hold? Many simulated tests of one scenario, and the figures that say so.
 
 Run as ``python -m tests.calibration.coverage --scenario static --tests 10000 --processes 2 --out FILE``:
-one JSON object per scenario, and a line of Markdown on the screen.
+one JSON object per scenario, and a line of Markdown on the screen. ``--record`` puts the figures into
+``docs/measured/intervals.json``.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks import measured
 from scipy.stats import binom, chi2
 
-from tests.calibration.scenarios import SCENARIOS, Array
+from tests.calibration.scenarios import FAINT, SCENARIOS, Array
+
+CASES = SCENARIOS | FAINT
 
 HEAD = (
     "| scenario | tests | coverage | bias/sigma | variance/bound | NEES (expected) |\n|---|---|---|---|---|---|"
@@ -36,7 +40,7 @@ def one_test(name: str, seed: int) -> tuple[Array, Array, float, float]:
 
     Errors over standard uncertainties of nu degrees of freedom are Student's: their mean square is nu/(nu - 2).
     """
-    scenario = SCENARIOS[name]
+    scenario = CASES[name]
     found = scenario.calibrate(scenario.record(np.random.default_rng([seed, 2026])))
     errors = scenario.errors(found)
     half = np.array([c.expanded for c in found.coefficients])
@@ -68,7 +72,7 @@ def run_tests(name: str, tests: int, processes: int = 1, first: int = 0) -> Foun
 
 def figures(name: str, errors: Array, half: Array, nees: Array, expected: Array) -> dict[str, Any]:
     """Coverage, bias, variance over the Cramer-Rao bound and NEES per coefficient, with their bands."""
-    scenario = SCENARIOS[name]
+    scenario = CASES[name]
     tests, size = errors.shape
     records = (scenario.record(np.random.default_rng([seed, 1])) for seed in range(BOUNDS))
     bound = np.sqrt(np.mean([np.diag(scenario.bound(run)) for run in records], axis=0))
@@ -100,23 +104,53 @@ def line(found: dict[str, Any]) -> str:
     )
 
 
+def record(results: list[dict[str, Any]]) -> None:
+    """Put the figures into the table of the documentation; a scenario without a row there has none to put."""
+    rows = {figure["scenario"]: figure["row"] for figure in measured.load("intervals")[1]}
+    for found in results:
+        row = rows.get(found["scenario"])
+        if row is None:
+            sys.stdout.write(f"{found['scenario']} has no row in docs/measured/intervals.json\n")
+            continue
+        cover, ratio = 100.0 * np.array(found["coverage"]), np.array(found["variance_over_bound"])
+        values = {
+            "tests": found["tests"],
+            "coverage": (round(cover.min(), 1), round(cover.max(), 1)),
+            "largest bias / sigma": round(float(np.abs(found["bias_over_sigma"]).max()), 3),
+            "variance / bound": (round(ratio.min(), 2), round(ratio.max(), 2)),
+            "NEES": round(found["nees"], 3),
+            "NEES expected": round(found["nees_expected"], 3),
+        }
+        known = {figure["name"] for figure in measured.load("intervals")[1]}
+        new = {f"{row}: {column}": value for column, value in values.items() if f"{row}: {column}" in known}
+        command = (
+            f"python -m tests.calibration.coverage --scenario {found['scenario']} --tests {found['tests']}"
+        )
+        measured.record("intervals", new, command=command)
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenario", default="all", help=f"all or one of: {', '.join(SCENARIOS)}")
+    parser.add_argument("--scenario", default="all", help=f"all or one of: {', '.join(CASES)}")
     parser.add_argument("--tests", type=int, default=1000)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=None, help="JSON file, one object per scenario")
+    parser.add_argument(
+        "--record", action="store_true", help="put the figures into docs/measured/intervals.json"
+    )
     chosen = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     results = []
     sys.stdout.write(f"{HEAD}\n")
-    for name in SCENARIOS if chosen.scenario == "all" else chosen.scenario.split(","):
+    for name in CASES if chosen.scenario == "all" else chosen.scenario.split(","):
         began = time.perf_counter()
         found = figures(name, *run_tests(name, chosen.tests, chosen.processes))
         results.append(found | {"seconds": round(time.perf_counter() - began, 1)})
         sys.stdout.write(f"{line(found)}\n")
         sys.stdout.flush()
+    if chosen.record:
+        record(results)
     if chosen.out is not None:
         chosen.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 

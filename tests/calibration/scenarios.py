@@ -8,7 +8,7 @@ counting of the reading. The gimbal starts anywhere in every segment.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -309,3 +309,9 @@ SCENARIOS: dict[str, Scenario | Joint] = {
         ),
     )
 }  # fmt: skip
+
+FAINT: dict[str, Scenario | Joint] = {
+    f"faint-{walk:g}": replace(SCENARIOS["white"], name=f"faint-{walk:g}", walk=walk)
+    for walk in (5e-7, 1e-6, 2e-6, 4e-6)
+}
+"""White noise beside a random walk that hardly shows: for campaigns only."""

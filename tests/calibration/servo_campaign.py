@@ -1,6 +1,6 @@
 """Do the intervals of K hold where the servo is not stiff? Many twin records of a dividing head.
 
-Run as ``python -m tests.calibration.servo_campaign --tests 1000 --out FILE``: a row of Markdown for the model with the
+Run as ``python -m tests.calibration.servo_campaign --tests 1000 --out FILE [--record]``: a row of Markdown for the model with the
 servo's terms and one for the model without. Every record has a servo, a coupling, a bias and starting angles of its
 own; the motion of ``DESIGNS`` records is integrated by the twin (equal to SciPy's rigid body:
 ``test_servo.py``) and used again with new noise. The noise is that of the shipped record: 5.2 arcsec white (a count
@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from benchmarks import measured
 
 import piga
 from piga.instrument.twin.linear import servo_terms
@@ -125,12 +126,43 @@ def figures(results: list[dict[str, tuple[float, float, float]]]) -> dict[str, d
     return table
 
 
+def put_down(tables: dict[str, dict[str, dict[str, float]]], tests: int) -> None:
+    """Put coverage, and the errors of K, into the table of the documentation."""
+    own = {
+        "scale_factor": "K",
+        "tan_beta": "tan_beta",
+        "phi": "phi",
+        "servo": "servo terms",
+        "servo_damping": "servo terms",
+    }
+    rows = {"with": "with `servo`, `servo_damping`", "without": "with neither"}
+    for name, table in tables.items():
+        k = table["scale_factor"]
+        held: dict[str, list[float]] = {}
+        for coefficient, found in table.items():
+            held.setdefault(own.get(coefficient, "other coefficients"), []).append(
+                round(100.0 * found["coverage"], 1)
+            )
+        ppm = 1e6 / 0.85  # K was drawn from 0.8 to 0.9 rad/s/g
+        values: dict[str, measured.Value] = {
+            "records": tests,
+            "coverage of K": held.pop("K")[0],
+            "rms error of K": float(f"{ppm * k['rms_error']:.2g}"),
+            "mean u of K": float(f"{ppm * k['mean_u']:.2g}"),
+        }
+        values |= {kind: (min(shares), max(shares)) for kind, shares in held.items()}
+        known = {figure["name"] for figure in measured.load("servo-intervals")[1]}
+        kept = {f"{rows[name]}: {column}": value for column, value in values.items()}
+        measured.record("servo-intervals", {figure: value for figure, value in kept.items() if figure in known})
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tests", type=int, default=1000)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--terms", choices=("with", "without", "both"), default="both")
+    parser.add_argument("--record", action="store_true", help="put the figures into docs/measured")
     chosen = parser.parse_args()
     models = {"with": WITH, "without": WITHOUT}
     kept = models if chosen.terms == "both" else {chosen.terms: models[chosen.terms]}
@@ -144,6 +176,8 @@ def main() -> None:
             said = ", ".join(f"{name}: {100 * f['scale_factor']['coverage']:.1f} %" for name, f in done.items())
             sys.stdout.write(f"{seed + 1}  coverage of K {said}\n")
             sys.stdout.flush()
+    if chosen.record:
+        put_down({name: figures(found) for name, found in rows.items()}, chosen.tests)
 
 
 if __name__ == "__main__":

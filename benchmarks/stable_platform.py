@@ -1,6 +1,6 @@
 """Speed of the platform chain against named baselines, in one run.
 
-Run: python benchmarks/platform.py [--json]
+Run: python benchmarks/stable_platform.py [--json] [--record]; ``--record`` puts the figures into docs/measured/platform.json.
 
 Baselines: a plain J2 leapfrog in inertial axes (compiled here, nothing but the motion), and pyins
 (PyPI ``python-ins``), a strapdown navigator: its job is harder (attitude from gyro increments with coning,
@@ -20,6 +20,7 @@ from collections.abc import Callable
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
+import measured
 import numba
 import numpy as np
 
@@ -165,6 +166,9 @@ def main() -> None:
         "ten days at 1 Hz, whole chain, four models [s]": whole_chain(),
         "ten days at 100 Hz, navigation with model B [s]": hundred_hertz(10),
     }
+    if "--record" in sys.argv:
+        values = {name.rpartition(" [")[0]: value for name, value in rows.items() if value is not None}
+        measured.record("platform", {name: float(f"{value:.3g}") for name, value in values.items()})
     if "--json" in sys.argv:
         print(json.dumps(rows, indent=1))
         return
