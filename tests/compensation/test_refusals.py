@@ -15,7 +15,7 @@ import pytest
 
 import piga
 from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_triad
-from piga.compensation.files.live import Bounded, compensate_arrow, compensate_lines, unpacked_size
+from piga.compensation.files.live import Bounded, _field, compensate_arrow, compensate_lines, unpacked_size
 from piga.compensation.flags import MEANING, describe
 from piga.compensation.sets.published_set import PublishedSet
 from piga.compensation.sets.triad_file import read_triad
@@ -426,6 +426,52 @@ def test_cut_and_damaged_arrow_streams(compression: str | None) -> None:
                 compensate_arrow(io.BytesIO(case), io.BytesIO(), piga.Compensator(cal))
         except piga.DataError as error:
             assert str(error).startswith("standard input: ")  # noqa: PT017 - either outcome is right
+
+
+@pytest.mark.parametrize("kind", [0, 2, 3, 4, 5, 6, 255])
+def test_only_a_schema_is_read_as_a_schema(kind: int) -> None:
+    """The type of the first message is damaged: PyArrow reads its content as a schema all the same, and crashes."""
+    sent = bytearray(packed_stream(4))
+    message = pa.ipc.MessageReader.open_stream(bytes(sent)).read_next_message()
+    metadata = bytes(message.metadata)
+    at = _field(metadata, int.from_bytes(metadata[:4], "little"), 1)
+    start = sent.index(metadata)
+    assert sent[start + at] == 1
+    sent[start + at] = kind
+    with pytest.raises(piga.DataError, match="no Arrow stream"):
+        compensate_arrow(io.BytesIO(sent), io.BytesIO(), piga.Compensator(calibration_of(CAL)))
+
+
+TIMES = {
+    "repeat": [0.0, 0.01, 0.02, 0.02, 0.03],
+    "go back": [0.0, 0.01, 0.02, 0.01, 0.02],
+    "leave a gap": [0.0, 0.01, 0.02, 5.0, 5.01],
+    "go back from the start": [0.0, -1.0, -2.0, -3.0, -4.0],
+}
+
+
+@pytest.mark.parametrize("kind", list(TIMES))
+@pytest.mark.parametrize("rows", [1, 2, 5])
+def test_both_doors_begin_a_stretch_at_the_same_rows(kind: str, rows: int) -> None:
+    """Times that repeat, go back or leave a gap: no increment into that row (flag 1, dv 0, ax nan), through either door."""
+    t = TIMES[kind]
+    columns = {"t": t, "output": [0.1 * i for i in range(5)], "fx": [9.8] * 5, "fy": [1.0] * 5, "fz": [0.0] * 5}
+    table, sent, got, said = pa.table(columns), io.BytesIO(), io.BytesIO(), io.StringIO()
+    with pa.ipc.new_stream(sent, table.schema) as writer:
+        writer.write_table(table, rows)
+    sent.seek(0)
+    compensate_arrow(sent, got, piga.Compensator(calibration_of(CAL)))
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in zip(*columns.values(), strict=True)), ""]
+    compensate_lines(io.StringIO("\n".join(lines)), said, piga.Compensator(calibration_of(CAL)))
+    batches = pa.ipc.open_stream(got.getvalue()).read_all()
+    told = np.array([line.split(",") for line in said.getvalue().split()[1:]], float)
+    for number, name in enumerate(said.getvalue().split()[0].split(",")):
+        np.testing.assert_array_equal(batches.column(name).to_numpy(), told[:, number], err_msg=name)
+    begins = np.diff(t, prepend=-1.0)
+    begins = (begins <= 0.0) | (begins > 0.015)
+    np.testing.assert_array_equal(batches.column("flags").to_numpy(), begins.astype(int))
+    assert not batches.column("dv").to_numpy()[begins].any()
+    assert np.isnan(batches.column("ax").to_numpy()[begins]).all()
 
 
 def packed_stream(rows: int, compression: str | None = "zstd") -> bytes:

@@ -329,6 +329,9 @@ def test_a_chain_forged_from_end_to_end(
         assert store.head().number == 0
 
 
+MANIFEST = b'{"schema": "piga.export/1", "software": "piga 0", "records": 0, %b"links": %d, "head": ""}'
+
+
 def test_one_file_of_two_sizes(sound: Path) -> None:
     def change(number: int, document: dict[str, Any]) -> None:
         first = {"role": "run", "name": "run.toml", "sha256": "0" * 64, "size": number}
@@ -345,11 +348,17 @@ def test_one_file_of_two_sizes(sound: Path) -> None:
     [
         ({"notes.txt": b"hello"}, r"member 'notes\.txt' does not belong into an export"),
         ({"files/" + 64 * "0": bytes(3 << 20)}, "is larger than an export may hold"),
-        ({"manifest.json": b"{"}, r"manifest\.json is no JSON"),
-        ({"manifest.json": b"[" * 100_000}, r"manifest\.json is no JSON"),
+        ({"manifest.json": b"{"}, r"manifest\.json: "),
+        ({"manifest.json": b'{"schema": ' + b"[" * 100_000}, r"manifest\.json: nested too deeply"),
         ({"manifest.json": b'{"schema": "piga.export/2"}'}, "export of schema 'piga.export/2'"),
-        ({"manifest.json": b"[]"}, "export of schema 'None'"),
-        ({"manifest.json": b'{"schema": "piga.export/1", "links": 3}'}, "does not fit its members"),
+        ({"manifest.json": b"[]"}, r"manifest\.json: Expected `object`"),
+        (
+            {"manifest.json": b'{"schema": "piga.export/1", "links": 3}'},
+            r"manifest\.json: .* missing required field",
+        ),
+        ({"manifest.json": MANIFEST % (b"", 4)}, "does not fit its members"),
+        ({"manifest.json": MANIFEST % (b'"links": 9, ', 4)}, r"the key 'links' is there twice"),
+        ({"manifest.json": MANIFEST % (b'"other": 9, ', 4)}, r"unknown field `other`"),
         ({"SHA256SUMS-as-is": b"none\n"}, "SHA256SUMS does not fit its members"),
         ({"manifest.json": None}, r"member 'manifest\.json' is missing"),
     ],

@@ -138,6 +138,8 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
         first = _message(reader)
         if first is None:
             raise EOFError("it is empty")
+        if first.type != "schema":  # the library reads whatever lies there as a schema
+            raise ValueError(f"a message of type '{first.type}' in the place of the schema")
         schema = pa.ipc.read_schema(first)
         _check_names(schema.names)
         for field in schema:

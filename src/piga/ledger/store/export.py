@@ -16,7 +16,9 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self
+
+import msgspec
 
 from piga._version import __version__
 from piga.errors import StoreError
@@ -24,6 +26,7 @@ from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, dec
 from piga.ledger.store.rows import read_blob, read_entries, read_identity, stored_sizes
 from piga.ledger.store.store import Store
 from piga.records.limits import open_regular
+from piga.records.text_files import JsonError, decode_json, schema_of
 
 SCHEMA = "piga.export/1"
 SEAL = b"piga.export sha256:"
@@ -37,6 +40,18 @@ MAX_RATIO = 200
 _MEMBER = re.compile(
     r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
 )
+
+
+class _Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``manifest.json``: what made the export, how many records and links it has, and the SHA-256 of the last link."""
+
+    schema: str
+    software: str
+    records: int
+    links: int
+    head: str
+
+
 _README = """\
 This is an export of calibration records by piga. It can be checked with unzip and sha256sum alone.
 
@@ -81,14 +96,10 @@ def write_members(
                 size, packed = sizes.get(name, (0, 0))
                 sums.file(f"files/{name}", size, packed, read_blob(connection, name))
                 advance(1, len(wanted))
-        manifest = {
-            "schema": SCHEMA,
-            "software": f"piga {__version__}",
-            "records": number if numbers is None else len(numbers),
-            "links": number,
-            "head": head,
-        }
-        sums.text("manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
+        records = number if numbers is None else len(numbers)
+        manifest = _Manifest(SCHEMA, f"piga {__version__}", records, number, head)
+        text = json.dumps(msgspec.structs.asdict(manifest), indent=1, sort_keys=True)
+        sums.text("manifest.json", text.encode())
         sums.text("SHA256SUMS", _listing(sums.digests))
         target.comment = SEAL + b"0" * 64
     _seal(path)
@@ -260,18 +271,22 @@ class Export:
         }
         if _listing(digests) != self._text("SHA256SUMS"):
             raise self._damaged("SHA256SUMS does not fit its members")
+        raw = self._text("manifest.json")
         try:
-            manifest: Any = json.loads(self._text("manifest.json"))
-        except (ValueError, RecursionError):
-            raise self._damaged("manifest.json is no JSON") from None
-        found = manifest.get("schema") if isinstance(manifest, dict) else None
-        if found != SCHEMA:
-            raise StoreError(
-                f"{self.name}: export of schema '{found}'", remedy="a newer one needs a newer piga"
-            )
+            schema = schema_of(raw)
+            if schema != SCHEMA:
+                raise StoreError(
+                    f"{self.name}: export of schema '{str(schema)[:80]}'",
+                    remedy="a newer one needs a newer piga",
+                )
+            manifest = decode_json(raw, _Manifest)
+        except JsonError as error:
+            raise self._damaged(f"manifest.json: {str(error)[:200]}") from None
         links = [name for name in self.members if name.startswith("links/")]
         last = f"links/{len(links):08d}.json" if links else "store.json"
-        if (manifest.get("links"), manifest.get("head")) != (len(links), digests.get(last)):
+        records = sum(name.startswith("records/") for name in self.members)
+        there = _Manifest(SCHEMA, manifest.software, records, len(links), digests.get(last, ""))
+        if manifest != there:
             raise self._damaged("manifest.json does not fit its members")
 
     def _member(self, name: str) -> zipfile.ZipInfo:
