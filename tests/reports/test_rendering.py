@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError, PigaError
-from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.figure import LIGHT, Axis, Figure, Panel, Series
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import FigureBlock, Page, Section, json_island, page_html
-from piga.reports.render.palette import LIGHT
 from piga.reports.render.scene import POINT, figure_scene, series_key
 from piga.reports.render.static import figure_svg, write_figure
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.palette import css_names
+from piga.reports.render.figure import Axis, Figure, Panel, Series, css_names
 from piga.reports.render.scene import figure_scene, series_key, text_width
 from piga.reports.render.static import figure_svg, write_figure
 

@@ -102,7 +102,7 @@ def compensate(
     if several:
         summary = _together(run, sources, calibrations, out, options, page)
     else:
-        summary = _single(run[0], _one(calibrations), sources, out, options, rest, resume, page, force)
+        summary = _single(run[0], _one(calibrations), sources, _Target(out, page, resume, force), options, rest)
     if json:
         print_json({"file": str(out)} | summary | {"calibrations": _verdicts(calibrations)})
         return
@@ -217,20 +217,28 @@ class _Options:
         }
 
 
+@dataclass(frozen=True)
+class _Target:
+    """Where the result and the page go; ``resume`` from whole parts, unless ``restart``: then parts of another run go."""
+
+    out: Path
+    page: Path | None
+    resume: bool
+    restart: bool
+
+
 def _single(
     run: Path,
     calibration: Calibration,
     sources: list[tuple[str, str]],
-    out: Path,
+    target: _Target,
     options: _Options,
     rest: float | None,
-    resume: bool,
-    page: Path | None,
-    restart: bool,
 ) -> dict[str, Any]:
-    """One recorded run, of any length; with ``restart`` parts of another one go.
+    """One recorded run, of any length.
 
-    ``sources`` are the file of the calibration, and the SHA-256 of what was read.
+    ``sources`` are the file of the calibration, and the SHA-256 of what was read; ``rest`` [s] is the first time at
+    rest, from which the phase is taken.
     """
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensate import compensate
@@ -247,7 +255,7 @@ def _single(
     from piga.stand import read_run
 
     _spare_memory()
-    kind = format_of(out)
+    kind = format_of(target.out)
     with progress("reading"):
         record = read_run(run, held=HELD_ROWS)
     give_back()
@@ -255,16 +263,16 @@ def _single(
     options = _with_phase(options, None if rest is None else identify_phase(record, calibration, rest))
     resampler = None if options.period is None else Resampler(options.period)
     report, watch = None, None
-    if page is not None:
-        report = _Report(page, record.kind, calibration, inputs)
+    if target.page is not None:
+        report = _Report(target.page, record.kind, calibration, inputs)
         watch = report.outline.piece
         if record.size <= HELD_ROWS:
             report.take(record, compensate(record, calibration, **options.arguments()))
             watch = None
     summary, parts = FileSummary(), None
-    if resume:
+    if target.resume:
         age = age_flag(calibration, options.max_age)
-        parts = Parts(out, key_of((*astuple(options), kind, age), calibration, record), restart)
+        parts = Parts(target.out, key_of((*astuple(options), kind, age), calibration, record), target.restart)
 
     def write(path: Path) -> None:
         nonlocal summary
@@ -275,7 +283,7 @@ def _single(
             )  # fmt: skip
 
     try:
-        write_by_rename(out, write)
+        write_by_rename(target.out, write)
         if parts is not None:
             parts.remove()
     finally:

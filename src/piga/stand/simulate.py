@@ -173,7 +173,18 @@ def simulate_test(
         alpha, rate = _quasi_steady(specimen, electronics, profile, kelvin, grid, streams)
     log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
     return SimulatedTest(
-        model, specimen, electronics, imperfections, stand, seed, profile, alpha, rate, motion, phases, log
+        model=model,
+        specimen=specimen,
+        electronics=electronics,
+        imperfections=imperfections,
+        stand=stand,
+        seed=seed,
+        profile=profile,
+        alpha=alpha,
+        rate=rate,
+        motion=motion,
+        phases=phases,
+        log=log,
     )
 
 

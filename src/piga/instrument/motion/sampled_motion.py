@@ -93,7 +93,17 @@ def sampled_input(
     if times.size == 1:
         for name, array in (("t", times), ("f", force), ("base_rate", omega)):
             require_finite(name, array)
-    return Samples(times, force, omega, extra, extra_mean, inst.scale_factor, inst.tan_beta, offset_y, offset_z)
+    return Samples(
+        t=times,
+        f=force,
+        base_rate=omega,
+        extra=extra,
+        extra_mean=extra_mean,
+        K=inst.scale_factor,
+        tan_beta=inst.tan_beta,
+        offset_y=offset_y,
+        offset_z=offset_z,
+    )
 
 
 def initial_state(alpha0: float) -> Array:

@@ -215,4 +215,15 @@ def _motion(p: TwinParameters, t: Array, x: Array, noise: Array, error: float, s
     locked = (np.abs(signal) <= p.pick_off_range) & (np.abs(asked) <= p.torque_limit)
     torque = np.clip(asked, -p.torque_limit, p.torque_limit)
     alpha, beta, rate, tilt_rate, integral = (np.ascontiguousarray(column) for column in x.T)
-    return TwinMotion(t, alpha, beta, rate, tilt_rate, integral, torque, locked, error, steps)
+    return TwinMotion(
+        t=t,
+        alpha=alpha,
+        beta=beta,
+        rate=rate,
+        tilt_rate=tilt_rate,
+        integral=integral,
+        torque=torque,
+        locked=locked,
+        local_error=error,
+        steps=steps,
+    )

@@ -204,13 +204,13 @@ def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
     width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
     slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
     return Passage(
-        instrument,
-        times[1:],
-        0.5 * (along[1:] + along[:-1]),
-        read["raw"],
-        read["triad"],
-        width,
-        inside[part][1:, instrument],
-        1.0 / (sensors.scale_factor * width),
-        passage_velocity(width, sensors.scale_factor, slope),
+        instrument=instrument,
+        times=times[1:],
+        true=0.5 * (along[1:] + along[:-1]),
+        raw=read["raw"],
+        triad=read["triad"],
+        half_width=width,
+        locked=inside[part][1:, instrument],
+        lock_time=1.0 / (sensors.scale_factor * width),
+        velocity_error=passage_velocity(width, sensors.scale_factor, slope),
     )

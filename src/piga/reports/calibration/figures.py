@@ -13,9 +13,8 @@ from piga.calibration.allan import allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
 from piga.reports.calibration.tables import residual_quantity
-from piga.reports.render.decimate import POINTS, envelope_rows
+from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.render.long_record import leading_part, outline
 from piga.reports.render.numbers import pretty_unit
 from piga.reports.render.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
 from piga.units import ARCSEC, G0, MICRO_G, conversion_factor

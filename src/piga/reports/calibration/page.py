@@ -36,8 +36,8 @@ from piga.reports.calibration.tables import (
     sensitivity_tables,
     sentence,
 )
+from piga.reports.render.decimate import outline
 from piga.reports.render.figure import Figure
-from piga.reports.render.long_record import outline
 from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
 from piga.reports.render.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
 from piga.units import ARCSEC, G0

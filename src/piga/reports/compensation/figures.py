@@ -16,9 +16,8 @@ from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.records.spool import BLOCK, spans, trim
 from piga.reports.compensation.outline import AXES, CORRECTION, FORCE, RAW, CompensationOutline, SetOutline
-from piga.reports.render.decimate import POINTS, envelope_rows
+from piga.reports.render.decimate import POINTS, envelope_rows, leading_part
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.render.long_record import leading_part
 from piga.reports.render.orders import TURNS_NEEDED, order_grid, order_spectrum, segment_slices
 from piga.units import G0, MICRO_G
 

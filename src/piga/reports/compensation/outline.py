@@ -22,7 +22,7 @@ from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
 from piga.records.terms import si_factor
-from piga.reports.render.long_record import SHOWN
+from piga.reports.render.decimate import SHOWN
 
 Array = NDArray[np.float64]
 

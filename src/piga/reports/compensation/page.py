@@ -27,8 +27,8 @@ from piga.reports.compensation.figures import (
     set_orders_figure,
 )
 from piga.reports.compensation.outline import AXES, CORRECTION, CompensationOutline, SetOutline
+from piga.reports.render.decimate import SHOWN
 from piga.reports.render.figure import Figure
-from piga.reports.render.long_record import SHOWN
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
     Block,

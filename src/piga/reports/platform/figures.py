@@ -248,7 +248,6 @@ def histories_figure(comparison: Comparison) -> Figure:
         "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
         "errors are far larger and would hide these.",
         0.0,
-        ("A", "B", "C"),
     )
 
 
@@ -266,8 +265,11 @@ def published_figure(comparison: Comparison) -> Figure:
         "The last forty minutes",
         "Means taken out. The period is that of the case rotation.",
         float(times[-1]),
-        ("A", "B", "C"),
     )
+
+
+_CORRECTED: Sequence[str] = ("A", "B", "C")
+"""Models shown together: without a model the errors are far larger."""
 
 
 def _channels(
@@ -279,9 +281,8 @@ def _channels(
     title: str,
     caption: str,
     origin: float,
-    only: Sequence[str] = ("none", "A", "B", "C"),
 ) -> Figure:
-    shown = {m: r for m, r in comparison.models.items() if m in only} or dict(comparison.models)
+    shown = {m: r for m, r in comparison.models.items() if m in _CORRECTED} or dict(comparison.models)
     over = _quiet(comparison)
     if over > 1:
         caption += " Heading and roll are means over half a minute, freed of most of the gimbal noise."

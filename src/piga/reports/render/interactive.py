@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga.reports.render.decimate import envelope_rows
-from piga.reports.render.figure import Axis, Figure, Panel, Series
-from piga.reports.render.palette import GRID, INK, LIGHT, SOFT
+from piga.reports.render.figure import GRID, INK, LIGHT, SOFT, Axis, Figure, Panel, Series
 from piga.reports.render.scene import rows_and_columns, series_key, shares_x
 
 _PIXELS_PER_INCH = 96

@@ -189,8 +189,8 @@ class Page:
 
 def page_html(page: Page) -> str:
     """The page as HTML text: the same page always gives the same bytes."""
+    from piga.reports.render.figure import css_names, css_variables
     from piga.reports.render.interactive import figure_spec
-    from piga.reports.render.palette import css_names, css_variables
     from piga.reports.render.static import figure_svg
 
     figures = page.figures()

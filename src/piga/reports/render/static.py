@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from piga.errors import ArgumentError, PigaError
-from piga.reports.render.figure import Figure
-from piga.reports.render.palette import css_variable, light_colour
+from piga.reports.render.figure import Figure, css_variable, light_colour
 from piga.reports.render.scene import POINT, Box, Group, Scene, Shape, Words, figure_scene
 
 if TYPE_CHECKING:
