@@ -49,9 +49,9 @@ MOTION = [
 ]
 SAMPLES = [
     *MOTION,
-    *tests_of("instrument", "sensitivity", "step_sizes", "short_records", "input_forms", "propagate"),
+    *tests_of("instrument", "sensitivity", "step_sizes", "short_records", "input_forms", "sampled_motion"),
 ]
-ANALYSIS = [*tests_of("instrument", "motion_analysis", "closed_form", "borders"), *EQUATIONS]
+ANALYSIS = [*tests_of("instrument", "regimes", "closed_form", "borders"), *EQUATIONS]
 TWIN = tests_of("instrument", "twin_linear", "twin", "borders")
 SUMS = [*tests_of("calibration", "kernels", "reduction"), *EQUATIONS, *tests_of("calibration", "interpreted")]
 FIT = tests_of("calibration", "interpreted", "small_parts", "calibrate", "small_requests", "model_choice")
@@ -79,9 +79,9 @@ COMPENSATED = tests_of(
 SETS = tests_of("compensation", "triad", "set_corners", "published_case", "large_record")
 PHASES = tests_of("compensation", "phase_and_resample")
 GEOMETRY = tests_of("platform", "geometry", "simulate")
-PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigation")]
-ERRORS = tests_of("platform", "error_model", "navigation", "models")
-IDENTIFIED = tests_of("platform", "identification", "alignment", "intervals")
+PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
+ERRORS = tests_of("platform", "error_model", "navigator", "models")
+IDENTIFIED = tests_of("platform", "identify", "alignment", "intervals")
 TRIADS = tests_of("platform", "triad", "simulate")
 GROUND = ["tests/foundations"]
 CALIBRATION = {

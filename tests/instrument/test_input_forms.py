@@ -18,7 +18,7 @@ from piga.instrument import (
 from piga.units import G0
 
 from .references import constant_cases
-from .test_propagate import dop853, refined
+from .test_sampled_motion import dop853, refined
 
 pytestmark = pytest.mark.compiled
 
