@@ -98,13 +98,9 @@ def test_doubts_are_said_when_there_are_and_only_then() -> None:
     assert "tan_beta is not well above" in notes([coefficient("tan_beta", 3.9e-6, 1e-6)])
     assert "scatter 2.1 times" in notes(sure, scatter=SegmentScatter(2.1, 1e-6))
     assert "scatter" not in notes(sure, scatter=SegmentScatter(1.9, 1e-6))
-    drift = {
-        "segment_scatter_ratio": 1.0,
-        "segment_scatter_ratio_without_it": 3.1,
-        "segment_scatter_g": 1e-6,
-    }
+    drift = SegmentScatter(1.0, 1e-6, 3.1)
     assert "scatter 3.1 times more than the noise of the angle" in notes(sure, scatter=drift)
-    assert "scatter" not in notes(sure, scatter=drift | {"segment_scatter_ratio_without_it": 1.9})
+    assert "scatter" not in notes(sure, scatter=SegmentScatter(1.0, 1e-6, 1.9))
     loose = [*sure, coefficient("phi", 0.1, 0.6, "rad", "7"), coefficient("phi", 0.1, 0.01, "rad", "8")]
     assert "phi is not determined in segment 7:" in notes(loose)
     assert remarks_in_words(tuple(loose), "per-segment") == ()
