@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.cleaning import Stretch
+from piga.calibration.fit.cleaning import JumpStretch
 from tests.calibration.independent import Bench, head
 
 TERMS = ("scale_factor", "tan_beta", "k0")
@@ -114,9 +114,9 @@ def test_every_end_count_and_offset(bench):
 
 def test_choices_of_a_stretch():
     """Few readings at an end are wrong, half a stretch has slipped, until phases say otherwise."""
-    few = Stretch((0, 3, 100), (0.0, 0.3), (3, 97), anew=False)
-    half = Stretch((0, 50, 100), (0.0, 0.3), (50, 50), anew=False)
-    ends = Stretch((0, 5, 95, 100), (0.0, 0.3, -0.1), (5, 90, 5), anew=False)
+    few = JumpStretch((0, 3, 100), (0.0, 0.3), (3, 97), anew=False)
+    half = JumpStretch((0, 50, 100), (0.0, 0.3), (50, 50), anew=False)
+    ends = JumpStretch((0, 5, 95, 100), (0.0, 0.3, -0.1), (5, 90, 5), anew=False)
     assert min(few.choices(first=False), key=few.cost) == (1, 1)
     assert min(half.choices(first=False), key=half.cost) == (0, 1)
     assert min(ends.choices(first=False), key=ends.cost) == (1, 1)

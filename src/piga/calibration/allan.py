@@ -89,9 +89,9 @@ def allan_deviation(
     longest = max((x.size for x in stretches), default=0)
     every = max(angle.size // DIFFERENCES, 1)
     rows = [
-        (m * step, *found)
+        (m * step, *pooled)
         for m in _multiples(longest)
-        if (found := _pooled(stretches, m, every, _walking(m * step, white, walk)))[1] >= FEWEST_DEGREES
+        if (pooled := _pooled(stretches, m, every, _walking(m * step, white, walk)))[1] >= FEWEST_DEGREES
     ]
     table = np.array(rows).reshape(-1, 4)
     tau, degrees = table[:, 0], table[:, 2]
@@ -134,16 +134,16 @@ def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[
     if steps.size == 0:
         return [], 1.0
     step = float(np.median(steps))
-    found = []
+    stretches = []
     for left, right in zip(starts, np.append(starts[1:], t.size), strict=True):
         time = t[left:right] - t[left]
         even: Array = step * np.arange(time.size, dtype=float)
         if np.abs(time - even).max() > UNEVEN * step:
             even = step * np.arange(int(time[-1] / step + UNEVEN) + 1, dtype=float)
-            found.append(np.interp(even, time, angle[left:right]))
+            stretches.append(np.interp(even, time, angle[left:right]))
         else:
-            found.append(angle[left:right])
-    return found, step
+            stretches.append(angle[left:right])
+    return stretches, step
 
 
 def _multiples(longest: int) -> list[int]:

@@ -168,7 +168,7 @@ def _calibration(
         history = _history(fit) if request.method == "recursive" else None
         scatter = segment_scatter(fit.design, residuals, fit.noise)
         notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
-        result = _assemble(run, request, fit, coefficients, covariance, budget.rows, residuals, notes, history)
+        result = _assemble(run, fit, coefficients, covariance, budget.rows, residuals, notes, history)
     warm = in_step(without_slow(fit), coefficients)
     result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phase)))
     result = with_remarks(result, fit, remarks.result(), doubts)
@@ -217,7 +217,6 @@ def _history(fit: Fit) -> dict[str, Array]:
 
 def _assemble(
     run: Run,
-    request: Request,
     fit: Fit,
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
@@ -226,6 +225,7 @@ def _assemble(
     notes: tuple[str, ...],
     history: dict[str, Array] | None,
 ) -> Calibration:
+    request = fit.design.request
     rows, figures = fit.design.rows, residual_figures(residuals)
     plain = Diagnostics(residual_kind="rate" if run.kind == "rate" else "angle", range=validity_ranges(run))
     return Calibration(
@@ -281,13 +281,15 @@ def _joint_calibration(
             remedy="leave method and phase_source out, or calibrate the runs one by one",
         )
     fit = fit_jointly(items, terms, phase, per_run)
-    found = list(joint_contributions(fit))
-    changes = tuple(change for _, change in found)
-    type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in found)).covariances(fit.covariance)
+    changes_by_source = list(joint_contributions(fit))
+    changes = tuple(change for _, change in changes_by_source)
+    type_a, whole = Budget((), changes, tuple(s.in_fit for s, _ in changes_by_source)).covariances(
+        fit.covariance
+    )
     degrees = joint_degrees(fit) * share_of_type_a(type_a, fit.covariance)
     doubts = left_out_of_runs(fit)
     rows = (
-        *budget_rows(fit.coefficients, type_a, found),
+        *budget_rows(fit.coefficients, type_a, changes_by_source),
         *(doubt.row(fit.coefficients) for doubt in doubts),
     )
     whole = whole + sum((doubt.covariance for doubt in doubts), start=np.zeros_like(whole))
@@ -309,9 +311,13 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
     coefficients, covariance, note = name_revolutions(fit, request)
     keys = [coefficient.key for coefficient in coefficients]
     base = np.array([coefficient.value for coefficient in coefficients])
-    found = list(contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys)))
-    budget = budget_rows(coefficients, covariance, found)
-    covariance = covariance + sum((change.T @ change for _, change in found), start=np.zeros_like(covariance))
+    changes_by_source = list(
+        contributions(cleaned[0], base, lambda moved: estimate_again(moved, request, keys))
+    )
+    budget = budget_rows(coefficients, covariance, changes_by_source)
+    covariance = covariance + sum(
+        (change.T @ change for _, change in changes_by_source), start=np.zeros_like(covariance)
+    )
     coefficients = combined(coefficients, covariance, budget, revolutions_degrees(fit, request))
     notes = notes_in_words(coefficients, covariance, SegmentScatter())
     notes = (*notes, note) if note else notes
@@ -323,8 +329,8 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
 def _published_calibration(run: Run, request: Request) -> Calibration:
     """The published recursion in the same result; its residuals are those of its own solution."""
     run = replace(run, servo=())
-    found = run_published(run, request)
-    values, covariance = found.state.copy(), found.covariance
+    published = run_published(run, request)
+    values, covariance = published.state.copy(), published.covariance
     if values[0] < 0.0:
         values[0], values[1] = -values[0], values[1] + np.pi
         flip = np.ones(values.size)
@@ -333,30 +339,31 @@ def _published_calibration(run: Run, request: Request) -> Calibration:
     values[1] = np.pi - np.mod(np.pi - values[1], 2.0 * np.pi)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     coefficients = tuple(
-        Coefficient(n, float(v), float(s), unit_of(n)) for n, v, s in zip(found.names, values, std, strict=True)
+        Coefficient(n, float(v), float(s), unit_of(n))
+        for n, v, s in zip(published.names, values, std, strict=True)
     )
     linear_request = replace(request, phase="shared", phase_source="input")
     design = Design(run, linear_request, run.scale_factor)
-    linear = _linear_values(design, dict(zip(found.names, values, strict=True)))
+    linear = _linear_values(design, dict(zip(published.names, values, strict=True)))
     mode = weighting_mode(design, "rate")
     noise = noise_of(design, _fixed_solution(design, linear), mode)
     residuals = find_residuals(design, np.tile(linear, (len(run.labels), 1)), noise, mode)
     fit = Fit(
-        design,
-        mode,
-        noise,
-        [],
-        _fixed_solution(design, linear),
-        covariance,
-        Examination(float("nan"), ()),
-        np.zeros(0),
-        np.zeros(0),
+        design=design,
+        mode=mode,
+        noise=noise,
+        summaries=[],
+        solution=_fixed_solution(design, linear),
+        covariance=covariance,
+        examination=Examination(float("nan"), ()),
+        d=np.zeros(0),
+        h=np.zeros(0),
     )
-    history = {"sample": found.samples.astype(float)}
-    history |= {name: found.history[:, i] for i, name in enumerate(found.names)}
+    history = {"sample": published.samples.astype(float)}
+    history |= {name: published.history[:, i] for i, name in enumerate(published.names)}
     notes = ("the published recursion depends on its first guess and predicts the phase from the input",)
     std_budget = (budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std),)
-    return _assemble(run, linear_request, fit, coefficients, covariance, std_budget, residuals, notes, history)
+    return _assemble(run, fit, coefficients, covariance, std_budget, residuals, notes, history)
 
 
 def _linear_values(design: Design, named: dict[str, float]) -> Array:

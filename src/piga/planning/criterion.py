@@ -156,7 +156,7 @@ def _solve(matrices: Array, criterion: Criterion, start: Array) -> Array:
     def slope(weights: Array) -> Array:
         return -_derivatives(matrices, criterion, np.tensordot(weights, matrices, 1))
 
-    found = minimize(
+    optimum = minimize(
         value,
         start,
         jac=slope,
@@ -165,7 +165,7 @@ def _solve(matrices: Array, criterion: Criterion, start: Array) -> Array:
         constraints={"type": "eq", "fun": lambda w: w.sum() - 1.0, "jac": np.ones_like},
         options={"ftol": 1e-14, "maxiter": 300},
     )
-    weights = np.maximum(found.x, 0.0)
+    weights = np.maximum(optimum.x, 0.0)
     weights = weights / weights.sum()
     return weights if value(weights) <= value(start) else start
 

@@ -97,15 +97,15 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
     best = _largest(margins)
     axes = _axes(skews[best[0]], clocks[[best[1]]])
     return Mounting(
-        skews,
-        clocks,
-        margins,
-        inside,
-        table.margin,
-        t,
-        _ratios(u, axes, tangent)[:, 0],
-        _ratios(u, np.array([[1.0], [0.0], [0.0]]), tangent)[:, 0],
-        best,
+        skews=skews,
+        clocks=clocks,
+        margins=margins,
+        inside=inside,
+        limit=table.margin,
+        t=t,
+        margin_history=_ratios(u, axes, tangent)[:, 0],
+        unskewed_history=_ratios(u, np.array([[1.0], [0.0], [0.0]]), tangent)[:, 0],
+        best=best,
     )
 
 

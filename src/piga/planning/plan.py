@@ -171,31 +171,31 @@ def plan_test(request: PlanRequest) -> Plan:
     bound = float(criterion.values(mixture.information * (request.duration + request.move)))
     count = criterion.rows.shape[0] if criterion.power == 0.0 else 1
     return Plan(
-        request,
-        candidates,
-        usable,
-        excluded,
-        coefficient_names(request),
-        shares,
-        count * float(mixture.derivatives.max()),
-        math.exp(min(0.0, bound - value)),
-        best,
-        standard,
-        _stretched(search, criterion, begin, (request.duration, best, standard[-1])),
-        _cheapest(search, best) if request.wanted else None,
+        request=request,
+        candidates=candidates,
+        usable=usable,
+        excluded=excluded,
+        names=coefficient_names(request),
+        shares=shares,
+        largest_derivative=count * float(mixture.derivatives.max()),
+        efficiency=math.exp(min(0.0, bound - value)),
+        best=best,
+        standard=standard,
+        stretched=_stretched(search, criterion, begin, (request.duration, best, standard[-1])),
+        cheapest=_cheapest(search, best) if request.wanted else None,
     )
 
 
 def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[Excluded]:
     """Candidates in the lock zone or near it."""
     limit = request.settings.margin
-    found = []
+    excluded = []
     for candidate in candidates:
         if candidate.margin < limit:
             word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
             reason = f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)"
-            found.append(Excluded(candidate, reason))
-    return found
+            excluded.append(Excluded(candidate, reason))
+    return excluded
 
 
 def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest:
@@ -243,12 +243,12 @@ def _standard(
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
     else:
         places = [(f"{n} positions", _evenly(request, head, n)) for n in STANDARD]
-    found = []
+    plans = []
     for name, chosen in places:
         dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
-            found.append((name, tuple(Visit(c, dwell) for c in chosen)))
-    return found
+            plans.append((name, tuple(Visit(c, dwell) for c in chosen)))
+    return plans
 
 
 def _evenly(request: PlanRequest, head: DividingHeadTable, count: int) -> tuple[Candidate, ...]:
@@ -270,16 +270,16 @@ def _best(
     """The best test for the wanted duration; a standard plan that keeps the margin where none is better."""
     request = search.request
     visits = _search_visits(search, criterion, mixture, request.duration, standard)
-    found = predict(request, "planned", visits)
-    value = _value(search, criterion, found)
+    planned = predict(request, "planned", visits)
+    value = _value(search, criterion, planned)
     for prediction in standard:
         other = _value(search, criterion, prediction)
         safe = all(visit.candidate.margin >= request.settings.margin for visit in prediction.visits)
         if safe and other < value:
-            found, value = replace(prediction, name="planned"), other
+            planned, value = replace(prediction, name="planned"), other
     if not math.isfinite(value):
-        raise IdentifiabilityError(found.refusal, remedy="give the test more time, or leave a term out")
-    return found, value
+        raise IdentifiabilityError(planned.refusal, remedy="give the test more time, or leave a term out")
+    return planned, value
 
 
 def _value(search: _Search, criterion: Criterion, prediction: Prediction) -> float:
@@ -307,8 +307,8 @@ def _search_visits(
         if places:
             dwell = max(limits.shortest, int(prediction.visits[0].dwell / search.request.dwell_step))
             begun.append((np.array(places), np.full(len(places), dwell)))
-    found = min((improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value)
-    return _finished(search, found, duration)
+    best = min((improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value)
+    return _finished(search, best, duration)
 
 
 def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Visit, ...]:

@@ -57,8 +57,8 @@ class Prediction:
 
     def std(self, name: str) -> float:
         """Standard uncertainty of Type A of a coefficient; infinite where it is not determined."""
-        found = [c.std for c in self.coefficients if c.name == name and c.segment is None]
-        return found[0] if found else float("inf")
+        stds = [c.std for c in self.coefficients if c.name == name and c.segment is None]
+        return stds[0] if stds else float("inf")
 
     def combined(self, name: str) -> float:
         """Standard uncertainty of both types."""
@@ -108,8 +108,8 @@ def predict(
 
     def estimate(moved: Run) -> Array:
         again = settled_design(Design(moved, wish, run.scale_factor), mode, noise)
-        found = solve(again, reduce_segments(again, mode, noise))
-        named, _ = name_coefficients(again, found, found.covariance)
+        moved_solution = solve(again, reduce_segments(again, mode, noise))
+        named, _ = name_coefficients(again, moved_solution, moved_solution.covariance)
         values = np.array([c.value for c in named])
         turns = np.array([c.name == "phi" for c in named])
         return np.where(turns, base + np.angle(np.exp(1j * (values - base))), values)

@@ -163,8 +163,8 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
         For fewer than two records, several instruments, a record named twice, or a part outside 0 to 1.
     """
     entries = [
-        (name, time, found.figures() if isinstance(found, Calibration) else found)
-        for name, time, found in history
+        (name, time, calibration.figures() if isinstance(calibration, Calibration) else calibration)
+        for name, time, calibration in history
     ]
     _check(entries, common)
     entries.sort(key=lambda entry: (entry[1], entry[0]))
@@ -246,16 +246,16 @@ class _Records:
         half = self._own_half_widths(key, held, own)
         points = tuple(
             Point(
-                self.names[i],
-                float(self.years[i]),
-                int(self.days[i]),
-                c.value,
-                c.std,
-                float(own[i]),
-                c.coverage,
-                float(half[i]),
-                float(scores[i]),
-                forecasts[i],
+                record=self.names[i],
+                time=float(self.years[i]),
+                day=int(self.days[i]),
+                value=c.value,
+                std=c.std,
+                own=float(own[i]),
+                coverage=c.coverage,
+                own_half_width=float(half[i]),
+                score=float(scores[i]),
+                forecast=forecasts[i],
             )
             for i, c in enumerate(held)
         )
@@ -349,22 +349,22 @@ def alarms_in_words(
     trends: Sequence[CoefficientTrend], names: Sequence[str], times: Sequence[dt.datetime]
 ) -> tuple[str, ...]:
     """What is out of control: records beyond their forecast, and shifts that the moving average shows."""
-    found: list[str] = []
+    sentences: list[str] = []
     for trend in trends:
         for point, time in zip(trend.points, times, strict=True):
             if point.outside and point.forecast is not None:
-                found.append(
+                sentences.append(
                     _outside(trend, point.record, time, point.value, point.forecast.value, point.score)
                 )
         shifted = np.flatnonzero(trend.chart.shifted)
         if shifted.size:
             first = next(i for i, point in enumerate(trend.points) if point.day == shifted[0])
             side = "above" if trend.chart.average[shifted[0]] > 0.0 else "below"
-            found.append(
+            sentences.append(
                 f"{trend.key}: from {times[first]:%Y-%m-%d} (record {names[first]}) the values stay {side} what "
                 "earlier records let expect: the moving average of their deviations passed its control limit."
             )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def _outside(
@@ -386,16 +386,18 @@ def remarks_in_words(
     span: float,
 ) -> tuple[str, ...]:
     """What a reader must know to judge the figures."""
-    found = [*_drifts(trends), *_scatter(trends)]
+    sentences = [*_drifts(trends), *_scatter(trends)]
     count = int(days[-1]) + 1
     if count < 3:
-        found.append(
+        sentences.append(
             f"The records are of {count} day{'s' * (count > 1)}: drift and forecast need three days or more."
         )
     elif span < SHORT:
-        found.append(f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation.")
+        sentences.append(
+            f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
+        )
     if len({calibration.terms for calibration in calibrations}) > 1:
-        found.append(
+        sentences.append(
             "The records were calibrated with different terms: a coefficient may have taken over what another "
             "record left to a term of its own."
         )
@@ -403,35 +405,35 @@ def remarks_in_words(
         not any(is_of_reference(row.source) for row in calibration.type_b) for calibration in calibrations
     )
     if alone:
-        found.append(f"{alone} of {len(calibrations)} records: {TYPE_A_ONLY}.")
+        sentences.append(f"{alone} of {len(calibrations)} records: {TYPE_A_ONLY}.")
     without = sum(not calibration.has_budget for calibration in calibrations)
     if without:
-        found.append(
+        sentences.append(
             f"{without} of {len(calibrations)} records have no uncertainty budget: their whole uncertainty counts as "
             "their own, although a part may be shared."
         )
-    return tuple(found)
+    return tuple(sentences)
 
 
 def _drifts(trends: Sequence[CoefficientTrend]) -> list[str]:
-    found = []
+    sentences = []
     for trend in trends:
         drift = trend.drift
         if drift is not None and abs(drift.value) > drift.half_width():
             scale, unit = shown_unit(trend.key, trend.unit)
             value, half = drift.value * scale, drift.half_width() * scale
             shown = f"{unit} per year".removeprefix("1 ")
-            found.append(
+            sentences.append(
                 f"{trend.key} drifts by {value:.3g} {shown} (95 %: {value - half:.3g} to {value + half:.3g})."
             )
-    return found
+    return sentences
 
 
 def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:
     """Where the scatter of the days contradicts the stated uncertainties, by chi-square."""
     from scipy.special import chdtr, chdtrc
 
-    found = []
+    sentences = []
     for trend in trends:
         line = trend.model.line
         if line is None:
@@ -439,13 +441,13 @@ def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:
         freedom = line.degrees_of_freedom
         if chdtrc(freedom, line.chi2) < DOUBT:
             ratio = (line.chi2 / freedom) ** 0.5
-            found.append(
+            sentences.append(
                 f"{trend.key}: days scatter {ratio:.1f} times as much as the records' own uncertainties let expect; the "
                 "excess is taken as day-to-day instability."
             )
         elif chdtr(freedom, line.chi2) < DOUBT:
-            found.append(
+            sentences.append(
                 f"{trend.key}: days scatter less than the records' own uncertainties let expect: these are stated too "
                 "large, or contain a part that the records share."
             )
-    return found
+    return sentences

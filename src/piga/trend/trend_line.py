@@ -282,7 +282,17 @@ def _line(figures: Array, known: Array) -> Line:
     freedom = np.arange(LEAST_DAYS, LEAST_DAYS + figures.shape[0]) - 2.0
     scale = np.maximum(residual_sum, chdtri(freedom, 1.0 - LEAST)) / freedom
     return Line(
-        origin, level, slope, scale / weight, scale / moment, known, excess, scale, chi2, freedom, stated
+        origin=origin,
+        level=level,
+        slope=slope,
+        level_variance=scale / weight,
+        slope_variance=scale / moment,
+        shared=known,
+        excess=excess,
+        scale=scale,
+        chi2=chi2,
+        degrees_of_freedom=freedom,
+        stated=stated,
     )
 
 

@@ -214,28 +214,28 @@ def put_to_the_test(
     limits = np.array(
         [(c.value - c.coverage_factor * c.std, c.value + c.coverage_factor * c.std) for c in coefficients]
     )
-    found = propagate_distributions(base, type_a, max(degrees, 3.0), sources, results, limits.T)
+    propagated = propagate_distributions(base, type_a, max(degrees, 3.0), sources, results, limits.T)
     table = {
         c.key: MonteCarloCheck(
-            float(found.mean[i]),
-            float(found.std[i]),
-            symmetric=(float(found.symmetric[0, i]), float(found.symmetric[1, i])),
-            shortest=(float(found.shortest[0, i]), float(found.shortest[1, i])),
+            float(propagated.mean[i]),
+            float(propagated.std[i]),
+            symmetric=(float(propagated.symmetric[0, i]), float(propagated.symmetric[1, i])),
+            shortest=(float(propagated.shortest[0, i]), float(propagated.shortest[1, i])),
             first_order=(float(limits[i, 0]), float(limits[i, 1])),
-            tolerance=float(found.tolerance[i]),
-            validated=bool(found.validated[i]),
+            tolerance=float(propagated.tolerance[i]),
+            validated=bool(propagated.validated[i]),
         )
         for i, c in enumerate(coefficients)
     }
     checked = tuple(
         c
-        if found.validated[i]
-        else replace(c, interval=(float(found.shortest[0, i]), float(found.shortest[1, i])))
+        if propagated.validated[i]
+        else replace(c, interval=(float(propagated.shortest[0, i]), float(propagated.shortest[1, i])))
         for i, c in enumerate(coefficients)
     )
     if weak:
         checked = _weak_coupling(checked)
-    return checked, MonteCarlo(found.trials, table)
+    return checked, MonteCarlo(propagated.trials, table)
 
 
 def _weak_coupling(coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
@@ -293,24 +293,24 @@ def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array
             if "scale_factor" in at
             else np.full(len(linear), design.run.scale_factor)
         )
-        found = {"scale_factor": scale}
+        columns = {"scale_factor": scale}
         phase = np.zeros(len(linear))
         if "p" in at:
             p, q = linear[:, at["p"]], linear[:, at["q"]]
             phase = np.arctan2(q, p)
-            found["tan_beta"] = np.hypot(p, q) / scale
-            found["phi"] = near["phi"] + np.angle(np.exp(1j * (phase - near["phi"])))
+            columns["tan_beta"] = np.hypot(p, q) / scale
+            columns["phi"] = near["phi"] + np.angle(np.exp(1j * (phase - near["phi"])))
         for order in design.request.harmonics:
             s, c = linear[:, at[f"s{order}"]], linear[:, at[f"c{order}"]]
             cosine, sine = np.cos(order * phase), np.sin(order * phase)
-            found[f"s{order}"], found[f"c{order}"] = (
+            columns[f"s{order}"], columns[f"c{order}"] = (
                 (s * cosine + c * sine) / scale,
                 (c * cosine - s * sine) / scale,
             )
         for name in design.shared_names:
-            found.setdefault(name, linear[:, at[name]] / scale)
+            columns.setdefault(name, linear[:, at[name]] / scale)
         return np.stack(
-            [found[c.name] / (1.0 if c.name == "phi" else si_factor(c.name)) for c in coefficients], axis=1
+            [columns[c.name] / (1.0 if c.name == "phi" else si_factor(c.name)) for c in coefficients], axis=1
         )
 
     return results

@@ -92,22 +92,22 @@ def make_budget(
         for s in range(len(plain)):
             yield solved([*plain[:s], moved[s], *plain[s + 1 :]])
 
-    found = list(contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one))
+    changes_by_source = list(contributions(fit.design.run, base, lambda run: solved(reduced(run)), one_by_one))
     stated = fit.counted is None and bool(fit.weights.stated)
-    in_fit = tuple(stated and source.draw == "segment" for source, _ in found)
-    changes = tuple(change for _, change in found)
+    in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
+    changes = tuple(change for _, change in changes_by_source)
     type_a = Budget((), changes, in_fit).covariances(covariance)[0]
-    rows = budget_rows(coefficients, type_a, found)
+    rows = budget_rows(coefficients, type_a, changes_by_source)
     return Budget(rows, changes, in_fit)
 
 
 def budget_rows(
-    coefficients: tuple[Coefficient, ...], type_a: Array, found: Iterable[tuple[Source | SharedSource, Array]]
+    coefficients: tuple[Coefficient, ...], type_a: Array, changes: Iterable[tuple[Source | SharedSource, Array]]
 ) -> tuple[BudgetEntry, ...]:
     """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
     std = np.sqrt(np.diag(type_a))
     rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", coefficients, std)]
-    for source, change in found:
+    for source, change in changes:
         degrees = source.degrees_of_freedom if math.isfinite(source.degrees_of_freedom) else None
         shape, size, unit = source.distribution, source.value, source.unit
         rows.append(budget_row(source.name, "B", shape, size, unit, coefficients, together(change), degrees))

@@ -95,7 +95,7 @@ class ModelComparison:
     @property
     def ranking(self) -> tuple[int, ...]:
         """Indices of the sets by BIC, those without one last."""
-        order = [math.inf if found.bic is None else found.bic for found in self.sets]
+        order = [math.inf if row.bic is None else row.bic for row in self.sets]
         return tuple(sorted(range(len(order)), key=lambda index: (order[index], index)))
 
     def document(self) -> dict[str, Any]:
@@ -115,31 +115,31 @@ class ModelComparison:
             if self.best_prediction is None
             else list(self.sets[self.best_prediction].terms),
             "notes": list(self.notes),
-            "sets": [_set_document(found, best, self.observations) for found in self.sets],
+            "sets": [_set_document(row, best, self.observations) for row in self.sets],
         }
 
 
-def _set_document(found: TermSet, best: float | None, observations: int) -> dict[str, Any]:
-    document: dict[str, Any] = {"terms": list(found.terms), "reason": found.reason}
-    if found.chi_square is None or found.bic is None or best is None:
+def _set_document(row: TermSet, best: float | None, observations: int) -> dict[str, Any]:
+    document: dict[str, Any] = {"terms": list(row.terms), "reason": row.reason}
+    if row.chi_square is None or row.bic is None or best is None:
         return document
     document |= {
-        "parameters": found.parameters,
-        "chi_square": found.chi_square,
-        "chi_square_per_degree": found.chi_square / (observations - found.parameters),
-        "log_likelihood": found.log_likelihood,
-        "bic": found.bic,
-        "bic_above_best": found.bic - best,
-        "aic": found.aic,
-        "weight": found.weight,
+        "parameters": row.parameters,
+        "chi_square": row.chi_square,
+        "chi_square_per_degree": row.chi_square / (observations - row.parameters),
+        "log_likelihood": row.log_likelihood,
+        "bic": row.bic,
+        "bic_above_best": row.bic - best,
+        "aic": row.aic,
+        "weight": row.weight,
     }
-    changes = dict(found.changes)
+    changes = dict(row.changes)
     document["coefficients"] = [
         {"key": c.key, "value": c.value, "std": c.std, "unit": c.unit, "change": changes.get(c.key)}
-        for c in found.coefficients
+        for c in row.coefficients
     ]
-    if found.prediction is not None:
-        document |= found.prediction.document()
+    if row.prediction is not None:
+        document |= row.prediction.document()
     return document
 
 
@@ -210,17 +210,17 @@ def _with_servo_first(run: Run, wanted: tuple[tuple[str, ...], ...]) -> tuple[tu
     """
     if constant_squares(run)[0] is None or run.servo:
         return wanted
-    found: list[tuple[str, ...]] = []
+    sets: list[tuple[str, ...]] = []
     for terms in wanted:
         cubes = [name for name in CUBIC[1:] if name in terms]
         if len(cubes) == 1 and {"scale_factor", "tan_beta"} <= set(terms) and "servo" not in terms:
-            found.append(tuple("servo" if name == cubes[0] else name for name in terms))
-        found.append(terms)
+            sets.append(tuple("servo" if name == cubes[0] else name for name in terms))
+        sets.append(terms)
     known = [frozenset(terms) for terms in wanted]
     return tuple(
         terms
-        for i, terms in enumerate(found)
-        if terms in wanted or (frozenset(terms) not in known and terms not in found[:i])
+        for i, terms in enumerate(sets)
+        if terms in wanted or (frozenset(terms) not in known and terms not in sets[:i])
     )
 
 
@@ -376,15 +376,15 @@ class _Weighed:
     def _chosen(self, local: tuple[str, ...], shared: tuple[str, ...], own: bool) -> list[Reduction]:
         """One summary per phase group with the columns of a set, under the names of its terms."""
         count = max(self.groups) + 1 if own else 1
-        found = []
+        groups = []
         for group in range(count):
             members = [i for i, g in enumerate(self.groups) if g == group or not own]
             total = merged(self.parts, members)
             if self._fixed(shared) is not None:
                 total = total.less("scale_factor", self.design.run.scale_factor)
             held = total.select(tuple(self._held(name) for name in (*local, *shared)))
-            found.append(replace(held, names=(*local, *shared)))
-        return found
+            groups.append(replace(held, names=(*local, *shared)))
+        return groups
 
     def _named(
         self, layout: Layout, estimate: Estimate, terms: tuple[str, ...], own: bool

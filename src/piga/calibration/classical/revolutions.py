@@ -163,15 +163,15 @@ def find_positions(run: Run) -> Positions:
         )
     table = np.array(points)
     return Positions(
-        _mean_run(run, table, used),
-        np.array(turns),
-        np.array(rows, dtype=np.int64),
-        np.array(durations),
-        _scatter_levels(np.array(squares), np.array(turns) - 1.0, np.array(shapes)),
-        freedom,
-        tuple(short),
-        tuple(unsteady),
-        tuple(locking),
+        run=_mean_run(run, table, used),
+        turns=np.array(turns),
+        rows=np.array(rows, dtype=np.int64),
+        duration=np.array(durations),
+        scatter=_scatter_levels(np.array(squares), np.array(turns) - 1.0, np.array(shapes)),
+        freedom=freedom,
+        short=tuple(short),
+        unsteady=tuple(unsteady),
+        locking=tuple(locking),
     )
 
 
@@ -326,9 +326,9 @@ def _gauss_newton(
         if np.abs(change * norm).max() <= SETTLED * np.linalg.norm(size * weight):
             break
     covariance = np.linalg.pinv((scaled / norm).T @ (scaled / norm), rcond=1e-14) / np.outer(norm, norm)
-    found = square if pulled else None
+    pulling = square if pulled else None
     gain = covariance @ (jacobian * weight[:, None] ** 2).T
-    return RevolutionFit(positions, design, linear, found, covariance, gain, sign * miss, examination)
+    return RevolutionFit(positions, design, linear, pulling, covariance, gain, sign * miss, examination)
 
 
 def name_revolutions(fit: RevolutionFit, request: Request) -> tuple[tuple[Coefficient, ...], Array, str]:

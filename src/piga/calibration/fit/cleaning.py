@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Stretch:
+class JumpStretch:
     """A part of the record without a gap that holds jumps, or several parts without any.
 
     ``edges`` are the rows at which its pieces begin and the row behind the last, ``levels`` what the readings of each piece
@@ -51,8 +51,8 @@ class Stretch:
         """Pieces that the phase may come in by and go out by; at the start of a phase the longest begins it."""
         last = len(self.levels) - 1
         inward = (self.longest,) if first else (0, self.longest, last)
-        found = [(i, k) for i in inward for k in (0, self.longest, last) if i <= k]
-        return list(dict.fromkeys(found))
+        pairs = [(i, k) for i in inward for k in (0, self.longest, last) if i <= k]
+        return list(dict.fromkeys(pairs))
 
     def cost(self, choice: tuple[int, int]) -> float:
         """What a choice must gain beforehand (chi-square)."""
@@ -66,7 +66,7 @@ class Stretch:
 def leave_out(
     run: Run, misses: Misses, flags: Flags, design: Design | None = None, noise: Noise | None = None
 ) -> tuple[Run, tuple[Outlier, ...]]:
-    """The record without bad samples, and what was found.
+    """The record without bad samples, and the outliers.
 
     Their output becomes what the model predicts (only the coupling's phase uses it). A jump is taken off all later samples,
     or off the readings of one side alone (:func:`settle_jumps`, with the ``design`` of the fit and the ``noise`` found so far).
@@ -85,14 +85,14 @@ def leave_out(
     one_sided: dict[int, str] = {}
     if design is not None and noise is not None and count_flags(flags, 2):
         one_sided = settle_jumps(cleaned, run.begins, wrong, flags, design, noise)
-    found, counts, before_gap = _findings(run, flags, wrong)
+    outliers, counts, before_gap = _findings(run, flags, wrong)
     quality = run.quality
     count = count_flags(flags, 1)
-    events = _events(found, counts, {int(run.row[at]): words for at, words in one_sided.items()}, before_gap)
+    events = _events(outliers, counts, {int(run.row[at]): words for at, words in one_sided.items()}, before_gap)
     quality = replace(
         quality, used=quality.used - count, masked=quality.masked + count, events=(*quality.events, *events)
     )
-    return replace(cleaned, quality=quality), found
+    return replace(cleaned, quality=quality), outliers
 
 
 def settle_jumps(
@@ -140,7 +140,9 @@ def settle_jumps(
     return words
 
 
-def _stretches(run: Run, begins: NDArray[np.bool_], wrong: Array, flags: Flags, *, free: bool) -> list[Stretch]:
+def _stretches(
+    run: Run, begins: NDArray[np.bool_], wrong: Array, flags: Flags, *, free: bool
+) -> list[JumpStretch]:
     """The record in order: stretches with jumps, and what lies between them; ``free``: every segment has its own phase."""
     starts = _rows_where(begins)
     own = set(run.segment_edges().tolist()) if free else set()
@@ -157,7 +159,7 @@ def _stretches(run: Run, begins: NDArray[np.bool_], wrong: Array, flags: Flags, 
         kept = [piece for piece in pieces if piece[3]] or pieces[-1:]
         edges = (start, *(piece[0] for piece in kept[1:]), stop)
         levels, good = tuple(piece[2] for piece in kept), tuple(piece[3] for piece in kept)
-        result.append(Stretch(edges, levels, good, start in own))
+        result.append(JumpStretch(edges, levels, good, start in own))
     return result
 
 
@@ -178,7 +180,7 @@ def _level(wrong: Array, flags: Flags, start: int, stop: int) -> tuple[float, in
     return level, count
 
 
-def _turned(stretches: list[Stretch], chosen: dict[int, tuple[int, int]]) -> list[float]:
+def _turned(stretches: list[JumpStretch], chosen: dict[int, tuple[int, int]]) -> list[float]:
     """What every stretch is too large by beyond what was taken off [rad]."""
     state, result = 0.0, []
     for k, stretch in enumerate(stretches):
@@ -191,7 +193,7 @@ def _turned(stretches: list[Stretch], chosen: dict[int, tuple[int, int]]) -> lis
 
 
 def _ask_phases(
-    design: Design, noise: Noise, stretches: list[Stretch], chosen: dict[int, tuple[int, int]]
+    design: Design, noise: Noise, stretches: list[JumpStretch], chosen: dict[int, tuple[int, int]]
 ) -> None:
     """Change ``chosen`` to what leaves the least sum of squares, one stretch after the other."""
     factors, rows = _factors(design, _without_phases(design, noise), stretches)
@@ -242,7 +244,7 @@ def _without_phases(design: Design, noise: Noise) -> Noise:
     return noise
 
 
-def _factors(design: Design, noise: Noise, stretches: list[Stretch]) -> tuple[list[Array], int]:
+def _factors(design: Design, noise: Noise, stretches: list[JumpStretch]) -> tuple[list[Array], int]:
     """Triangular factor of the weighted rows of every stretch, and the number of rows."""
     starts = np.array([stretch.edges[0] for stretch in stretches])
     parts = [Reduction.empty(design.names) for _ in stretches]
@@ -269,7 +271,7 @@ def _rotated(design: Design, factor: Array, angle: float) -> Array:
     return result
 
 
-def _one_sided(stretch: Stretch, choice: tuple[int, int]) -> dict[int, str]:
+def _one_sided(stretch: JumpStretch, choice: tuple[int, int]) -> dict[int, str]:
     """Jumps of a stretch whose one side alone was taken to be off, by row, in words."""
     inward, outward = choice
     words = {}
@@ -317,7 +319,7 @@ def _findings(
 
     Last those of the runs behind which a gap follows and more readings: a slip of the counter looks the same.
     """
-    found: list[Outlier] = []
+    outliers: list[Outlier] = []
     before_gap: list[Outlier] = []
     counts: dict[str, int] = {}
     for start, stop in _runs(flags):
@@ -325,12 +327,12 @@ def _findings(
         if kind == "jump" and size == 0.0:
             continue
         counts[kind] = counts.get(kind, 0) + (1 if kind == "jump" else stop - start)
-        if len(found) < OUTLIERS.listed:
+        if len(outliers) < OUTLIERS.listed:
             samples = 0 if kind == "jump" else stop - start
-            found.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
+            outliers.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
             if kind == "spike" and stop < flags.size and run.begins[stop]:
-                before_gap.append(found[-1])
-    return tuple(found), counts, tuple(before_gap)
+                before_gap.append(outliers[-1])
+    return tuple(outliers), counts, tuple(before_gap)
 
 
 def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple[str, float]:
@@ -371,7 +373,7 @@ def _before(wrong: Array, flags: Flags, at: int) -> float:
 
 
 def _events(
-    found: tuple[Outlier, ...],
+    outliers: tuple[Outlier, ...],
     counts: dict[str, int],
     one_sided: dict[int, str],
     before_gap: tuple[Outlier, ...],
@@ -387,7 +389,7 @@ def _events(
         "jump": "no increment is formed across it, and it is taken off what follows",
     }
     events = []
-    sides = [outlier for outlier in found if outlier.kind == "jump" and outlier.row in one_sided]
+    sides = [outlier for outlier in outliers if outlier.kind == "jump" and outlier.row in one_sided]
     if sides:
         listed = ", ".join(
             f"{outlier.time:.6g} s ({one_sided[outlier.row]})" for outlier in sides[: OUTLIERS.named]
@@ -397,7 +399,7 @@ def _events(
         events.append(Event("outlier-jump", len(sides), sides[0].row, f"t = {listed}{more}: {text}"))
         counts = counts | {"jump": counts["jump"] - len(sides)}
     for kind, text in words.items():
-        those = [o for o in found if o.kind == kind and not (kind == "jump" and o.row in one_sided)]
+        those = [o for o in outliers if o.kind == kind and not (kind == "jump" and o.row in one_sided)]
         if those:
             times = ", ".join(f"{outlier.time:.6g}" for outlier in those[: OUTLIERS.named])
             more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[: OUTLIERS.named]) else ""

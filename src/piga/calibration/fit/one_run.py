@@ -116,7 +116,7 @@ def fit_run(
     run: Run,
     request: Request,
 ) -> Fit:
-    """Fit a run; samples that do not lie on the path of the output are found and left out first.
+    """Fit a run; samples that do not lie on the path of the output are left out first.
 
     Raises
     ------
@@ -137,9 +137,9 @@ def fit_run(
         if not flags.any() or is_misfit(run, misses, flags):
             return plain
         refuse_if_too_many(flags)
-        cleaned, found = leave_out(run, misses, flags, raw, noise)
+        cleaned, outliers = leave_out(run, misses, flags, raw, noise)
         fit.design.forget()
-        fit = replace(_fit(cleaned, request), outliers=found)
+        fit = replace(_fit(cleaned, request), outliers=outliers)
         raw = raw.with_phase_of(fit.design)
         misses = misses_of(raw, fit.solution.values)
         raw.forget()
@@ -177,16 +177,26 @@ def _fit(
         if refit == 0 and given is None:
             information = _information(design, mode, step)
         d, h = residual_increments(design, solution.values)
-        found = given or _levels(
+        levels = given or _levels(
             design, d, h, _parameters(solution), mode, noise if refit else None, information
         )
-        settled = refined is design and (mode != "increments" or found.close_to(noise, step))
+        settled = refined is design and (mode != "increments" or levels.close_to(noise, step))
         if settled:
-            noise = noise if mode == "increments" else found
+            noise = noise if mode == "increments" else levels
             break
-        noise, design = found, refined
+        noise, design = levels, refined
     covariance = _covariance(design, mode, noise, solution)
-    return Fit(design, mode, noise, summaries, solution, covariance, examination, d, h)
+    return Fit(
+        design=design,
+        mode=mode,
+        noise=noise,
+        summaries=summaries,
+        solution=solution,
+        covariance=covariance,
+        examination=examination,
+        d=d,
+        h=h,
+    )
 
 
 def _given_noise(request: Request) -> Noise | None:

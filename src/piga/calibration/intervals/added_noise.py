@@ -56,24 +56,24 @@ class AddedNoise:
         """``J' S S' J`` summed: of parameters whose column coefficients in each group have these derivatives."""
         moved = [jacobian.T @ part for jacobian, part in zip(jacobians, self.scores, strict=True)]
         whole = sum(moved) if self.together else np.hstack(moved)
-        found: Array = whole @ np.transpose(whole)
-        return found
+        added: Array = whole @ np.transpose(whole)
+        return added
 
 
 def added_noise(fit: Fit, design: Design) -> tuple[AddedNoise, ...]:
     """What a fit has in its covariance and not in its weights, with the columns of ``design``."""
-    found = []
+    noises = []
     if fit.slow_part is not None:
         drifting = fit.noise.drift > 0.0
         basis = DriftBasis.of(design.run) if drifting else SegmentBasis.of(design.run)
         scores = _grouped(_slow_scores(fit, design, basis), design.groups)
         name = "drift" if drifting else "scatter"
-        found.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
+        noises.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
     if fit.faint is not None:
         deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
         scores = _walk_scores(design, fit.mode, fit.weights, PROBE * deviation)
-        found.append(AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores))
-    return tuple(found)
+        noises.append(AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores))
+    return tuple(noises)
 
 
 def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
@@ -94,15 +94,15 @@ def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
     products = [np.zeros((m + wide.size, wide.size)) for _ in design.run.labels]
     for segment, columns in whitened_rows(fit, design, fit.weights, wide):
         products[segment] += columns[:-1] @ columns[m:-1].T
-    found = []
+    scores = []
     for segment, product in enumerate(products):
         if stated:
             own = product[:, 0] / (1.0 / max(stated[segment], 1e-300) + product[m, 0])
             weighted = product[:m, 1:] - np.outer(own[:m], product[m, 1:])
         else:
             weighted = product[:m]
-        found.append(np.sqrt(basis.unit()) * basis.placed(weighted, segment))
-    return found
+        scores.append(np.sqrt(basis.unit()) * basis.placed(weighted, segment))
+    return scores
 
 
 def _walk_scores(design: Design, mode: str, noise: Noise, probe: float) -> tuple[Array, ...]:
@@ -122,5 +122,5 @@ def _root(matrix: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    found: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return found
+    root: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return root

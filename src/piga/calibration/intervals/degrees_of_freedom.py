@@ -41,16 +41,16 @@ def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int
     left out, one for each.
     """
     sizes, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
-    found, slow = np.zeros((2, 2)), np.zeros(0)
+    information, slow = np.zeros((2, 2)), np.zeros(0)
     for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
         for part in spans(size - 1):
             k = np.arange(part.start + 1, part.stop + 1)
             gain = step / (4.0 * np.sin(0.5 * np.pi * k / size) ** 2)
-            found += count * _information(gain, noise)
+            information += count * _information(gain, noise)
             slow = np.concatenate(
                 [slow, np.repeat(gain[: fitted if part.start == 0 else 0], min(count, fitted))]
             )
-    return found - _information(np.sort(slow)[slow.size - min(fitted, slow.size) :], noise)
+    return information - _information(np.sort(slow)[slow.size - min(fitted, slow.size) :], noise)
 
 
 def _information(gain: Array, noise: Noise) -> Array:

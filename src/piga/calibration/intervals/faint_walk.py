@@ -149,8 +149,8 @@ def _per_walk(fit: Fit, probe: float) -> Array:
         _at_the_fit(fit, _weighted(fit, replace(fit.noise, walk=fit.noise.walk + moved)))
         for moved in (probe, -probe)
     )
-    found: Array = (above - below) / (2.0 * probe)
-    return found
+    slope: Array = (above - below) / (2.0 * probe)
+    return slope
 
 
 def _at_the_fit(fit: Fit, solution: Solution) -> Array:

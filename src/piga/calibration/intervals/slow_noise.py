@@ -98,9 +98,9 @@ def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
         return replace(fit, noise=noise)
     for below in (LOWEST, BELOW):
         noise = _levels_beside_stated(fit, noise, below)
-    found = _solved(fit, noise)
-    d, h = residual_increments(fit.design, found.solution.values)
-    return replace(found, d=d, h=h)
+    refit = _solved(fit, noise)
+    d, h = residual_increments(fit.design, refit.solution.values)
+    return replace(refit, d=d, h=h)
 
 
 def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
@@ -115,8 +115,8 @@ def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
     if not able or request.angle_rms is not None or fit.design.rows < 8 * KNOTS:
         return fit
     looked = _beside_counts if fit.counted is not None else _looked_for
-    candidates = [found for basis in slow_bases(fit.design.run) if (found := looked(fit, basis))]
-    best = max(candidates, key=lambda found: found.gain, default=None)
+    candidates = [candidate for basis in slow_bases(fit.design.run) if (candidate := looked(fit, basis))]
+    best = max(candidates, key=lambda candidate: candidate.gain, default=None)
     if best is None or best.gain < SIGNIFICANT:
         return fit
     basis, plain = best.basis, _solved(fit, best.noise)

@@ -120,8 +120,8 @@ def fit_jointly(
         live.append(prepared)
         summaries.append(summarise(prepared, own))
     _check_temperature(wish, summaries)
-    found = merge_runs(wish, summaries, live)
-    scale_factor = _scale_factor(found)
+    merged = merge_runs(wish, summaries, live)
+    scale_factor = _scale_factor(merged)
     stale = [
         i
         for i, summary in enumerate(summaries)
@@ -131,7 +131,7 @@ def fit_jointly(
         prepared_again = live[i]
         if prepared_again is not None:
             summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
-    return merge_runs(wish, summaries, live) if stale else found
+    return merge_runs(wish, summaries, live) if stale else merged
 
 
 def _wish(
@@ -210,7 +210,7 @@ def layout_and_columns(wish: Wish, summaries: Sequence[RunSummary]) -> tuple[Lay
     for summary, own in zip(summaries, shared, strict=True):
         at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
         tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
-    orders = tuple(sorted({found[1] for t in wish.terms if (found := harmonic(t))}))
+    orders = tuple(sorted({wave[1] for t in wish.terms if (wave := harmonic(t))}))
     return Layout("tan_beta" in wish.terms, orders, tuple(keys), tuple(tails)), shared
 
 
@@ -311,7 +311,15 @@ def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | Non
     estimate = _estimate(layout, shared, summaries, parts, state)
     coefficients, covariance = _named(wish, summaries, layout, estimate)
     return JointFit(
-        wish, tuple(summaries), tuple(live), layout, estimate, coefficients, covariance, examination, state
+        wish=wish,
+        summaries=tuple(summaries),
+        live=tuple(live),
+        layout=layout,
+        estimate=estimate,
+        coefficients=coefficients,
+        covariance=covariance,
+        examination=examination,
+        servo=state,
     )
 
 
@@ -382,7 +390,7 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
     instrument's, for neither. What is drawn for each run or each of its
     segments is not shared.
     """
-    found: dict[tuple[str, str | None, str | None, float, int], SharedSource] = {}
+    shared_by_key: dict[tuple[str, str | None, str | None, float, int], SharedSource] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
             of_servo = source.name.startswith(SERVO_SOURCE)
@@ -391,9 +399,9 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
             device = None if of_servo else summary.reference_id
             key = (source.name, None if of_site else summary.stand, device, source.value, own)
             shape = (source.distribution, source.degrees_of_freedom, len(source.segments), source.in_fit)
-            first = found.get(key, SharedSource(source.name, source.value, source.unit, {}, *shape))
-            found[key] = replace(first, moved=first.moved | {index: number})
-    for shared in found.values():
+            first = shared_by_key.get(key, SharedSource(source.name, source.value, source.unit, {}, *shape))
+            shared_by_key[key] = replace(first, moved=first.moved | {index: number})
+    for shared in shared_by_key.values():
         names = ", ".join(summaries[index].name for index in shared.moved)
         yield replace(shared, name=f"{shared.name} ({names})")
 
@@ -452,7 +460,7 @@ def check_items(items: object) -> list[Run | RunSummary]:
         If there are none, or something else is among them.
     """
     given = list(items) if isinstance(items, (list, tuple)) else [items]
-    found = [item for item in given if isinstance(item, (Run, RunSummary))]
-    if not found or len(found) < len(given):
+    runs = [item for item in given if isinstance(item, (Run, RunSummary))]
+    if not runs or len(runs) < len(given):
         raise ArgumentError("calibrate: a run, or a list of runs and run summaries, is needed")
-    return found
+    return runs

@@ -49,15 +49,15 @@ def joint_result(
     _refuse_useless(fit, coefficients)
     kinds = {summary.kind for summary in fit.summaries}
     kind = kinds.pop() if len(kinds) == 1 else "angle"
-    found = [_live_part(fit, i, live, kind) if live else None for i, live in enumerate(fit.live)]
+    parts = [_live_part(fit, i, live, kind) if live else None for i, live in enumerate(fit.live)]
     records, segments = [], []
-    for index, part in enumerate(found):
+    for index, part in enumerate(parts):
         own = _own_segments(fit, index, part)
         records.append(_record(fit, index, part))
         segments += [replace(row, label=f"{fit.summaries[index].name}:{row.label}") for row in own]
-    residuals = _all_residuals(fit, found)
+    residuals = _all_residuals(fit, parts)
     alone = {summary.name: summary.undetermined for summary in fit.summaries}
-    scatter = _worst_scatter(found)
+    scatter = _worst_scatter(parts)
     notes = notes_in_words(coefficients, covariance, scatter)
     plain = Diagnostics(residual_kind="rate" if kind == "rate" else "angle", range=_ranges(fit))
     weights = np.array([record.rows for record in records], dtype=float)
@@ -143,12 +143,12 @@ def _record(fit: JointFit, index: int, part: _LivePart | None) -> RunRecord:
     )
 
 
-def _all_residuals(fit: JointFit, found: list[_LivePart | None]) -> Residuals | None:
+def _all_residuals(fit: JointFit, parts: list[_LivePart | None]) -> Residuals | None:
     """Residuals of all runs at hand behind each other."""
     pieces: list[Residuals] = []
     run_of: list[int] = []
     offset = 0
-    for index, part in enumerate(found):
+    for index, part in enumerate(parts):
         own = _own_segments(fit, index, part)
         if part is not None:
             pieces.append(replace(part[0], segment=part[0].segment + np.int32(offset)))
@@ -162,22 +162,22 @@ def _concatenated(pieces: list[Residuals], run_of: list[int]) -> Residuals:
         return np.concatenate([getattr(piece, name) for piece in pieces])
 
     return Residuals(
-        column("row"),
-        column("t"),
-        column("psi"),
-        column("a_x"),
-        column("before"),
-        column("after"),
-        column("innovation"),
-        column("segment"),
-        np.repeat(np.array(run_of, dtype=np.int32), [piece.t.size for piece in pieces]),
+        row=column("row"),
+        t=column("t"),
+        psi=column("psi"),
+        a_x=column("a_x"),
+        before=column("before"),
+        after=column("after"),
+        innovation=column("innovation"),
+        segment=column("segment"),
+        run=np.repeat(np.array(run_of, dtype=np.int32), [piece.t.size for piece in pieces]),
     )
 
 
-def _as_angles(found: Residuals) -> Residuals:
-    step = np.diff(found.t, prepend=found.t[:1])
-    step[np.diff(found.segment, prepend=found.segment[:1]) != 0] = 0.0
-    return replace(found, before=np.cumsum(step * found.before), after=np.cumsum(step * found.after))
+def _as_angles(rates: Residuals) -> Residuals:
+    step = np.diff(rates.t, prepend=rates.t[:1])
+    step[np.diff(rates.segment, prepend=rates.segment[:1]) != 0] = 0.0
+    return replace(rates, before=np.cumsum(step * rates.before), after=np.cumsum(step * rates.after))
 
 
 def _worst_scatter(parts: list[_LivePart | None]) -> SegmentScatter:

@@ -247,9 +247,9 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
         raise ArgumentError("the run determines nothing", remedy="check its reference and its output")
     order = {term: LAST_TO_GO.index(term) + 1 if term in LAST_TO_GO else 0 for term in confounded}
     chosen = min(reversed(confounded), key=order.__getitem__)
-    found = harmonic(chosen)
-    if found:
-        return tuple(f"{kind}{found[1]}" for kind in ("s", "c"))
+    wave = harmonic(chosen)
+    if wave:
+        return tuple(f"{kind}{wave[1]}" for kind in ("s", "c"))
     if chosen == "tan_beta":
         return (chosen, *(term for term in terms if harmonic(term) or term in SERVO_TERMS))
     return (chosen,)
@@ -522,23 +522,23 @@ def read_summary(path: Path) -> RunSummary:
         If the file is missing, damaged, or of another schema.
     """
     settle(path.parent)
-    found = _decode(path)
-    fields = {name: getattr(found, name) for name in _PLAIN}
+    written = _decode(path)
+    fields = {name: getattr(written, name) for name in _PLAIN}
     return RunSummary(
         **fields,
-        noise=_noise(found.noise),
-        parts=_reductions(path, found.parts, len(found.labels)),
-        sources=tuple(_read_source(path, s, len(found.labels)) for s in found.sources),
-        degrees_of_freedom=_degrees(found.degrees_of_freedom),
-        added=tuple(_added(path, noise, found) for noise in found.added),
+        noise=_noise(written.noise),
+        parts=_reductions(path, written.parts, len(written.labels)),
+        sources=tuple(_read_source(path, s, len(written.labels)) for s in written.sources),
+        degrees_of_freedom=_degrees(written.degrees_of_freedom),
+        added=tuple(_added(path, noise, written) for noise in written.added),
         quality=Quality(
-            found.quality.rows,
-            found.quality.used,
-            found.quality.masked,
-            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in found.quality.events),
+            written.quality.rows,
+            written.quality.used,
+            written.quality.masked,
+            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in written.quality.events),
         ),
-        segments=found.segments,
-        outliers=found.outliers,
+        segments=written.segments,
+        outliers=written.outliers,
     )
 
 
@@ -556,9 +556,17 @@ def _read_source(path: Path, s: _Source, groups: int) -> SourceSummary:
     if bool(own) != (s.draw == "segment") or any(not 0 <= group < groups for group in own):
         raise CalibrationError(f"{path}: its sources are damaged", remedy="summarise the run again")
     return SourceSummary(
-        s.name, s.value, s.unit, parts, s.distribution, _degrees(s.degrees_of_freedom), s.known_servo, s.draw,
-        tuple(zip(own, segments, strict=True)), s.in_fit,
-    )  # fmt: skip
+        name=s.name,
+        value=s.value,
+        unit=s.unit,
+        parts=parts,
+        distribution=s.distribution,
+        degrees_of_freedom=_degrees(s.degrees_of_freedom),
+        known_servo=s.known_servo,
+        draw=s.draw,
+        segments=tuple(zip(own, segments, strict=True)),
+        in_fit=s.in_fit,
+    )
 
 
 def _decode(path: Path) -> _Summary:
@@ -577,14 +585,14 @@ def _decode(path: Path) -> _Summary:
         ) from None
 
 
-def _added(path: Path, noise: _Added, found: _Summary) -> AddedNoise:
+def _added(path: Path, noise: _Added, summary: _Summary) -> AddedNoise:
     try:
         scores = tuple(np.array(part, dtype=float) for part in noise.scores)
     except ValueError:
         scores = ()
-    fits = len(scores) == len(found.parts) and all(
+    fits = len(scores) == len(summary.parts) and all(
         part.ndim == 2 and len(part) == len(own.names) and part.shape[1] == scores[0].shape[1]
-        for part, own in zip(scores, found.parts, strict=True)
+        for part, own in zip(scores, summary.parts, strict=True)
     )
     if not fits or not all(np.isfinite(part).all() for part in scores):
         raise CalibrationError(f"{path}: its added noise is damaged", remedy="summarise the run again")

@@ -244,8 +244,8 @@ class Design:
         with workers(self.run.size, THREADS) as pool:
             pending = []
             for index in range(len(self._ranges)):
-                found = self._cache.get(index)
-                pending.append(found if found is not None else pool.submit(self._build, index))
+                built = self._cache.get(index)
+                pending.append(built if built is not None else pool.submit(self._build, index))
                 if len(pending) > THREADS + 1:
                     yield self._take(pending.pop(0), keep)
             for item in pending:

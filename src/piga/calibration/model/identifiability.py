@@ -318,16 +318,18 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple
         for c in coefficients
         if c.name not in ("phi", "scale_factor", "tan_beta") and abs(c.value) < 2.0 * c.std
     ]
-    found = []
+    sentences = []
     if small:
         verb, whose = ("is", "its") if len(small) == 1 else ("are", "their")
-        found.append(
+        sentences.append(
             f"{', '.join(small)} {verb} smaller than twice {whose} standard uncertainty: the record does not need "
             f"{'it' if len(small) == 1 else 'them'}"
         )
     if phase == "per-segment" and not _loose(coefficients):
-        found.append("every segment has its own phase: nothing is assumed about the counter between segments")
-    return tuple(found)
+        sentences.append(
+            "every segment has its own phase: nothing is assumed about the counter between segments"
+        )
+    return tuple(sentences)
 
 
 def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:

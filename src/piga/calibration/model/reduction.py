@@ -103,9 +103,9 @@ class Reduction:
     @classmethod
     def of_factor(cls, names: tuple[str, ...], factor: Array, count: int) -> Reduction:
         """That of a triangular factor (m + 1, m + 1)."""
-        found = cls.empty(names)
-        found.absorb(np.ascontiguousarray(factor.T), count=count)
-        return found
+        summary = cls.empty(names)
+        summary.absorb(np.ascontiguousarray(factor.T), count=count)
+        return summary
 
     @classmethod
     def stacked(cls, parts: list[Reduction]) -> Reduction:

@@ -40,7 +40,7 @@ class Request:
     @property
     def harmonics(self) -> tuple[int, ...]:
         """Orders of the wanted harmonics of the output angle."""
-        return tuple(sorted({found[1] for name in self.terms if (found := harmonic(name))}))
+        return tuple(sorted({wave[1] for name in self.terms if (wave := harmonic(name))}))
 
     @property
     def shared_terms(self) -> tuple[str, ...]:
@@ -250,11 +250,11 @@ def _expected(run: Run, part: slice) -> Array:
 
 def _surplus(run: Run, part: slice) -> Array:
     """By how much the rate differs from what is expected."""
-    found: Array = np.abs(run.output[part] - _expected(run, part))
-    return found
+    surplus: Array = np.abs(run.output[part] - _expected(run, part))
+    return surplus
 
 
 def _plausible(run: Run, part: slice) -> Array:
     """How large that may be."""
-    found: Array = PLAUSIBLE * abs(run.scale_factor) * np.linalg.norm(run.f[part], axis=1)
-    return found if run.base_rate is None else found + np.linalg.norm(run.base_rate[part], axis=1)
+    limit: Array = PLAUSIBLE * abs(run.scale_factor) * np.linalg.norm(run.f[part], axis=1)
+    return limit if run.base_rate is None else limit + np.linalg.norm(run.base_rate[part], axis=1)

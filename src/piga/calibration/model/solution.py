@@ -200,26 +200,28 @@ def solve(design: Design, summaries: list[Reduction]) -> Solution:
     count = max(groups) + 1
     parts = merged_groups(summaries, groups)
     layout, extra = layout_of(design, count), drift_columns(summaries[0])
-    found = solve_parts(layout_of(design, count, extra), parts)
+    estimate = solve_parts(layout_of(design, count, extra), parts)
     if extra:
-        found = _without_last(found, layout.size, len(extra))
+        estimate = _without_last(estimate, layout.size, len(extra))
     if count == 1:
-        linear = found.jacobians[0] @ np.append(found.amplitudes, np.zeros(found.phases.size))
+        linear = estimate.jacobians[0] @ np.append(estimate.amplitudes, np.zeros(estimate.phases.size))
         values = np.tile(linear, (len(groups), 1))
     else:
-        values = np.array([layout.linear(found.amplitudes, found.phases[g], g) for g in groups])
-    return Solution(found.amplitudes, found.phases, found.covariance, found.cost, found.jacobians, values)
+        values = np.array([layout.linear(estimate.amplitudes, estimate.phases[g], g) for g in groups])
+    return Solution(
+        estimate.amplitudes, estimate.phases, estimate.covariance, estimate.cost, estimate.jacobians, values
+    )
 
 
-def _without_last(found: Estimate, size: int, extra: int) -> Estimate:
+def _without_last(estimate: Estimate, size: int, extra: int) -> Estimate:
     """The estimate less the ``extra`` amplitudes behind the first ``size``, their columns and their covariance."""
     behind = np.arange(size, size + extra)
     return Estimate(
-        found.amplitudes[:size],
-        found.phases,
-        np.delete(np.delete(found.covariance, behind, axis=0), behind, axis=1),
-        found.cost,
-        tuple(np.delete(jacobian[:-extra], behind, axis=1) for jacobian in found.jacobians),
+        estimate.amplitudes[:size],
+        estimate.phases,
+        np.delete(np.delete(estimate.covariance, behind, axis=0), behind, axis=1),
+        estimate.cost,
+        tuple(np.delete(jacobian[:-extra], behind, axis=1) for jacobian in estimate.jacobians),
     )
 
 

@@ -109,8 +109,8 @@ class Stretches:
 
     def along(self, path: Path, noise: Noise, spread: float) -> Stretches:
         """The same with the covariances of the counting along a path."""
-        found = counting_covariances(path.teeth, path.solution, self.design.groups, noise.walk, spread)
-        return replace(self, counting=found)
+        counting = counting_covariances(path.teeth, path.solution, self.design.groups, noise.walk, spread)
+        return replace(self, counting=counting)
 
     def moved(self, change: Array) -> float:
         """Largest angle [rad] by which changed column coefficients (segments, m) move the path of a stretch."""
@@ -150,8 +150,8 @@ class Path:
 
 def _shares(count: float) -> Array:
     """Variance of each harmonic of the counting followed, and of all others together [rad^2]."""
-    found = count**2 / (2.0 * np.pi**2 * np.arange(1, HARMONICS + 1) ** 2)
-    return np.append(found, count**2 / 12.0 - found.sum())
+    shares = count**2 / (2.0 * np.pi**2 * np.arange(1, HARMONICS + 1) ** 2)
+    return np.append(shares, count**2 / 12.0 - shares.sum())
 
 
 @dataclass(frozen=True)
@@ -291,10 +291,12 @@ def _likely_walks(rows: Array, stretches: Stretches, white: float) -> tuple[floa
     for _ in range(3):
         grid = np.linspace(low, high, WALKS_TRIED)
         levels = 10.0**grid / strongest
-        found = np.array([_log_probability(flat, eigen, level) for level in levels]) + 2.0 * np.log(levels)
-        likely = np.flatnonzero(found > found.max() - UNLIKELY)
+        likelihoods = np.array([_log_probability(flat, eigen, level) for level in levels]) + 2.0 * np.log(
+            levels
+        )
+        likely = np.flatnonzero(likelihoods > likelihoods.max() - UNLIKELY)
         low, high = grid[max(likely[0] - 1, 0)], grid[min(likely[-1] + 1, grid.size - 1)]
-    weights = np.exp(0.5 * (found - found.max()))
+    weights = np.exp(0.5 * (likelihoods - likelihoods.max()))
     weights /= weights.sum()
     precision = float(weights @ (1.0 / (1.0 + strongest * levels)))
     return (1.0 / precision - 1.0) / strongest, (levels, weights)
@@ -321,15 +323,15 @@ def _diagonal(rows: Array, stretches: Stretches, white: float) -> tuple[Array, A
 
 def _best(deviance: Callable[[float], float], levels: Array) -> float:
     """Level of least deviance (parabola through the best on the logarithmic grid); 0 unless that is clearly worse."""
-    found = np.array([deviance(level) for level in levels])
-    at = int(np.argmin(found))
+    deviances = np.array([deviance(level) for level in levels])
+    at = int(np.argmin(deviances))
     best = float(levels[at])
     if 0 < at < levels.size - 1:
-        left, middle, right = found[at - 1 : at + 2]
+        left, middle, right = deviances[at - 1 : at + 2]
         curvature = left - 2.0 * middle + right
         shift = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
         best *= float((levels[1] / levels[0]) ** shift)
-    return best if deviance(0.0) - found[at] > SIGNIFICANT else 0.0
+    return best if deviance(0.0) - deviances[at] > SIGNIFICANT else 0.0
 
 
 def _deviance(rows: Array, covariance: Array) -> float:

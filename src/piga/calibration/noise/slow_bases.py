@@ -78,14 +78,14 @@ class DriftBasis:
         since = np.maximum(at - np.arange(KNOTS)[:, None], 0.0)
         ramp = np.where(since < 1.0, 0.5 * since**2, since - 0.5)
         before = np.arange(KNOTS)[:, None] < KNOTS // 2
-        found: Array = self.spacing * (ramp - before * at)
-        return found
+        angle: Array = self.spacing * (ramp - before * at)
+        return angle
 
     def increments(self, t: Array, h: Array) -> Array:
         """Columns (KNOTS, n) of the increments that end at ``t`` and last ``h``; zero where none is formed."""
         formed = h > 0.0
-        found: Array = (self.angle(t) - self.angle(t - h * formed)) * formed
-        return found
+        columns: Array = (self.angle(t) - self.angle(t - h * formed)) * formed
+        return columns
 
     def placed(self, factor: Array, segment: int) -> Array:  # noqa: ARG002 - as every basis
         """All segments share the steps."""
@@ -120,8 +120,8 @@ class SegmentBasis:
     def angle(self, t: Array) -> Array:
         """Time since the beginning of the own segment (1, n)."""
         own = np.maximum(np.searchsorted(self.starts, t, side="right") - 1, 0)
-        found: Array = (t - self.starts[own])[None]
-        return found
+        angle: Array = (t - self.starts[own])[None]
+        return angle
 
     def increments(self, t: Array, h: Array) -> Array:  # noqa: ARG002 - as every basis
         """The intervals (1, n)."""

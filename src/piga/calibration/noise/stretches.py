@@ -56,9 +56,17 @@ class Stretch:
         edges = np.linspace(0, size, bins + 1).astype(np.int64)
         least, most = extent(run.output[start:stop])
         return cls(
-            int(run.segment[start]), start, stop, edges, _contrasts(modes, bins), np.zeros((columns, bins)),
-            np.zeros(bins), np.zeros(columns), (float(run.t[start]), float(run.t[stop - 1])), most - least,
-        )  # fmt: skip
+            segment=int(run.segment[start]),
+            start=start,
+            stop=stop,
+            edges=edges,
+            contrasts=_contrasts(modes, bins),
+            angle=np.zeros((columns, bins)),
+            time=np.zeros(bins),
+            end=np.zeros(columns),
+            limits=(float(run.t[start]), float(run.t[stop - 1])),
+            span=most - least,
+        )
 
     @property
     def size(self) -> int:
@@ -119,12 +127,12 @@ def empty_stretches(run: Run, modes: int, columns: int) -> list[Stretch]:
 
 def find_stretches(design: Design, modes: int) -> list[Stretch]:
     """The stretches of a record with the sums of their angle columns."""
-    found = empty_stretches(design.run, modes, len(design.names) + 1)
-    for stretch, first, rows, angle in angle_pieces(found, ((b, b.columns) for b in design.blocks())):
+    stretches = empty_stretches(design.run, modes, len(design.names) + 1)
+    for stretch, first, rows, angle in angle_pieces(stretches, ((b, b.columns) for b in design.blocks())):
         stretch.add(stretch.angle, first, angle)
         stretch.add(stretch.time, first, np.asarray(design.run.t[rows]))
         stretch.end[:] = angle[:, -1]
-    return found
+    return stretches
 
 
 def angle_pieces(
@@ -175,10 +183,10 @@ def _from_zero(block: Block, increments: Array) -> tuple[int, Array]:
 def _contrasts(modes: int, bins: int) -> Array:
     """Slowest cosines of the second kind, and the difference of the ends (which a random walk is known by)."""
     at = (np.arange(bins) + 0.5) / bins
-    found = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
+    cosines = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
     ends = np.zeros(bins)
     ends[0], ends[-1] = -1.0, 1.0
-    return np.vstack([found, ends / math.sqrt(2.0)])
+    return np.vstack([cosines, ends / math.sqrt(2.0)])
 
 
 def walk_covariance(stretch: Stretch) -> Array:
@@ -229,8 +237,8 @@ class SawTooth:
     @property
     def power(self) -> Array:
         """Variance of each harmonic (M,) [rad^2]."""
-        found: Array = self.count**2 / (2.0 * np.pi**2 * np.arange(1.0, len(self.cosines) + 1.0) ** 2)
-        return found
+        variances: Array = self.count**2 / (2.0 * np.pi**2 * np.arange(1.0, len(self.cosines) + 1.0) ** 2)
+        return variances
 
     def covariance(self, walk: float, spread: float) -> Array:
         """Covariance of the contrasts by each harmonic, and all others (HARMONICS + 1, K, K) [rad^2].
@@ -242,12 +250,12 @@ class SawTooth:
         stretch, phi, bins = self.stretch, self.stretch.contrasts, self.stretch.time.size
         times = stretch.mean(stretch.time)
         ramp = times / (stretch.limits[1] - stretch.limits[0])
-        found = np.zeros((HARMONICS + 1, bins, bins))
+        harmonics = np.zeros((HARMONICS + 1, bins, bins))
         cosines, sines = stretch.mean(self.cosines), stretch.mean(self.sines)
-        saw_tooth_covariance(cosines, sines, self.power, times, ramp, walk, spread, found)
+        saw_tooth_covariance(cosines, sines, self.power, times, ramp, walk, spread, harmonics)
         rest = self.count**2 / 12.0 - float(self.power.sum())
-        found[-1].flat[:: bins + 1] += rest / np.diff(stretch.edges)
-        return phi @ found @ phi.T
+        harmonics[-1].flat[:: bins + 1] += rest / np.diff(stretch.edges)
+        return phi @ harmonics @ phi.T
 
     def over_white(self) -> Array:
         """Power of the harmonics followed in each contrast (K,), over that of white noise of the same variance."""
@@ -259,13 +267,13 @@ class SawTooth:
 
 def follow(design: Design, stretches: list[Stretch], count: float, values: Array) -> list[SawTooth]:
     """The saw-tooth of every stretch along the path that column coefficients ``values`` (segments, m) give."""
-    found = {stretch.start: SawTooth.of(stretch, count) for stretch in stretches}
+    teeth = {stretch.start: SawTooth.of(stretch, count) for stretch in stretches}
     output = design.run.output
     for stretch, first, rows, residual in angle_pieces(stretches, _residuals(design, values)):
-        tooth = found[stretch.start]
+        tooth = teeth[stretch.start]
         turned = (output[rows] - output[stretch.start] - residual) / count
         add_waves(turned, first, stretch.edges, tooth.cosines, tooth.sines)
-    return list(found.values())
+    return list(teeth.values())
 
 
 def _residuals(design: Design, values: Array) -> Iterator[tuple[Block, Array]]:
@@ -288,11 +296,11 @@ def counting_covariances(
 
     ``walk`` [rad^2/s] is the random walk, ``spread`` [counts] what the path is uncertain by beside the solution.
     """
-    found = []
+    covariances = []
     for tooth in teeth:
         error = spread**2 - _damped(tooth.stretch, solution, groups, walk) / tooth.count**2
-        found.append(tooth.covariance(walk / tooth.count**2, error))
-    return np.stack(found, axis=1)
+        covariances.append(tooth.covariance(walk / tooth.count**2, error))
+    return np.stack(covariances, axis=1)
 
 
 def _damped(stretch: Stretch, solution: Solution, groups: tuple[int, ...], walk: float) -> float:

@@ -229,9 +229,9 @@ def looks_wrong(result: Calibration) -> bool:
 
     Its scale factor is far from the nominal one, or its residuals are not white.
     """
-    found = {c.name: c.value for c in result.coefficients}
+    values = {c.name: c.value for c in result.coefficients}
     nominal = result.scale_factor_nominal * G0
-    scale = found.get("scale_factor", nominal) / nominal + found.get("k1", 0.0)
+    scale = values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
     return not 1.0 / ADVICE.off < scale < ADVICE.off or result.diagnostics.verdict not in (None, "white")
 
 
@@ -274,12 +274,12 @@ def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
 def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]:
     """A scale factor that is negative, or off by the factor of a unit; the output may be what is wrong."""
     as_good = [t.reading.output for t in trials if t.residual <= ADVICE.as_good * trial.residual]
-    found = (sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
+    sentences = (sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
     ratio = abs(trial.scale)
     factor = factor_near(ratio) if ratio > 0.0 else None
     if factor is None:
-        return found
-    return (*found, unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
+        return sentences
+    return (*sentences, unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
 
 
 def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:

@@ -395,7 +395,7 @@ def _pieces(rows: Rows, fit: JointFit, names: Names) -> list[Array]:
     keys = layout.amplitude_keys
     at = [keys.index((name, None)) for name in names]
     others = [i for i in range(layout.size + phases.size) if i not in at]
-    found = []
+    factors = []
     for index, (summary, pieces) in enumerate(zip(rows.summaries, rows.pieces, strict=True)):
         known = known_servo_of(summary, shared[index])
         wanted = summary.columns(local, shared[index])
@@ -407,10 +407,10 @@ def _pieces(rows: Rows, fit: JointFit, names: Names) -> list[Array]:
             columns, observed = part.factor[:, :-1], part.factor[:, -1]
             turned = columns @ layout.jacobian(amplitudes, phases, group)
             left = observed - columns @ layout.linear(amplitudes, float(phases[group]), group)
-            found.append(
+            factors.append(
                 np.column_stack([turned[:, others], turned[:, at], left + turned[:, at] @ amplitudes[at]])
             )
-    return found
+    return factors
 
 
 def _both_meanings_of_runs(

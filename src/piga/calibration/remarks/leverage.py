@@ -150,11 +150,11 @@ def all_but_one(parts: list[Reduction]) -> list[Reduction]:
     before = [Reduction.empty(parts[0].names)]
     for part in parts[:-1]:
         before.append(_merged([before[-1], part]))
-    found, after = [], Reduction.empty(parts[0].names)
+    mergers, after = [], Reduction.empty(parts[0].names)
     for part, first in zip(reversed(parts), reversed(before), strict=True):
-        found.append(_merged([first, after]))
+        mergers.append(_merged([first, after]))
         after.merge(part)
-    return found[::-1]
+    return mergers[::-1]
 
 
 def leverages(parts: list[Reduction]) -> list[float]:
@@ -225,23 +225,23 @@ def _residual_size(parts: list[Reduction], fit: Fit) -> float:
 
 def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) -> tuple[str, ...]:
     """Segments that determine a coefficient alone."""
-    found = []
+    sentences = []
     for label, row in table.items():
         sole = [c.name for c in common if row.share[c.name] > LEVERAGE.determines]
         if sole:
             verb = "rests" if len(sole) == 1 else "rest"
-            found.append(
+            sentences.append(
                 f"{', '.join(sole)} {verb} on segment '{label}' alone (more than {100.0 * LEVERAGE.determines:.0f} % of the "
                 "information): an error there is not seen; add a position or level like it"
             )
-    return _few(found)
+    return _few(sentences)
 
 
 def _shift_words(
     table: dict[str, SegmentLeverage], common: list[Coefficient], whole: Without, size: float, unit: str
 ) -> tuple[str, ...]:
     """Segments that move a coefficient by more than noise would."""
-    found: list[tuple[float, str]] = []
+    sentences: list[tuple[float, str]] = []
     for label, row in table.items():
         for c in common:
             share, shift = row.share[c.name], row.shift[c.name]
@@ -253,12 +253,12 @@ def _shift_words(
                     f"without segment '{label}' {c.name} changes by {shift:+.1f} {unit} (noise would "
                     f"explain {usual:.1g}): look at that segment"
                 )
-                found.append((abs(shift), words))
-    return _few([words for _, words in sorted(found, key=lambda item: -item[0])])
+                sentences.append((abs(shift), words))
+    return _few([words for _, words in sorted(sentences, key=lambda item: -item[0])])
 
 
-def _few(found: list[str]) -> tuple[str, ...]:
+def _few(sentences: list[str]) -> tuple[str, ...]:
     """The first sentences, and how many more there would be."""
-    more = len(found) - LEVERAGE.sentences
+    more = len(sentences) - LEVERAGE.sentences
     rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
-    return (*found[: LEVERAGE.sentences], *rest)
+    return (*sentences[: LEVERAGE.sentences], *rest)

@@ -142,10 +142,10 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
     left_out |= {"k0_T", "k1_T"} if low == high else set()
     left_out |= servo_out_of_reach(design)
-    found: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
+    candidates: list[tuple[str, ...]] = [(name,) for name in SINGLE if name not in left_out]
     if design.request.phase == "shared" or "tan_beta" in terms:
-        found += [columns for name, columns in PAIRS if name not in terms]
-    return found
+        candidates += [columns for name, columns in PAIRS if name not in terms]
+    return candidates
 
 
 def servo_out_of_reach(design: Design) -> set[str]:
@@ -153,24 +153,24 @@ def servo_out_of_reach(design: Design) -> set[str]:
     total, across = constant_squares(design.run)
     terms = design.request.terms
     scaled = "scale_factor" in terms or "k1" in terms
-    found = set(design.turning_servo) if "tan_beta" in terms else set(SERVO_TERMS)
+    names = set(design.turning_servo) if "tan_beta" in terms else set(SERVO_TERMS)
     if scaled and total is not None:
-        found |= {"k3"} if "servo" in terms else set()
-        found |= {"servo"} if "k3" in terms else set()
+        names |= {"k3"} if "servo" in terms else set()
+        names |= {"servo"} if "k3" in terms else set()
     if scaled and across is not None:
-        found |= {"servo"}
-    return found
+        names |= {"servo"}
+    return names
 
 
 def constant_squares(run: Run) -> tuple[float | None, float | None]:
     """``a_x^2 + a_t^2`` and ``a_t^2`` [m^2/s^4] of a record; None for one that changes."""
     f = gathered(run.f, np.unique(np.linspace(0, run.size - 1, CANDIDATES.force_samples).astype(np.int64)))
     across = f[:, 1] ** 2 + f[:, 2] ** 2
-    found: list[float | None] = []
+    squares: list[float | None] = []
     for square in (across + f[:, 0] ** 2, across):
         low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
-        found.append(float(middle) if high - low <= CANDIDATES.constant * middle else None)
-    return found[0], found[1]
+        squares.append(float(middle) if high - low <= CANDIDATES.constant * middle else None)
+    return squares[0], squares[1]
 
 
 def candidate_sums(
@@ -519,15 +519,15 @@ def _suggestion(test: Tested, shift: tuple[float, str], alike: list[str], scale_
     terms = terms_of(test.names)
     units = np.array([si_factor(name) for name in terms])
     return MissingTerm(
-        terms,
-        tuple((size / units).tolist()),
-        tuple((std / units).tolist()),
-        tuple(unit_of(name) for name in terms),
-        test.fall,
-        test.probability,
-        shift[0],
-        shift[1],
-        tuple(alike),
+        terms=terms,
+        estimate=tuple((size / units).tolist()),
+        standard_uncertainty=tuple((std / units).tolist()),
+        unit=tuple(unit_of(name) for name in terms),
+        chi2_fall=test.fall,
+        probability=test.probability,
+        largest_shift=shift[0],
+        coefficient=shift[1],
+        alike=tuple(alike),
     )
 
 
