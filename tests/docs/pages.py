@@ -25,9 +25,9 @@ class Block:
 
 
 def pages() -> list[Path]:
-    """README and every page that is written by hand."""
+    """README, CONTRIBUTING and every page that is written by hand."""
     found = [path for path in DOCS.rglob("*.md") if "generated" not in path.parts]
-    return [ROOT / "README.md", *sorted(found)]
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(found)]
 
 
 def name_of(page: Path) -> str:
