@@ -56,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], tuple[str, str
 @pytest.mark.only_compiled
 @pytest.mark.parametrize(
     ("ending", "damage"),
-    [*(("nbi", damage) for damage in DAMAGE if damage != "one bit"), *(("nbc", damage) for damage in DAMAGE)],
+    [(ending, damage) for ending in ("nbi", "nbc") for damage in DAMAGE],
 )
 def test_damaged_cache_files(run: Callable[[], tuple[str, str, Path]], ending: str, damage: str) -> None:
     cache = run()[2]
@@ -67,3 +67,49 @@ def test_damaged_cache_files(run: Callable[[], tuple[str, str, Path]], ending: s
     assert (answer, err) == ("42.0", "")
     assert path.stat().st_size > 0.5 * len(sound)
     assert run()[0] == "42.0"
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("write", ["index", "data"])
+def test_a_full_disk_costs_only_the_compilation(tmp_path: Path, write: str) -> None:
+    """Index or data cannot be written: the kernel is used all the same, and nothing half-written stays."""
+    (tmp_path / "small.py").write_text(KERNEL)
+    full = f"""
+import errno
+from numba.core.caching import IndexDataCacheFile as Files
+real = Files._open_for_write
+
+def refuse(self, path):
+    if path.endswith({".nbi" if write == "index" else ".nbc"!r}):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    return real(self, path)
+
+Files._open_for_write = refuse
+"""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for program in (full + PROGRAM, full + PROGRAM, PROGRAM):
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(tmp_path)],
+            capture_output=True, text=True, check=False, env=environment,
+        )  # fmt: skip
+        assert (done.stdout.strip(), done.stderr) == ("42.0", "")
+    assert not list(tmp_path.rglob("*.tmp.*"))
+
+
+@pytest.mark.only_compiled
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_no_folder_to_keep_kernels_in(tmp_path: Path) -> None:
+    """A package and a home that cannot be written to (a service account): compiled, not kept."""
+    (tmp_path / "small.py").write_text(KERNEL)
+    (tmp_path / "__pycache__").write_text("in the place of the folder")
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none"}
+    environment["NUMBA_CACHE_DIR"] = ""
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
+    assert (done.stdout.strip(), done.stderr) == ("42.0", "")

@@ -38,29 +38,47 @@ class _SoundCacheFile(IndexDataCacheFile):
     """Files of compiled kernels that hold what was written, or are compiled again.
 
     A power cut leaves files that are empty, short or full of zeros. Numba reads them as they are: the command ends
-    in its exceptions. Here every data file begins with the SHA-256 of the rest, and a damaged one is removed.
+    in its exceptions. Here every file begins with the SHA-256 of the rest, and a damaged one is removed. Files that
+    cannot be read or written (a full disk, another user's) cost only the time to compile.
     """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep a compiled kernel where there is room."""
+        with suppress(OSError):
+            super().save(key, data)  # type: ignore[no-untyped-call]
 
     def _load_index(self) -> dict[Any, str]:
         try:
-            return super()._load_index()  # type: ignore[no-untyped-call]
+            version, packed = pickle.loads(self._read(self._index_path))  # noqa: S301 - as in _load_data
         except OSError:
-            raise
-        except Exception:  # whatever unpickling damaged bytes provokes
-            self._remove(self._index_path)
             return {}
+        if version != self._version:
+            return {}
+        stamp, overloads = pickle.loads(packed)  # noqa: S301 - as in _load_data
+        return overloads if stamp == self._source_stamp else {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        packed = self._dump((self._source_stamp, overloads))  # type: ignore[no-untyped-call]
+        self._write(self._index_path, pickle.dumps((self._version, packed)))
 
     def _load_data(self, name: str) -> Any:
-        path = self._data_path(name)  # type: ignore[no-untyped-call]
+        raw = self._read(self._data_path(name))  # type: ignore[no-untyped-call]
+        return pickle.loads(raw)  # noqa: S301 - compiled code of this package, as Numba keeps it
+
+    def _save_data(self, name: str, data: Any) -> None:
+        packed = self._dump(data)  # type: ignore[no-untyped-call]
+        self._write(self._data_path(name), packed)  # type: ignore[no-untyped-call]
+
+    def _read(self, path: str) -> bytes:
+        """What stands behind the SHA-256; FileNotFoundError where it does not fit, and the file is removed."""
         raw = Path(path).read_bytes()
         if hashlib.sha256(raw[32:]).digest() != raw[:32]:
             self._remove(path)
             raise FileNotFoundError(path)
-        return pickle.loads(raw[32:])  # noqa: S301 - compiled code of this package, as Numba keeps it
+        return raw[32:]
 
-    def _save_data(self, name: str, data: Any) -> None:
-        packed = self._dump(data)  # type: ignore[no-untyped-call]
-        with self._open_for_write(self._data_path(name)) as stream:  # type: ignore[no-untyped-call]
+    def _write(self, path: str, packed: bytes) -> None:
+        with self._open_for_write(path) as stream:
             stream.write(hashlib.sha256(packed).digest() + packed)
 
     @staticmethod
@@ -117,7 +135,10 @@ class _Turn:
 
 def _compiled(function: F, fastmath: bool | set[str]) -> F:
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    made = numba.njit(fastmath=fastmath, **options)(function)
+    try:
+        made = numba.njit(fastmath=fastmath, **options)(function)
+    except RuntimeError:  # no folder that may be written to: compiled in every process
+        made = numba.njit(fastmath=fastmath, **(options | {"cache": False}))(function)
     cache = getattr(made, "_cache", None)
     if isinstance(cache, FunctionCache):
         cache._cache_file.__class__ = _SoundCacheFile
