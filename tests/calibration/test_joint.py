@@ -102,10 +102,20 @@ def test_damaged_summary_is_refused(runs: list[piga.Run], tmp_path: Path) -> Non
     path = tmp_path / "s.json"
     RunSummary.of(runs[0], ["scale_factor", "k0"]).to_json(path)
     document = json.loads(path.read_text())
-    document["parts"][0]["weight"][0].pop()
-    path.write_text(json.dumps(document))
-    with pytest.raises(piga.CalibrationError, match="damaged"):
-        RunSummary.from_json(path)
+    for change, words in (
+        (lambda d: d["parts"][0]["weight"][0].pop(), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["weight"][0].__setitem__(0, "1.0"), "its summaries are damaged"),
+        (lambda d: d["parts"][0].update(unit=None), "its summaries are damaged"),
+        (lambda d: d["parts"][0].update(count=-1), "its summaries are damaged"),
+        (lambda d: d.update(noise=[1e-9]), "noise: two to four levels"),
+        (lambda d: d.update(noise=[1e-9, "much"]), "noise.walk"),
+        (lambda d: d.pop("kind"), "kind"),
+    ):
+        damaged = json.loads(json.dumps(document))
+        change(damaged)
+        path.write_text(json.dumps(damaged))
+        with pytest.raises(piga.CalibrationError, match=words):
+            RunSummary.from_json(path)
     path.write_text('{"schema": "piga.calibration/1"}')
     with pytest.raises(piga.CalibrationError, match="no run summary"):
         RunSummary.from_json(path)

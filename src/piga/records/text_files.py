@@ -18,6 +18,7 @@ from piga.records.limits import read_whole
 from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
+J = TypeVar("J")
 
 MAX_BYTES = 1 << 20
 """Largest TOML file read [bytes]; run files are a few kilobytes."""
@@ -220,7 +221,7 @@ def schema_of(raw: bytes) -> object:
     return _decoded(raw, _Schema).schema
 
 
-def decode_json(raw: bytes, kind: type[T]) -> T:
+def decode_json(raw: bytes, kind: type[J]) -> J:
     """Decode and check ``raw`` as ``kind``.
 
     Raises
@@ -239,7 +240,7 @@ def decode_json(raw: bytes, kind: type[T]) -> T:
     return document
 
 
-def _decoded(raw: bytes, kind: type[T]) -> T:
+def _decoded(raw: bytes, kind: type[J]) -> J:
     try:
         return msgspec.json.decode(raw, type=kind)
     except RecursionError:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from piga.calibration.noise.levels import Noise
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import settle
 from piga.reading.signal_checks import largest_size
-from piga.records.calibration import Event, Outlier, Quality, Residuals, SegmentSummary
+from piga.records.calibration import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
@@ -387,130 +388,31 @@ def now() -> str:
 
 SCHEMA = "piga.run-summary/1"
 MAX_BYTES = 256 << 20
-_PLAIN = (
-    "name", "serial", "scale_factor", "kind", "terms", "per_run", "phase", "temperature_reference", "time_reference",
-    "inner_scale_factor", "turning", "labels", "stand", "reference_id", "undetermined", "figures", "ranges",
-    "input_sha256", "source", "software", "created", "known_servo",
-)  # fmt: skip
-
-
-class _Reduction(msgspec.Struct, frozen=True):
-    names: tuple[str, ...]
-    weight: list[list[float]]
-    unit: list[list[list[float]]]
-    count: int
-
-
-class _Added(msgspec.Struct, frozen=True):
-    name: str
-    variance: float
-    deviation: float
-    together: bool
-    scores: tuple[list[list[float]], ...]
-
-
-class _Source(msgspec.Struct, frozen=True):
-    name: str
-    value: float
-    unit: str
-    parts: tuple[_Reduction, ...]
-    distribution: str = "normal"
-    degrees_of_freedom: float | None = None
-    known_servo: tuple[tuple[str, float], ...] = ()
-    draw: Draw = "reference"
-    segments: tuple[tuple[int, _Reduction], ...] = ()
-    in_fit: bool = False
-
-
-class _Summary(msgspec.Struct, frozen=True):
-    schema: str
-    name: str
-    serial: str
-    scale_factor: float
-    kind: str
-    terms: tuple[str, ...]
-    per_run: tuple[str, ...]
-    phase: str
-    temperature_reference: float
-    time_reference: float
-    inner_scale_factor: float
-    turning: bool
-    labels: tuple[str | None, ...]
-    stand: str | None
-    reference_id: str | None
-    undetermined: tuple[str, ...]
-    figures: dict[str, float]
-    ranges: dict[str, tuple[float, float]]
-    input_sha256: dict[str, str]
-    source: str
-    software: str
-    created: str
-    noise: tuple[float, ...]
-    parts: tuple[_Reduction, ...]
-    sources: tuple[_Source, ...]
-    quality: Quality
-    segments: tuple[SegmentSummary, ...]
-    outliers: tuple[Outlier, ...] = ()
-    degrees_of_freedom: float | None = None
-    added: tuple[_Added, ...] = ()
-    known_servo: tuple[tuple[str, float], ...] = ()
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
-    """Write a summary as JSON, every float with all its digits."""
-    document: dict[str, Any] = {"schema": SCHEMA} | {name: getattr(summary, name) for name in _PLAIN}
-    document |= {
-        "noise": [summary.noise.white, summary.noise.walk, summary.noise.drift, summary.noise.scatter],
-        "parts": [_plain(part) for part in summary.parts],
-        "sources": [
-            {
-                "name": s.name,
-                "value": s.value,
-                "unit": s.unit,
-                "parts": [_plain(part) for part in s.parts],
-                "distribution": s.distribution,
-                "degrees_of_freedom": _finite(s.degrees_of_freedom),
-                "known_servo": s.known_servo,
-                "draw": s.draw,
-                "segments": [(group, _plain(part)) for group, part in s.segments],
-                "in_fit": s.in_fit,
-            }
-            for s in summary.sources
-        ],
-        "degrees_of_freedom": _finite(summary.degrees_of_freedom),
-        "added": [
-            {
-                "name": a.name,
-                "variance": a.variance,
-                "deviation": a.deviation,
-                "together": a.together,
-                "scores": [part.tolist() for part in a.scores],
-            }
-            for a in summary.added
-        ],
-        "quality": msgspec.to_builtins(summary.quality),
-        "segments": [msgspec.to_builtins(segment) for segment in summary.segments],
-        "outliers": [msgspec.to_builtins(outlier) for outlier in summary.outliers],
-    }
+    """Write a summary as JSON, every float with all its digits; infinite degrees of freedom are null."""
+    document = {"schema": SCHEMA} | msgspec.to_builtins(summary, enc_hook=_plain)
+    noise = summary.noise
+    document["noise"] = [noise.white, noise.walk, noise.drift, noise.scatter]
+    for part in (document, *document["sources"]):
+        if math.isinf(part["degrees_of_freedom"]):
+            part["degrees_of_freedom"] = None
     path.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _finite(degrees: float) -> float | None:
-    """Degrees of freedom; None where the levels are known."""
-    return degrees if math.isfinite(degrees) else None
+def _plain(value: Any) -> Any:
+    """An array, or a number of NumPy's, as plain values."""
+    return value.tolist()
 
 
-def _degrees(written: float | None) -> float:
-    return math.inf if written is None else written
-
-
-def _plain(part: Reduction) -> dict[str, Any]:
-    return {
-        "names": part.names,
-        "weight": part.weight.tolist(),
-        "unit": part.unit.tolist(),
-        "count": part.count,
-    }
+def _array(_kind: type, value: Any) -> Array:
+    """An array from nested lists of numbers; an empty one from anything else."""
+    try:
+        numbers = np.array(value)
+    except ValueError:
+        return np.zeros(0)
+    return numbers.astype(np.float64) if numbers.dtype.kind in "fi" else np.zeros(0)
 
 
 def read_summary(path: Path) -> RunSummary:
@@ -522,54 +424,6 @@ def read_summary(path: Path) -> RunSummary:
         If the file is missing, damaged, or of another schema.
     """
     settle(path.parent)
-    written = _decode(path)
-    fields = {name: getattr(written, name) for name in _PLAIN}
-    return RunSummary(
-        **fields,
-        noise=_noise(written.noise),
-        parts=_reductions(path, written.parts, len(written.labels)),
-        sources=tuple(_read_source(path, s, len(written.labels)) for s in written.sources),
-        degrees_of_freedom=_degrees(written.degrees_of_freedom),
-        added=tuple(_added(path, noise, written) for noise in written.added),
-        quality=Quality(
-            written.quality.rows,
-            written.quality.used,
-            written.quality.masked,
-            tuple(Event(e.kind, e.count, e.first_row, e.detail) for e in written.quality.events),
-        ),
-        segments=written.segments,
-        outliers=written.outliers,
-    )
-
-
-def _noise(written: tuple[float, ...]) -> Noise:
-    """Levels as written; summaries of older versions lack the last ones."""
-    white, walk, drift, scatter = (*written, 0.0, 0.0)[:4]
-    return Noise(white, walk, drift, scatter)
-
-
-def _read_source(path: Path, s: _Source, groups: int) -> SourceSummary:
-    """A source; one that is drawn for each segment has the changed group of each in place of all groups."""
-    parts = _reductions(path, s.parts, 0 if s.draw == "segment" else groups)
-    segments = _reductions(path, tuple(part for _, part in s.segments), len(s.segments))
-    own = [group for group, _ in s.segments]
-    if bool(own) != (s.draw == "segment") or any(not 0 <= group < groups for group in own):
-        raise CalibrationError(f"{path}: its sources are damaged", remedy="summarise the run again")
-    return SourceSummary(
-        name=s.name,
-        value=s.value,
-        unit=s.unit,
-        parts=parts,
-        distribution=s.distribution,
-        degrees_of_freedom=_degrees(s.degrees_of_freedom),
-        known_servo=s.known_servo,
-        draw=s.draw,
-        segments=tuple(zip(own, segments, strict=True)),
-        in_fit=s.in_fit,
-    )
-
-
-def _decode(path: Path) -> _Summary:
     raw = read_whole(path, MAX_BYTES, "a run summary", CalibrationError)
     try:
         kind = schema_of(raw)
@@ -578,39 +432,59 @@ def _decode(path: Path) -> _Summary:
                 f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
                 remedy="name a run file (.toml), or a summary that --summary wrote",
             )
-        return decode_json(raw, _Summary)
-    except JsonError as error:
+        document = decode_json(raw, dict[str, Any])
+        _restore(document)
+        summary = msgspec.convert(document, RunSummary, dec_hook=_array)
+    except (JsonError, msgspec.ValidationError) as error:
         raise CalibrationError(
             f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
         ) from None
+    damaged = next(_damages(summary), None)
+    if damaged is not None:
+        raise CalibrationError(f"{path}: its {damaged} damaged", remedy="summarise the run again")
+    return summary
 
 
-def _added(path: Path, noise: _Added, summary: _Summary) -> AddedNoise:
-    try:
-        scores = tuple(np.array(part, dtype=float) for part in noise.scores)
-    except ValueError:
-        scores = ()
-    fits = len(scores) == len(summary.parts) and all(
-        part.ndim == 2 and len(part) == len(own.names) and part.shape[1] == scores[0].shape[1]
-        for part, own in zip(scores, summary.parts, strict=True)
-    )
-    if not fits or not all(np.isfinite(part).all() for part in scores):
-        raise CalibrationError(f"{path}: its added noise is damaged", remedy="summarise the run again")
-    return AddedNoise(noise.name, noise.variance, noise.deviation, noise.together, scores)
+def _restore(document: dict[str, Any]) -> None:
+    """Noise levels by name (older versions lack the last ones) and infinite degrees of freedom, in place."""
+    noise, sources = document.get("noise"), document.get("sources")
+    if not isinstance(noise, list) or not 2 <= len(noise) <= 4:
+        raise JsonError("noise: two to four levels are needed")
+    document["noise"] = dict(zip(("white", "walk", "drift", "scatter"), noise, strict=False))
+    for part in (document, *(sources if isinstance(sources, list) else ())):
+        if isinstance(part, dict) and part.get("degrees_of_freedom", 0.0) is None:
+            part["degrees_of_freedom"] = math.inf
 
 
-def _reductions(path: Path, parts: tuple[_Reduction, ...], groups: int) -> tuple[Reduction, ...]:
-    result = []
+def _damages(summary: RunSummary) -> Iterator[str]:
+    """Parts of a summary that contradict another."""
+    groups = len(summary.labels)
+    if not _whole(summary.parts, groups):
+        yield "summaries are"
+    for source in summary.sources:
+        drawn = source.draw == "segment"
+        own = [group for group, _ in source.segments]
+        reductions = tuple(part for _, part in source.segments)
+        if not _whole(source.parts, 0 if drawn else groups) or not _whole(reductions, len(own)):
+            yield "summaries are"
+        if bool(own) != drawn or any(not 0 <= group < groups for group in own):
+            yield "sources are"
+    for noise in summary.added:
+        fits = len(noise.scores) == len(summary.parts) and all(
+            part.ndim == 2 and len(part) == len(own.names) and part.shape[1] == noise.scores[0].shape[1]
+            for part, own in zip(noise.scores, summary.parts, strict=True)
+        )
+        if not fits or not all(np.isfinite(part).all() for part in noise.scores):
+            yield "added noise is"
+
+
+def _whole(parts: tuple[Reduction, ...], groups: int) -> bool:
+    """Whether there are ``groups`` reductions, each of known columns with finite factors of their size."""
     for part in parts:
         size = len(part.names) + 1
-        try:
-            weight, unit = np.array(part.weight, dtype=float), np.array(part.unit, dtype=float)
-        except ValueError:
-            weight, unit = np.zeros(0), np.zeros(0)
-        fits = weight.shape == (2, size) and unit.shape == (2, size, size)
+        fits = part.weight.shape == (2, size) and part.unit.shape == (2, size, size) and part.count >= 0
         known = all(name in ("p", "q", *PHASELESS) or check_name(name) for name in part.names)
-        whole = fits and np.isfinite(weight).all() and np.isfinite(unit).all() and (weight[0] >= 0.0).all()
-        if not (whole and known) or len(parts) != groups or part.count < 0:
-            raise CalibrationError(f"{path}: its summaries are damaged", remedy="summarise the run again")
-        result.append(Reduction(part.names, weight, unit, part.count))
-    return tuple(result)
+        finite = np.isfinite(part.weight).all() and np.isfinite(part.unit).all()
+        if not (fits and known and finite and (part.weight[0] >= 0.0).all()):
+            return False
+    return len(parts) == groups
