@@ -20,7 +20,10 @@ RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.js
 """What the command can leave."""
 RunFilesArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="RUN.toml...", help="Run file; several, or summaries of runs (.json), jointly."),
+    typer.Argument(
+        metavar="RUN.toml...",
+        help="Run file. Several files, or summaries of runs (.json), are calibrated together.",
+    ),
 ]
 
 
@@ -29,29 +32,37 @@ def calibrate(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="DIR", help="Where the results go [default: RUN-calibration or joint-calibration]."
+            "--out",
+            metavar="DIR",
+            help="Folder for the results [default: RUN-calibration or joint-calibration].",
         ),
     ] = None,
     terms: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="Terms to estimate, instead of those of the run file.")
+        str | None,
+        typer.Option(metavar="A,B,...", help="Terms to estimate. They replace those of the run file."),
     ] = None,
     method: Annotated[
-        str | None, typer.Option(help="information | rate | recursive | published | revolutions")
+        str | None, typer.Option(help="Estimator: information | rate | recursive | published | revolutions.")
     ] = None,
-    phase: Annotated[str | None, typer.Option(help="shared | per-segment")] = None,
-    phase_source: Annotated[str | None, typer.Option(help="output | input")] = None,
+    phase: Annotated[str | None, typer.Option(help="Phase of the output zero: shared | per-segment.")] = None,
+    phase_source: Annotated[
+        str | None, typer.Option(help="Angle that turns the coupling: output | input.")
+    ] = None,
     per_run: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="Terms that may differ between the runs.")
+        str | None, typer.Option(metavar="A,B,...", help="Terms with a value of their own in each run.")
     ] = None,
     compare: Annotated[
         str | None,
         typer.Option(
             metavar="'A,B; A,B,C; ...'",
-            help="Sets of terms to compare, instead of [model] compare of the run file.",
+            help="Sets of terms to compare. They replace [model] compare of the run file.",
         ),
     ] = None,
     summary: Annotated[
-        bool, typer.Option("--summary", help="Write a summary of each run, to be merged without its data.")
+        bool,
+        typer.Option(
+            "--summary", help="Also write a summary of each run. It can be calibrated later without the data."
+        ),
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     force: ForceOption = False,
@@ -59,7 +70,7 @@ def calibrate(
 ) -> None:
     """Estimate the coefficients of an instrument from its runs.
 
-    Leaves calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
+    Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     """
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
@@ -182,7 +193,7 @@ EXAMPLE = "tumble-a"
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the results go.")] = Path(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")] = Path(
         "piga-demo"
     ),
     force: ForceOption = False,

@@ -58,7 +58,7 @@ AtOption = Annotated[
     typer.Option(
         "--at",
         metavar="YYYY-MM-DD",
-        help="Day on which the X.509 certificate must be in force, instead of today.",
+        help="Day on which the X.509 certificate must be valid, instead of today.",
     ),
 ]
 
@@ -69,26 +69,31 @@ def issue(
         Path, typer.Argument(metavar="CALIBRATION.json", help="Calibration to certify.", show_default=False)
     ],
     data: Annotated[
-        Path, typer.Option("--data", metavar="CERTIFICATE.toml", help="Laboratory, customer, item, method ...")
+        Path,
+        typer.Option(
+            "--data", metavar="CERTIFICATE.toml", help="Laboratory, customer, item, method and so on."
+        ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the certificate goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the certificate.")],
     issued: Annotated[
         str | None,
         typer.Option(
-            "--issued", metavar="YYYY-MM-DD | today", help="Date of issue; without it the file's, or today."
+            "--issued",
+            metavar="YYYY-MM-DD | today",
+            help="Date of issue [default: that of the file, or today].",
         ),
     ] = None,
-    dcc: Annotated[bool, typer.Option("--dcc", help="Write certificate.xml too: DCC 3.3.0.")] = False,
+    dcc: Annotated[bool, typer.Option("--dcc", help="Also write certificate.xml (DCC 3.3.0).")] = False,
     key: Annotated[
-        Path | None, typer.Option("--key", metavar="PEM", help="Private key: sign the XML with it.")
+        Path | None, typer.Option("--key", metavar="PEM", help="Private key that signs the XML.")
     ] = None,
     certificate: PemOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write certificate.html (A4), with --dcc certificate.xml.
+    """Write certificate.html (A4); with --dcc also certificate.xml.
 
-    Refused while anything is missing. working-copy.html, for the laboratory, has the cautions of the calibration too.
+    Refuses if anything is missing. Also writes working-copy.html for the laboratory, with the cautions of the calibration.
     """
     import hashlib
 
@@ -246,14 +251,14 @@ def read(
     file: Annotated[
         Path, typer.Argument(metavar="CERTIFICATE.xml", help="DCC made by piga.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="Where the calibration goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="File for the calibration.")],
     certificate: PemOption = None,
     at: AtOption = None,
     force: ForceOption = False,
 ) -> None:
     """Read a DCC back into calibration.json.
 
-    Ready for 'piga compensate'; --certificate verifies it first.
+    'piga compensate' takes the result. With --certificate the signature is verified first.
     """
     from piga.certificate.dcc.reader import calibration_of
     from piga.certificate.dcc.xml_signature import check_profile, read_xml, verify_signature

@@ -30,12 +30,13 @@ def check(
         Path | None, typer.Option("--out", metavar="DIR", help="Write check.html with a picture of the record.")
     ] = None,
     fix_suggestions: Annotated[
-        bool, typer.Option("--fix-suggestions", help="Print run-file lines that would settle what is open.")
+        bool,
+        typer.Option("--fix-suggestions", help="Print lines for the run file that settle the open questions."),
     ] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what is found in a recorded test; nothing is calibrated."""
+    """Show what is in a recorded test. Nothing is calibrated."""
     from piga.reading import suggestions
     from piga.stand import read_run
 
@@ -64,12 +65,12 @@ def check(
 
 def convert(
     run: RunFileArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="Where the clean record goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="File for the clean record.")],
     force: ForceOption = False,
 ) -> None:
     """Write a recorded test as clean Parquet in SI.
 
-    Units and everything that was found are in the file, too.
+    The file holds the units, and everything that was noticed.
     """
     from piga.formats.parquet_writer import data_table, write_run_parquet
     from piga.stand import read_run

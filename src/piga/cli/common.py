@@ -180,8 +180,8 @@ def progress(title: str, total: int | None = None) -> Iterator[Advance]:
 
 
 RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else.")]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace results that are there.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
 
 
 class Group(TyperGroup):

@@ -24,7 +24,7 @@ def compensate(
     run: Annotated[
         list[Path],
         typer.Argument(
-            help="Run file; a triad file; three run files (x, y, z); or - for a live stream.",
+            help="A run file, a triad file, three run files (x, y, z), or - for a live stream.",
             show_default=False,
         ),
     ],
@@ -32,27 +32,25 @@ def compensate(
         list[Path] | None,
         typer.Option(help="Calibration record (calibration.json); one per run.", show_default=False),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Result: .parquet or .csv; - for a live stream.")] = Path("-"),
+    out: Annotated[Path, typer.Option(help="Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
-        typer.Option(help="Default: what the calibration's phase asks for."),
+        typer.Option(help="Default: what the phase of the calibration needs."),
     ] = None,
     phase: Annotated[str | None, typer.Option(help="Phase of the output zero, e.g. '0.48 rad'.")] = None,
     identify_phase: Annotated[
-        str | None, typer.Option(help="Find the phase from this first time at rest, e.g. '60 s'.")
+        str | None, typer.Option(help="Estimate the phase from the first seconds, at rest, e.g. '60 s'.")
     ] = None,
-    rate: Annotated[
-        str | None, typer.Option(help="Bring the result to this rate, e.g. '10 Hz'; no velocity is lost.")
-    ] = None,
+    rate: Annotated[str | None, typer.Option(help="Output rate, e.g. '10 Hz'. No velocity is lost.")] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
-        float | None, typer.Option(help="Flag rows when the calibration is older [days].")
+        float | None, typer.Option(help="Flag all rows if the calibration is older than this [days].")
     ] = None,
     other_serial: Annotated[
-        bool, typer.Option("--other-serial", help="Use the calibration of another serial number.")
+        bool, typer.Option("--other-serial", help="Accept a calibration of another serial number.")
     ] = False,
     force: ForceOption = False,
-    kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: what 'output' is.")] = "angle",
+    kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
     arrow: Annotated[
         bool, typer.Option("--arrow", help="Live stream: Arrow record batches instead of lines.")
     ] = False,
@@ -60,18 +58,18 @@ def compensate(
         bool,
         typer.Option(
             "--resume",
-            help="Keep whole parts beside --out; after a stop, go on from the last one (large files).",
+            help="Keep finished parts beside --out, and continue from the last one after a stop.",
         ),
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.html", help="Write a page with figures as well.", show_default=False),
+        typer.Option(metavar="FILE.html", help="Also write a page with figures.", show_default=False),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
 ) -> None:
     """Compensate runs or live data: specific force and velocity.
 
-    Columns t, ax, dv, u_ax, flags of one run; several instruments are solved together.
+    One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
     from piga.compensation.files.parts import was_begun
     from piga.compensation.model import Phase

@@ -18,14 +18,14 @@ def plan(
     plan_file: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Plan file.", show_default=False)],
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Where the results go [default: PLAN-plan]."),
+        typer.Option("--out", metavar="DIR", help="Folder for the results [default: PLAN-plan]."),
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a test: which positions, how long, what it will give.
+    """Plan a test: positions, times and the uncertainty it gives.
 
-    Leaves plan.json, report.html, and scenario.toml for 'piga simulate'.
+    Writes plan.json, report.html, and scenario.toml for 'piga simulate'.
     """
     import json
 

@@ -29,15 +29,15 @@ app = typer.Typer(
 )
 
 Scenario = Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)]
-Out = Annotated[Path, typer.Option(help="Directory for the results and report.html.")]
+Out = Annotated[Path, typer.Option(help="Folder for the results and report.html.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @app.command()
 def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
-    """Simulate the readouts, and the truth beside them.
+    """Simulate the readouts and the truth.
 
-    Leaves readouts.parquet, truth.parquet and a page.
+    Writes readouts.parquet, truth.parquet and a page.
     """
     from piga.platform.runs.output import readouts_table, truth_table
     from piga.reports.platform.page import simulation_page
@@ -64,7 +64,7 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Align on the first stretch of a static base.
 
-    Leaves alignment.json and a page.
+    Writes alignment.json and a page.
     """
     from piga.errors import PigaError
     from piga.platform.identification.alignment import align as align_platform
@@ -97,7 +97,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
 def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Identify misalignments, phases and harmonics.
 
-    Leaves identification.json and a page.
+    Writes identification.json and a page.
     """
     from piga.platform.identification.identify import identify_recursively, observability
     from piga.platform.runs.chain import identified
@@ -127,7 +127,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
     """Navigate with every model of the scenario.
 
-    Leaves navigation-MODEL.parquet and a page.
+    Writes navigation-MODEL.parquet and a page.
     """
     from piga.platform.runs.output import navigation_table
     from piga.reports.platform.page import navigation_page
@@ -149,15 +149,15 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
 @app.command()
 def compare(
     scenario: Scenario,
-    out: Annotated[Path | None, typer.Option(help="Directory for comparison.json and report.html.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and report.html.")] = None,
     force: ForceOption = False,
     json: Json = False,
     budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
-    seeds: Annotated[int, typer.Option(help="Repeat the chain with so many seeds (Monte Carlo).", min=0)] = 0,
+    seeds: Annotated[int, typer.Option(help="Repeat the chain with this many seeds (Monte Carlo).", min=0)] = 0,
 ) -> None:
-    """Compare the models of compensation, and each with the theory.
+    """Compare the compensation models, and each with theory.
 
-    Leaves comparison.json and a page, day by day.
+    Writes comparison.json and a page, day by day.
     """
     from piga.platform.runs.budget import error_budget, line_budget, monte_carlo, standard_sources
     from piga.platform.runs.output import budget_document, line_budget_document, scatter_document

@@ -225,7 +225,7 @@ app = typer.Typer(
     cls=Group,
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Keep calibrations as evidence.\n\nThe store is append-only, chained, verifiable, and can be recomputed.",
+    help="Keep calibrations as evidence.\n\nNothing in the store can be changed unnoticed, and every record can be recomputed.",
 )
 
 StoreOption = Annotated[
@@ -256,23 +256,25 @@ def add(
     reason: ReasonOption,
     results: Annotated[
         Path | None,
-        typer.Option("--results", metavar="DIR", help="Keep what piga calibrate left there, as it is."),
+        typer.Option(
+            "--results", metavar="DIR", help="Keep the results of 'piga calibrate' in this folder, unchanged."
+        ),
     ] = None,
     measured: Annotated[
         str | None,
-        typer.Option("--measured", metavar="DATE", help="When the test was made; UTC without a zone."),
+        typer.Option("--measured", metavar="DATE", help="Date of the test; UTC if it has no zone."),
     ] = None,
     supersedes: Annotated[
-        str | None, typer.Option("--supersedes", metavar="RECORD", help="Record that this one amends.")
+        str | None, typer.Option("--supersedes", metavar="RECORD", help="Record that this one corrects.")
     ] = None,
     terms: Annotated[str | None, typer.Option(metavar="A,B,...", help="As for piga calibrate.")] = None,
     method: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
     phase: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
     phase_source: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
-    report: Annotated[bool, typer.Option(help="Make and keep report.html.")] = True,
+    report: Annotated[bool, typer.Option(help="Write and keep report.html.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a run and keep it: inputs, result and report. Makes the store when there is none."""
+    """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
     from piga.ledger import prepare_results, prepare_run
 
     wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
@@ -320,13 +322,13 @@ def show(
     record: RecordArgument,
     store: StoreOption,
     extract: Annotated[
-        Path | None, typer.Option("--extract", metavar="DIR", help="Write the files of the record there.")
+        Path | None, typer.Option("--extract", metavar="DIR", help="Folder for the files of the record.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show a record.
 
-    Who, when, why, from what, with what, and the coefficients.
+    Shows who, when and why, the inputs, the software and the coefficients.
     """
     from piga.records.calibration_json import to_document
 
@@ -363,7 +365,7 @@ def diff(
 ) -> None:
     """Compare two records.
 
-    Coefficients with the uncertainty of the difference, inputs, software.
+    Shows the differences of the coefficients with their uncertainties, of inputs and of software.
     """
     from piga.ledger.compare import difference
 
@@ -387,13 +389,13 @@ def verify(
     ] = None,
     head: Annotated[
         list[str] | None,
-        typer.Option("--head", metavar="SHA256", help="Head noted earlier, e.g. on a report; may be repeated."),
+        typer.Option("--head", metavar="SHA256", help="Head noted earlier, e.g. on a report. May be repeated."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check every link, record and file.
 
-    Exit 2, and says what is wrong, when something is.
+    If something is wrong it says what, and exits with 2.
     """
     from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
     from piga.ledger.store.verify import verify as check
@@ -413,13 +415,13 @@ def export(
     out: Annotated[Path, typer.Argument(metavar="EXPORT.zip", help="File to write; it must not exist.")],
     store: StoreOption,
     record: Annotated[
-        list[str] | None, typer.Option("--record", metavar="RECORD", help="This record only; may be repeated.")
+        list[str] | None, typer.Option("--record", metavar="RECORD", help="Only this record. May be repeated.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write records into one file that explains itself.
+    """Write records into one file.
 
-    It can be checked without piga.
+    The file explains itself and can be checked without piga.
     """
     from piga.ledger.store.transfer import export_records
 
@@ -436,9 +438,9 @@ def import_export(
     reason: ReasonOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Append the records of an export that the store does not have.
+    """Append those records of an export that the store lacks.
 
-    All of them, verified, or none.
+    Appends all of them, verified, or none.
     """
     from piga.ledger.store.transfer import import_records
 
@@ -462,7 +464,7 @@ def reproduce(
 ) -> None:
     """Recompute records from their stored inputs.
 
-    Exit 2 when the numbers are not the same.
+    Exits with 2 if the numbers differ.
     """
     from piga.ledger import reproduce as recompute
 
@@ -493,7 +495,7 @@ def backup(
 ) -> None:
     """Write a verified copy of the store while it is in use.
 
-    Of PostgreSQL it is a complete export.
+    For PostgreSQL the copy is a complete export.
     """
     from piga.ledger.store.transfer import backup as copy
 
@@ -508,9 +510,9 @@ def restore(
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a store from a backup: same links, same head.
+    """Create a store from a backup, with the same links and head.
 
-    The store must not exist yet.
+    The store must not exist.
     """
     from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
     from piga.ledger.store.transfer import restore as make

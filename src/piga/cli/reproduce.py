@@ -19,7 +19,7 @@ _COLOURS = {"pass": typer.colors.GREEN, "fail": typer.colors.RED, "info": typer.
 
 def reproduce(
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Directory for reproduction.html and figures.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for reproduction.html and the figures.")
     ] = None,
     only: Annotated[
         str | None, typer.Option("--only", metavar="ID", help="Run one chapter, e.g. ten-days.")
@@ -27,9 +27,9 @@ def reproduce(
     force: ForceOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the cases as JSON.")] = False,
 ) -> None:
-    """Reproduce every published case, and judge it.
+    """Compute every published case and compare.
 
-    Published, computed, difference, verdict; exit 1 if one disagrees.
+    Shows published value, computed value, difference and verdict. Exits with 1 if one disagrees.
     """
     from piga.studies import Reproduction, chosen, run_chapters
     from piga.studies.reproduction import summary

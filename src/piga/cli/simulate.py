@@ -16,18 +16,19 @@ RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
 
 def simulate(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)],
-    out: Annotated[Path, typer.Option(help="Directory for run.toml, the data, truth.json and the page.")],
+    out: Annotated[Path, typer.Option(help="Folder for run.toml, the data, truth.json and the page.")],
     model: Annotated[
-        Literal["quasi-steady", "twin"] | None, typer.Option(help="Override the model of the scenario.")
+        Literal["quasi-steady", "twin"] | None,
+        typer.Option(help="Instrument model, instead of the scenario's."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Override the seed of the scenario.", min=0)] = None,
-    unstable: Annotated[
-        bool, typer.Option("--unstable", help="Simulate an unstable servo loop as well.")
-    ] = False,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the noise, instead of the scenario's.", min=0)
+    ] = None,
+    unstable: Annotated[bool, typer.Option("--unstable", help="Also accept an unstable servo loop.")] = False,
     force: ForceOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the truth as JSON.")] = False,
 ) -> None:
-    """Simulate a test: a run to calibrate, and the truth beside it."""
+    """Simulate a test: a run to calibrate, and its truth."""
     from piga.reports.stand import simulation_text, write_simulation_report
     from piga.stand.scenario import read_scenario, run_scenario
     from piga.stand.write_run import run_file_text, truth_document, truth_text, write_data

@@ -32,16 +32,17 @@ def register(app: typer.Typer) -> None:
 def trend(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(
-            metavar="[CALIBRATION.json | DIR]...", help="Calibrations, or directories that hold some."
-        ),
+        typer.Argument(metavar="[CALIBRATION.json | DIR]...", help="Calibrations, or folders that hold them."),
     ] = None,
     store: Annotated[
         str | None,
-        typer.Option("--store", metavar="FILE|URL", envvar="PIGA_STORE", help="Take the records of a store."),
+        typer.Option(
+            "--store", metavar="FILE|URL", envvar="PIGA_STORE", help="Store to take the records from."
+        ),
     ] = None,
     serial: Annotated[
-        str | None, typer.Option("--serial", metavar="TEXT", help="Instrument; needed with a store.")
+        str | None,
+        typer.Option("--serial", metavar="TEXT", help="Serial number of the instrument; needed with a store."),
     ] = None,
     at: Annotated[
         str | None,
@@ -52,7 +53,7 @@ def trend(
         typer.Option(
             "--common",
             metavar="PART | SOURCE=PART",
-            help="Part (0 to 1) of Type B that all records share, for all or for one source [default: 1].",
+            help="Share (0 to 1) of Type B that all records have in common, for all sources or one [default: 1].",
         ),
     ] = None,
     out: Annotated[
@@ -61,9 +62,9 @@ def trend(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show drift, stability and a forecast of each coefficient.
+    """Show how coefficients drift over the years.
 
-    Stability over time, drift per year, control limits, a forecast, and alarms in words.
+    For each coefficient: stability over time, drift per year, control limits, forecast, alarms.
     """
     from piga.reports.trend import trend_text
     from piga.trend.history import find_trend
