@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,13 @@ from piga.calibration.classical.revolutions import (
     revolutions_result,
 )
 from piga.calibration.fit.one_run import Fit, fit_run, noise_of, refine_counted, without_slow
-from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.fit.residuals import (
+    counted_products,
+    diagnose,
+    find_residuals,
+    segment_scatter,
+    segment_table,
+)
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.faint_walk import include_faint_walk
 from piga.calibration.intervals.slow_noise import include_slow_noise, include_stated_scatter
@@ -251,7 +258,9 @@ def _assemble(
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
-        diagnostics=diagnose(residuals, plain).with_scatter(segment_scatter(fit.design, residuals, fit.noise)),
+        diagnostics=diagnose(
+            residuals, plain, (partial(counted_products, fit.design, fit.noise, fit.mode, residuals),)
+        ).with_scatter(segment_scatter(fit.design, residuals, fit.noise)),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,

@@ -349,7 +349,9 @@ class Diagnostics:
     turns, scatter_of_a_turn:
         Whole turns of the output, and the scatter of a turn [rad] (method "revolutions").
     samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
-        Tests of the whitened residual; the verdict is "white", or says that it is not.
+        Tests of the whitened residual; the verdict is "white", "white but for the counting", or says that it is not.
+    counting_probability:
+        That of correlations as far from those of whole counts; None where they are white, or nothing is counted.
     segment_scatter_ratio, segment_scatter_g, segment_scatter_ratio_without_it:
         See :class:`SegmentScatter`.
     leverage:
@@ -372,6 +374,7 @@ class Diagnostics:
     ljung_box: float | None = None
     ljung_box_lags: int | None = None
     ljung_box_probability: float | None = None
+    counting_probability: float | None = None
     skewness: float | None = None
     excess_kurtosis: float | None = None
     verdict: str | None = None

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 Level = Literal["good", "doubtful", "bad"]
 
+COUNTED = "white but for the counting"
+"""Verdict on whitened residuals whose correlation is that of whole counts; beside it ``white`` and ``not white: ...``."""
+
 
 @dataclass(frozen=True)
 class Thresholds:
@@ -137,7 +140,8 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         return
     chance = tests.ljung_box_probability
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
-    if tests.verdict != "white":
+    counted = tests.verdict == COUNTED
+    if tests.verdict != "white" and not counted:
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise description misses "
             "something, and standard uncertainties may be too small",
@@ -147,6 +151,11 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         yield Doubt(
             f"the whitened residuals have a root mean square of {rms:.3f} where 1 is expected",
             "check the noise levels that were given, and the residuals of single segments",
+        )
+    elif counted:
+        yield (
+            f"the whitened residuals correlate as whole counts make them, and no further (p = "
+            f"{tests.counting_probability:.2g}), and are of size one ({rms:.3f})"
         )
     elif tests.verdict == "white":
         yield f"the whitened residuals are white (Ljung-Box, {shown}) and of size one ({rms:.3f})"

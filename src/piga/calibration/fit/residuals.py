@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
+from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import Whitener, rate_share, residual_increments
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.spool import arrays_like, extent, mean, means, spans, square_sum, steps
+from piga.records.verdict import COUNTED
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -23,6 +25,17 @@ Integers = NDArray[np.int64]
 
 LAG_PART = 8192
 """Samples whose lagged products are formed at a time: 64 KiB."""
+LAGS = 20
+"""Lags of the portmanteau test."""
+WHITE = 1e-3
+"""Probability below which whitened residuals are not called white."""
+DRAWS = 32
+"""Draws of the counting that the correlations of a coarsely counted record are compared with."""
+DRAWN_ROWS = 1 << 16
+"""Rows, from the first on, that the counting is drawn for: 0.2 s of processor time."""
+
+Products = Callable[[], "Array | None"]
+"""Gives lagged products of one run: of its whitened residuals, and of each draw of its counting (:func:`counted_products`)."""
 
 
 def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Residuals:
@@ -193,11 +206,12 @@ def _slope(t: Array, values: Array) -> float:
     return product / square
 
 
-def diagnose(residuals: Residuals, plain: Diagnostics) -> Diagnostics:
+def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...] = ()) -> Diagnostics:
     """The diagnostics ``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability; ``excess_kurtosis`` and
-    ``skewness`` are 0 for normal residuals.
+    ``skewness`` are 0 for normal residuals. Where it fails and ``runs`` are counted, ``counting_probability`` is that of
+    correlations as far from those of the counting alone.
     """
     from scipy.special import gammaincc
 
@@ -212,12 +226,14 @@ def diagnose(residuals: Residuals, plain: Diagnostics) -> Diagnostics:
         square = x[part] * x[part]
         sums += (float(square.sum()), float(square @ x[part]), float(square @ square))
     variance = float(sums[0]) / n
-    lags = min(20, n // 5)
+    lags = min(LAGS, n // 5)
     products = np.zeros(lags + 1)
     add_lagged_products(x, products)
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
+    white = probability > WHITE
+    counting = math.nan if white else counting_probability(runs)
     return replace(
         plain,
         samples=n,
@@ -226,12 +242,77 @@ def diagnose(residuals: Residuals, plain: Diagnostics) -> Diagnostics:
         ljung_box=statistic,
         ljung_box_lags=lags,
         ljung_box_probability=probability,
+        counting_probability=None if math.isnan(counting) else counting,
         skewness=float(sums[1]) / n / variance**1.5,
         excess_kurtosis=float(sums[2]) / n / variance**2 - 3.0,
         verdict="white"
-        if probability > 1e-3
+        if white
+        else COUNTED
+        if counting > WHITE
         else "not white: the model or the noise description misses something",
     )
+
+
+def counted_products(design: Design, noise: Noise, mode: str, residuals: Residuals) -> Array | None:
+    """Lagged products (1 + draws, lags + 1) of the whitened residuals, and of draws of what counting leaves.
+
+    A draw is the path of the fit, from a random place within a count in every stretch, with the noise besides the
+    counting, read to whole counts and whitened as the record is. At a constant rate the output turns by the same
+    fraction of a count from sample to sample, so what counting leaves has lines of its own. None where nothing is
+    counted.
+    """
+    run, count = design.run, count_of(design.run)
+    if count == 0.0 or mode != "increments":
+        return None
+    size = min(run.size, DRAWN_ROWS)
+    h = np.zeros(size)
+    for block in design.blocks():
+        if block.start >= size:
+            break
+        h[block.start : min(block.stop, size)] = block.h[: size - block.start]
+    begins = np.asarray(run.begins[:size])
+    stretch = np.cumsum(begins) - begins[0]
+    path = np.asarray(run.output[:size]) - residuals.after[:size]
+    innovation = np.asarray(residuals.innovation[:size])
+    formed = innovation != 0.0
+    rng = np.random.default_rng(0)
+    besides = math.sqrt(max(noise.white - count**2 / 12.0, 0.0))
+    found = np.zeros((1 + DRAWS, LAGS + 1))
+    rows = [innovation]
+    for _ in range(DRAWS):
+        place = rng.uniform(0.0, count, int(stretch[-1]) + 1)[stretch]
+        walk = np.cumsum(np.sqrt(noise.walk * h) * rng.standard_normal(size))
+        noisy = path + place + walk + besides * rng.standard_normal(size)
+        error = count * np.round(noisy / count) - place - path
+        increments = np.diff(error, prepend=error[0])
+        increments[h <= 0.0] = 0.0
+        rows.append(_whitened(increments, h, noise, mode))
+    for row, out in zip(rows, found, strict=True):
+        kept = row[formed]
+        add_lagged_products(kept - kept.mean(), out)
+    return found
+
+
+def counting_probability(runs: tuple[Products, ...]) -> float:
+    """Probability of correlations as far from those of the counting alone; nan where a run is not counted.
+
+    The squared distance to the mean of the draws is compared with a chi-square distribution of the mean and variance
+    that the draws' own distances to the others have.
+    """
+    from scipy.special import gammaincc
+
+    products = [product() for product in runs]
+    counted = [product for product in products if product is not None]
+    if not counted or len(counted) < len(products):
+        return math.nan
+    total = np.sum(counted, axis=0)
+    correlation = total[:, 1:] / total[:, :1]
+    data, draws = correlation[0], correlation[1:]
+    others = (draws.sum(axis=0) - draws) / (DRAWS - 1)
+    own = np.sum((draws - others) ** 2, axis=1)
+    distance = float(np.sum((data - draws.mean(axis=0)) ** 2))
+    middle, spread = float(own.mean()), float(own.var(ddof=1))
+    return float(gammaincc(middle**2 / spread, distance * middle / spread))
 
 
 def add_lagged_products(x: Array, out: Array) -> None:

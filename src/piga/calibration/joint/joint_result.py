@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,14 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.rows import combined
-from piga.calibration.fit.residuals import diagnose, find_residuals, segment_scatter, segment_table
+from piga.calibration.fit.residuals import (
+    Products,
+    counted_products,
+    diagnose,
+    find_residuals,
+    segment_scatter,
+    segment_table,
+)
 from piga.calibration.joint.joint_fit import JointFit
 from piga.calibration.joint.summary import LiveRun, now, residual_figures
 from piga.calibration.model.design import Design
@@ -34,7 +42,7 @@ from piga.records.calibration import (
 )
 
 Array = NDArray[np.float64]
-_LivePart = tuple[Residuals, tuple[SegmentSummary, ...], SegmentScatter]
+_LivePart = tuple[Residuals, tuple[SegmentSummary, ...], SegmentScatter, Products]
 """Residuals of a run at hand under the joint estimate, its segments, and how they scatter."""
 
 
@@ -87,7 +95,9 @@ def joint_result(
             *_notes_on_summaries(records),
         ),
         budget=budget,
-        diagnostics=(diagnose(residuals, plain) if residuals is not None else plain).with_scatter(scatter),
+        diagnostics=(
+            diagnose(residuals, plain, _products(found)) if residuals is not None else plain
+        ).with_scatter(scatter),
         segments=tuple(segments),
         provenance=_provenance(fit),
         temperature_reference=first.temperature_reference,
@@ -99,7 +109,7 @@ def joint_result(
 
 
 def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart:
-    """Residuals of a run at hand under the joint estimate, its segments, and how they scatter.
+    """Residuals of a run at hand under the joint estimate, its segments, how they scatter, and what its counting leaves.
 
     Residual rates become angles where runs of both kinds meet (``kind`` is that of all residuals).
     """
@@ -112,9 +122,15 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
         values = np.tile(values[0], (len(live.run.labels), 1))
     residuals = find_residuals(design, values, live.fit.noise, live.fit.mode)
     scatter = segment_scatter(design, residuals, live.fit.noise)
+    products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)
     if summary.kind != kind:
         residuals = _as_angles(residuals)
-    return residuals, segment_table(design, residuals), scatter
+    return residuals, segment_table(design, residuals), scatter, products
+
+
+def _products(found: list[_LivePart | None]) -> tuple[Products, ...]:
+    """Lagged products of the runs at hand."""
+    return tuple(part[3] for part in found if part is not None)
 
 
 def _own_segments(fit: JointFit, index: int, part: _LivePart | None) -> tuple[SegmentSummary, ...]:

@@ -27,6 +27,7 @@ from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.spool import gathered
 from piga.records.terms import SERVO_TERMS
+from piga.records.verdict import COUNTED
 from piga.units import G0
 
 
@@ -232,7 +233,8 @@ def looks_wrong(result: Calibration) -> bool:
     values = {c.name: c.value for c in result.coefficients}
     nominal = result.scale_factor_nominal * G0
     scale = values.get("scale_factor", nominal) / nominal + values.get("k1", 0.0)
-    return not 1.0 / ADVICE.off < scale < ADVICE.off or result.diagnostics.verdict not in (None, "white")
+    white = result.diagnostics.verdict in (None, "white", COUNTED)
+    return not (white and 1.0 / ADVICE.off < scale < ADVICE.off)
 
 
 def advise(run: Run, request: Request) -> tuple[str, ...]:

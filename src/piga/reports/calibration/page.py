@@ -9,7 +9,7 @@ from pathlib import Path
 from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.terms import meaning_of, shown_unit
-from piga.records.verdict import THRESHOLDS, whitened_rms
+from piga.records.verdict import COUNTED, THRESHOLDS, whitened_rms
 from piga.reports.calibration.figures import calibration_figures, elapsed_time
 from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (
@@ -308,7 +308,8 @@ def _whiteness_tile(cal: Calibration) -> Tile | None:
     rms = whitened_rms(cal)
     if math.isnan(rms):
         return None
-    white, fits = cal.diagnostics.verdict == "white", abs(rms - 1.0) <= THRESHOLDS.residual_rms
+    white = cal.diagnostics.verdict in ("white", COUNTED)
+    fits = abs(rms - 1.0) <= THRESHOLDS.residual_rms
     words = (
         "1 expected: the noise levels do not fit"
         if not fits

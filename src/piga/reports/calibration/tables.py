@@ -297,6 +297,7 @@ LABELS = {
     "ljung_box": "Ljung-Box statistic",
     "ljung_box_lags": "Lags of the Ljung-Box test",
     "ljung_box_probability": "Probability of the Ljung-Box test",
+    "counting_probability": "Probability of correlations as far from those of whole counts",
     "skewness": "Skewness",
     "excess_kurtosis": "Excess kurtosis",
     "verdict": "Whitened residuals are",
