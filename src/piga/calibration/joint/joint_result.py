@@ -96,7 +96,7 @@ def joint_result(
         ),
         budget=budget,
         diagnostics=(
-            diagnose(residuals, plain, _products(found)) if residuals is not None else plain
+            diagnose(residuals, plain, _products(parts)) if residuals is not None else plain
         ).with_scatter(scatter),
         segments=tuple(segments),
         provenance=_provenance(fit),
