@@ -242,19 +242,19 @@ def missing_items(
     before:
         The calibration before adjustment, where there is one.
     """
-    found = [
+    missing = [
         f"[{table}] {key} ({clause}): {what}"
         for table, key, clause, what in _NEEDED
         if getattr(getattr(data, table), key) in ("", None, ())
     ]
-    found += [*_people(data), *_texts(data), *_conditions(data), *_order_of_dates(data)]
-    found += [
+    missing += [*_people(data), *_texts(data), *_conditions(data), *_order_of_dates(data)]
+    missing += [
         *_evaluated_before(data, calibration),
         *_adjustment(data, calibration, before),
         *_numbers(data, calibration),
         *_conformity(data, calibration),
     ]
-    return found
+    return missing
 
 
 def _people(data: CertificateFile) -> Iterator[str]:

@@ -51,11 +51,11 @@ def require_complete(
     CalibrationError
         With everything that is missing, and the clause that asks for it.
     """
-    found = missing_items(data, calibration, before)
-    if found:
-        listed = "\n".join(f"  - {item}" for item in found)
+    missing = missing_items(data, calibration, before)
+    if missing:
+        listed = "\n".join(f"  - {item}" for item in missing)
         raise CalibrationError(
-            f"the certificate cannot be issued: {len(found)} item{'s' * (len(found) > 1)} of ISO/IEC 17025:2017 "
+            f"the certificate cannot be issued: {len(missing)} item{'s' * (len(missing) > 1)} of ISO/IEC 17025:2017 "
             f"missing or wrong\n{listed}",
             remedy="complete the file given with --data",
         )
@@ -94,8 +94,8 @@ def certificate_html(
 
 def _cautions(calibration: Calibration) -> tuple[str, list[str]]:
     """The verdict on the calibration, and what does not hold, for the laboratory."""
-    found = calibration.verdict
-    return found.headline, [f"{sentence(doubt.words)}." for doubt in found.doubts]
+    verdict = calibration.verdict
+    return verdict.headline, [f"{sentence(doubt.words)}." for doubt in verdict.doubts]
 
 
 def write_certificate(html: str, path: Path) -> Path:
@@ -141,10 +141,10 @@ def _parts(data: CertificateFile, calibration: Calibration, before: Calibration 
         _Part("Traceability", (data.traceability.statement,), (_standards_table(data),)),
         _results(calibration, before),
     ]
-    found = verdicts(data, calibration)
-    if found and data.conformity is not None:
+    conformity = verdicts(data, calibration)
+    if conformity and data.conformity is not None:
         rule = f"Specification: {data.conformity.specification}. Decision rule, agreed with the customer: "
-        parts.append(_Part("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(found),)))
+        parts.append(_Part("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(conformity),)))
     return parts
 
 
@@ -253,7 +253,7 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
     )
 
 
-def _conformity_table(found: tuple[Conformity, ...]) -> Table:
+def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
     columns = (
         Column("Coefficient", align="text"),
         Column("Lower limit"),
@@ -264,7 +264,7 @@ def _conformity_table(found: tuple[Conformity, ...]) -> Table:
         Column("Verdict", align="text"),
     )
     rows = []
-    for verdict in found:
+    for verdict in conformity:
         scale, unit = shown_unit(verdict.key, verdict.unit)
         number = rounded(verdict.value * scale, verdict.coverage.half_width * scale)
         ends = [printed(significant(end * scale)) for end in (verdict.low, verdict.high)]

@@ -72,14 +72,14 @@ def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformit
     rule = data.conformity
     if rule is None:
         return ()
-    found = []
+    conformities = []
     for key, pair in rule.limits.items():
         low, high = limits_in_file_units(key, pair)
         c = calibration[key]
         least, most = c.limits if rule.rule == "guarded" else (c.value, c.value)
         status = _status(c.value, least, most, low, high)
-        found.append(Conformity(key, c.unit, low, high, c.value, c.coverage, status))
-    return tuple(found)
+        conformities.append(Conformity(key, c.unit, low, high, c.value, c.coverage, status))
+    return tuple(conformities)
 
 
 def _status(value: float, least: float, most: float, low: float, high: float) -> Status:
@@ -98,7 +98,7 @@ def decision_rule(data: CertificateFile) -> str:
 
 def statements(data: CertificateFile, calibration: Calibration) -> tuple[Statement, ...]:
     """All declarations that apply, in the order of the standard."""
-    found = [
+    declarations = [
         Statement(
             "Scope of the results",
             "The results relate only to the item described here, in the state in which it was calibrated.",
@@ -132,7 +132,7 @@ def statements(data: CertificateFile, calibration: Calibration) -> tuple[Stateme
         *_conformity(data, calibration),
         *_optional(data),
     ]
-    return tuple(found)
+    return tuple(declarations)
 
 
 def _adjustment(data: CertificateFile) -> str:
@@ -155,9 +155,9 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> list[Stateme
     rule = data.conformity
     if rule is None:
         return []
-    found = verdicts(data, calibration)
-    worst = max((verdict.status for verdict in found), key=WORST.index)
-    names = ", ".join(verdict.key for verdict in found)
+    conformities = verdicts(data, calibration)
+    worst = max((verdict.status for verdict in conformities), key=WORST.index)
+    names = ", ".join(verdict.key for verdict in conformities)
     text = f"Specification: {rule.specification}. Decision rule: {decision_rule(data)}. Applies to: {names}."
     return [
         Statement(
@@ -171,19 +171,21 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> list[Stateme
 
 
 def _optional(data: CertificateFile) -> list[Statement]:
-    found = []
+    declarations = []
     if data.statements.opinions:
         text = f"{data.statements.opinions} (Opinion of {data.statements.opinions_by}.)"
-        found.append(Statement("Opinions and interpretations", text, "7.8.7"))
+        declarations.append(Statement("Opinions and interpretations", text, "7.8.7"))
     if data.statements.recalibrate and data.statements.interval_agreed:
         text = "As agreed with the customer, the item is to be recalibrated by this date."
         when = data.statements.recalibrate
-        found.append(Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when))
+        declarations.append(
+            Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when)
+        )
     if data.certificate.replaces:
         text = (
             f"This certificate replaces certificate {data.certificate.replaces}. {data.certificate.amendment}"
         )
-        found.append(Statement("Amendment", text, "7.8.8"))
+        declarations.append(Statement("Amendment", text, "7.8.8"))
     if data.statements.remarks:
-        found.append(Statement("Remarks", data.statements.remarks, "7.8.2"))
-    return found
+        declarations.append(Statement("Remarks", data.statements.remarks, "7.8.2"))
+    return declarations

@@ -163,16 +163,16 @@ class LabelCodes:
 class MissingCount:
     """Missing values by column: how many, and the file row of the first."""
 
-    found: dict[str, tuple[int, int]] = field(default_factory=dict)
+    counts: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def add(self, name: str, mask: NDArray[np.bool_], rows: NDArray[np.int64]) -> None:
         """Count a chunk's missing values."""
-        count, first = self.found.get(name, (0, int(rows[np.argmax(mask)])))
-        self.found[name] = count + int(np.count_nonzero(mask)), first
+        count, first = self.counts.get(name, (0, int(rows[np.argmax(mask)])))
+        self.counts[name] = count + int(np.count_nonzero(mask)), first
 
     def events(self, order: tuple[str, ...]) -> list[Event]:
         """One event for each column with missing values."""
-        counts = [(name, *self.found[name]) for name in order if name in self.found]
+        counts = [(name, *self.counts[name]) for name in order if name in self.counts]
         return [Event("missing-value", count, first, f"column '{name}'") for name, count, first in counts]
 
 

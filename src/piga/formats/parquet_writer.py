@@ -72,8 +72,8 @@ def write_run_parquet(run: Run, path: Path) -> None:
     with parquet.ParquetWriter(path, schema, compression="zstd") as out:
         for start in range(0, run.size, GROUP_ROWS):
             trim()
-            found = _columns(run, slice(start, start + GROUP_ROWS))
-            out.write_table(pa.Table.from_arrays([array for array, _ in found.values()], schema=schema))
+            columns = _columns(run, slice(start, start + GROUP_ROWS))
+            out.write_table(pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema))
 
 
 def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
@@ -123,8 +123,8 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    found = calibration.residuals
-    if found is None:
+    residuals = calibration.residuals
+    if residuals is None:
         raise CalibrationError(
             "this calibration was read from a file and holds no residuals", remedy="calibrate again"
         )
@@ -132,17 +132,17 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
     angle = "rad/s" if rate else "rad"
     labels = [segment.label for segment in calibration.segments]
     columns = {
-        "row": (number_column(found.row), "1"),
-        "segment": (label_column(found.segment, labels), "1"),
-        "t": (number_column(found.t), "s"),
-        "psi": (number_column(found.psi), angle),
-        "a_x": (number_column(found.a_x), "m/s^2"),
-        "before": (number_column(found.before), angle),
-        "after": (number_column(found.after), angle),
-        "innovation": (number_column(found.innovation), "1"),
+        "row": (number_column(residuals.row), "1"),
+        "segment": (label_column(residuals.segment, labels), "1"),
+        "t": (number_column(residuals.t), "s"),
+        "psi": (number_column(residuals.psi), angle),
+        "a_x": (number_column(residuals.a_x), "m/s^2"),
+        "before": (number_column(residuals.before), angle),
+        "after": (number_column(residuals.after), angle),
+        "innovation": (number_column(residuals.innovation), "1"),
     }
-    if found.run is not None:
-        columns["run"] = (label_column(found.run, [run.name for run in calibration.runs]), "1")
+    if residuals.run is not None:
+        columns["run"] = (label_column(residuals.run, [run.name for run in calibration.runs]), "1")
     fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in columns.items()]
     schema = pa.schema(
         fields, metadata={"serial": calibration.serial, "software": calibration.provenance.software}

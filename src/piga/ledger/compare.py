@@ -122,11 +122,11 @@ def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
         TOLERANCE * kappa * length / (max(tangent, TOLERANCE) if c.name == "phi" else 1.0)
         for c in a.coefficients
     ]
-    found = [
+    pairs = [
         Compared(c.key, c.value, _nearest_turn(d.value, c.value) if c.name == "phi" else d.value, limit)
         for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
     ]
-    found += [
+    pairs += [
         Compared(f"u({c.key})", c.std, d.std, limit)
         for c, d, limit in zip(a.coefficients, b.coefficients, allowed, strict=True)
     ]
@@ -137,8 +137,8 @@ def _coefficients(a: Calibration, b: Calibration) -> list[Compared]:
     if worst.size:
         i, j = np.unravel_index(int(np.argmax(worst)), worst.shape)
         name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
-        found.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(limits[i, j])))
-    return found
+        pairs.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(limits[i, j])))
+    return pairs
 
 
 def _nearest_turn(value: float, near: float) -> float:

@@ -71,7 +71,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
     wish = record.document.request
     with tempfile.TemporaryDirectory(prefix="piga-") as folder:
         run = read_run(store.extract(record.id, Path(folder), inputs_only=True))
-        found = calibrate(
+        recomputed = calibrate(
             run,
             wish.get("terms"),
             wish.get("method"),
@@ -80,7 +80,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
         )
     then, now = record.document.software, software_identity()
     changed = {key: (then.get(key), now.get(key)) for key in now if then.get(key) != now.get(key)}
-    return Reproduced(record, found, compare_calibrations(stored, found), changed)
+    return Reproduced(record, recomputed, compare_calibrations(stored, recomputed), changed)
 
 
 NUMERIC_ROOMS = ("_kernels", "records", "formats", "reading", "instrument", "stand", "calibration")

@@ -161,8 +161,8 @@ class Reading:
         """Rows where a counter jumped to (about) zero by more than it can have moved, and went on from there."""
         largest = self.largest / self.scale.factor
         size = np.abs(self._folded(part)) * ~self.begins[part]
-        found = (size > 1.5 * largest + 10.0) & (np.abs(self.values[part]) <= largest + 2.0)
-        return [part.start + at for at in np.flatnonzero(found).tolist() if self._stands_out(part.start + at)]
+        sudden = (size > 1.5 * largest + 10.0) & (np.abs(self.values[part]) <= largest + 2.0)
+        return [part.start + at for at in np.flatnonzero(sudden).tolist() if self._stands_out(part.start + at)]
 
     def _stands_out(self, k: int) -> bool:
         window = slice(max(k - 3, 0), min(k + 4, self.values.size))
@@ -170,14 +170,14 @@ class Reading:
         around = np.delete(size, k - window.start)
         return bool(around.size and around.max() < size[k - window.start] / 3.0)
 
-    def _check_resets(self, found: list[int]) -> None:
+    def _check_resets(self, resets: list[int]) -> None:
         """Refuse a counter that went back to zero inside a stretch: that is neither roll-over nor motion."""
-        if not found:
+        if not resets:
             return
         listed = "; ".join(
             f"row {self.rows[k]}, column '{self.name}': the counter goes to {self.values[k]:.17g}, by "
             f"{self._folded(slice(k, k + 1))[0]:+.0f} counts"
-            for k in found[:100]
+            for k in resets[:100]
         )
         raise DataError(
             f"{self.path}: {listed}: it was reset there",

@@ -151,10 +151,10 @@ class SteadyFile:
         if self.path.exists() and not self.path.is_file():
             raise DataError(f"{self.path}: is no regular file", remedy=f"name the file: {self._remedy}")
         try:
-            found = os.stat(self.path)  # noqa: PTH116 - one call for all four
+            status = os.stat(self.path)  # noqa: PTH116 - one call for all four
         except OSError as error:
             raise DataError(f"{self.path}: cannot be read ({error.strerror})", remedy=self._remedy) from None
-        return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
+        return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def file_digest(path: Path) -> str:

@@ -88,8 +88,8 @@ class Assembly:
         self._reset_between(t, output, base, f, lost)
         resolution = scale.factor if scale.counts else 0.0
         self._check_plausible(t, output, f, base, resolution)
-        segment, labels, groups, found = split_lost(raw.segment, raw.labels, lost, raw.rows, arrays)
-        self.events += found
+        segment, labels, groups, events = split_lost(raw.segment, raw.labels, lost, raw.rows, arrays)
+        self.events += events
         used = raw.count
         return Run(
             serial=self.run_file.instrument.serial,
@@ -128,8 +128,8 @@ class Assembly:
         limits = self.run_file.data.range or {}
         with ThreadPoolExecutor(2) as pool:
             extremes = list(pool.map(Extremes.of, raw.numbers.values()))
-            for found in extremes:
-                found.mask(usable)
+            for extreme in extremes:
+                extreme.mask(usable)
             self._check_masked(usable)
             declared = [limits.get(name, (-np.inf, np.inf)) for name in raw.numbers]
             stuck = pool.map(
@@ -201,12 +201,12 @@ class Assembly:
 
     def _unit(self, column: str, declared: str) -> str:
         """The declared unit, checked against the one in the data file where it has one."""
-        found = self.raw.units.get(column)
-        if found is not None:
-            known, wanted = parse_unit(found), parse_unit(declared)
+        logged = self.raw.units.get(column)
+        if logged is not None:
+            known, wanted = parse_unit(logged), parse_unit(declared)
             if known.dimension != wanted.dimension or known.factor != wanted.factor:
                 raise DataError(
-                    f"{self.raw.path}: column '{column}' is in '{found}' there, but in '{declared}' in the run file",
+                    f"{self.raw.path}: column '{column}' is in '{logged}' there, but in '{declared}' in the run file",
                     remedy="correct the one that is wrong",
                 )
         return declared
@@ -261,8 +261,8 @@ class Assembly:
         reading = Reading(
             raw.path, name, raw.numbers[name], raw.rows, base.begins, largest, base.nominal, scale
         )
-        output, lost, found = reading.output(raw.arrays)
-        self.events += found
+        output, lost, events = reading.output(raw.arrays)
+        self.events += events
         return output, lost
 
     def _reset_between(self, t: Array, psi: Array, base: TimeBase, f: Array, lost: NDArray[np.bool_]) -> None:
@@ -299,8 +299,8 @@ class Assembly:
         if self.run_file.data.reference is not None:
             self.events += mistaken_unit(gathered(f, some), t.size, first)
         if self.run_file.data.output.kind == "rate":
-            wanted, found = gathered(f[:, 0], some), gathered(output, some)
-            self.events += mistaken_rate(wanted, found, self._scale_factor, t.size, first)
+            wanted, logged_rate = gathered(f[:, 0], some), gathered(output, some)
+            self.events += mistaken_rate(wanted, logged_rate, self._scale_factor, t.size, first)
             return
         at = some[~base.begins[some]]
         turned, passed = (gathered(values, at) - gathered(values, at - 1) for values in (output, t))

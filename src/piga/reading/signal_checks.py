@@ -95,22 +95,22 @@ class Extremes:
     @classmethod
     def of(cls, values: Array) -> Extremes:
         """Examine a column."""
-        found = cls([], [])
+        extremes = cls([], [])
         last = np.zeros(0)
         for part in spans(values.size):
             block = values[part]
             finite = np.isfinite(block)
             if not finite.all():
-                found.bad.append((part, finite))
+                extremes.bad.append((part, finite))
                 block = block[finite]
-            found.lows.append(float(block.min()) if block.size else np.nan)
-            found.highs.append(float(block.max()) if block.size else np.nan)
-            found.size += block.size
-            found.changes += int(np.count_nonzero(block[1:] != block[:-1]))
+            extremes.lows.append(float(block.min()) if block.size else np.nan)
+            extremes.highs.append(float(block.max()) if block.size else np.nan)
+            extremes.size += block.size
+            extremes.changes += int(np.count_nonzero(block[1:] != block[:-1]))
             if block.size:
-                found.changes += int(np.count_nonzero(last != block[0]))
+                extremes.changes += int(np.count_nonzero(last != block[0]))
                 last = block[-1:]
-        return found
+        return extremes
 
     def mask(self, usable: NDArray[np.bool_]) -> None:
         """Take rows without a finite value out of ``usable``."""
@@ -122,7 +122,7 @@ class Extremes:
 def stuck_extremes(
     name: str,
     values: Array,
-    found: Extremes,
+    extremes: Extremes,
     rows: NDArray[np.int64],
     segment: NDArray[np.int32],
     declared: tuple[float, float],
@@ -132,10 +132,10 @@ def stuck_extremes(
     A slow reading rests at its turning points and at its end as long as it takes to move by one step: such a
     plateau is expected and not reported; nor is one at or beyond the ``declared`` limits, which is counted as saturated.
     """
-    if found.size < 4 * STUCK or found.changes < 0.5 * found.size:
+    if extremes.size < 4 * STUCK or extremes.changes < 0.5 * extremes.size:
         return []
     events = []
-    for word, bounds, best in (("largest", found.highs, np.nanmax), ("smallest", found.lows, np.nanmin)):
+    for word, bounds, best in (("largest", extremes.highs, np.nanmax), ("smallest", extremes.lows, np.nanmin)):
         extreme, run = float(best(bounds)), LongestRun()
         if not declared[0] < extreme < declared[1]:
             continue
@@ -210,10 +210,10 @@ def stopped_output(
 
 def largest_size(values: Array) -> float:
     """Largest absolute value; nan when there is a nan."""
-    found = 0.0
+    largest = 0.0
     for part in spans(values.shape[0]):
-        found = float(np.maximum(found, np.maximum(values[part].max(), -values[part].min())))
-    return found
+        largest = float(np.maximum(largest, np.maximum(values[part].max(), -values[part].min())))
+    return largest
 
 
 def sequence_breaks(
@@ -231,10 +231,10 @@ def sequence_breaks(
         if not wrong.any():
             continue
         begins[part] |= wrong
-        for kind, found in enumerate((step > 1.0, step <= 0.0)):
-            if found.any() and not counts[kind]:
-                first_rows[kind] = int(rows[part.start + int(np.argmax(found))])
-            counts[kind] += int(found.sum())
+        for kind, broken in enumerate((step > 1.0, step <= 0.0)):
+            if broken.any() and not counts[kind]:
+                first_rows[kind] = int(rows[part.start + int(np.argmax(broken))])
+            counts[kind] += int(broken.sum())
         missing += int(min(step[step > 1.0].sum() - np.count_nonzero(step > 1.0), 1e18))
     events = []
     if counts[0]:

@@ -40,10 +40,10 @@ class Suggestion:
 
 def from_error(error: PigaError) -> list[Suggestion]:
     """Lines that would settle an error; the ones it names itself, and near column names."""
-    found = []
+    lines = []
     for match in _LINE.finditer(error.remedy or ""):
         first = error.message.split(": ", 1)[-1][:160]
-        found += [
+        lines += [
             Suggestion(match.group(1), line, first) for line in match.groups()[1:] if line and "..." not in line
         ]
     missing = _MISSING.search(error.message)
@@ -52,39 +52,39 @@ def from_error(error: PigaError) -> list[Suggestion]:
         for name in re.findall(r"'([^']*)'", missing.group(1)):
             near = similar_name(name, columns)
             if near:
-                found.append(
+                lines.append(
                     Suggestion("data", f"column = '{near}'", f"instead of '{name}', which is not in the file")
                 )
     sheets = _SHEETS.search(error.message)
     if sheets:
         titles = re.findall(r"'([^']*)'", sheets.group(1))
-        found += [Suggestion("data", f"sheet = '{title}'", "one of the sheets") for title in titles]
+        lines += [Suggestion("data", f"sheet = '{title}'", "one of the sheets") for title in titles]
     if "the output jumps" in error.message or "it was reset there" in error.message:
-        found += [
+        lines += [
             Suggestion("instrument", f"counter_bits = {bits}", "if the counter wraps at that width")
             for bits in (16, 24, 32)
         ]
-    return found
+    return lines
 
 
 def from_run(run: Run) -> list[Suggestion]:
     """Lines that follow from what was found in a record that can be read."""
-    found = []
+    lines = []
     for event in run.quality.events:
         stuck = _STUCK.search(event.detail)
         if stuck:
             name, side, value = stuck.groups()
             limits = f"[-1e30, {value}]" if side == "largest" else f"[{value}, 1e30]"
-            found.append(Suggestion("data", f"range = {{ '{name}' = {limits} }}", event.detail))
+            lines.append(Suggestion("data", f"range = {{ '{name}' = {limits} }}", event.detail))
         if event.kind == "phase-lost":
-            found.append(Suggestion("model", "phase = 'per-segment'", "the zero of the output angle was lost"))
+            lines.append(Suggestion("model", "phase = 'per-segment'", "the zero of the output angle was lost"))
         if event.kind == "encoding":
-            found.append(
+            lines.append(
                 Suggestion("data", f"encoding = '{event.detail.split()[-1]}'", "to fix what was detected")
             )
         if event.kind == "implausible-unit":
-            found.append(Suggestion("data", "unit = '...'", event.detail))
-    return found
+            lines.append(Suggestion("data", "unit = '...'", event.detail))
+    return lines
 
 
 def similar_name(name: str, columns: list[str]) -> str | None:

@@ -233,12 +233,12 @@ def _residual(c: Calibration) -> dict[str, Any]:
 
 def _verdict(c: Calibration) -> dict[str, Any]:
     """What holds and what does not; for readers: it is worked out again from the record, not read back."""
-    found = c.verdict
+    verdict = c.verdict
     return {
-        "level": found.level,
-        "headline": found.headline,
-        "does_not_hold": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in found.doubts],
-        "holds": list(found.holds),
+        "level": verdict.level,
+        "headline": verdict.headline,
+        "does_not_hold": [{"what": doubt.what, "remedy": doubt.remedy} for doubt in verdict.doubts],
+        "holds": list(verdict.holds),
     }
 
 
@@ -369,11 +369,11 @@ def _figures_of(raw: bytes) -> _Figures | None:
     return document if document.schema == SCHEMA else None
 
 
-def _provenance(found: _Provenance) -> Provenance:
+def _provenance(provenance: _Provenance) -> Provenance:
     """Where the numbers come from; the first version named one input, by its hash alone."""
-    hashes = found.input_sha256
+    hashes = provenance.input_sha256
     named = {"input": hashes} if isinstance(hashes, str) else hashes
-    return Provenance(named, found.software, found.created, found.options)
+    return Provenance(named, provenance.software, provenance.created, provenance.options)
 
 
 def _surplus(document: _Document) -> float:
@@ -382,10 +382,10 @@ def _surplus(document: _Document) -> float:
     return document.degrees_of_freedom if surplus is None else surplus
 
 
-def _coefficient(found: _Coefficient) -> Coefficient:
-    nu = math.inf if found.degrees_of_freedom is None else found.degrees_of_freedom
+def _coefficient(entry: _Coefficient) -> Coefficient:
+    nu = math.inf if entry.degrees_of_freedom is None else entry.degrees_of_freedom
     return Coefficient(
-        found.name, found.value, found.std, found.unit, found.segment, found.run, nu, found.interval
+        entry.name, entry.value, entry.std, entry.unit, entry.segment, entry.run, nu, entry.interval
     )
 
 
@@ -413,9 +413,9 @@ def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
         ) from None
 
 
-def _level(found: _Level | None) -> float:
+def _level(level: _Level | None) -> float:
     """A noise level that older files do not have."""
-    return 0.0 if found is None else found.value
+    return 0.0 if level is None else level.value
 
 
 def _in_si(quantity: _Quantity | _Level | _Nominal, like: str, path: Path) -> float:

@@ -75,11 +75,11 @@ def open_regular(
 
 
 def _check_regular(
-    path: Path, found: os.stat_result, most: int | None, wanted: str, error: type[PigaError]
+    path: Path, status: os.stat_result, most: int | None, wanted: str, error: type[PigaError]
 ) -> None:
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise error(f"{path}: is not a regular file", remedy=f"name {wanted}")
-    if most is not None and found.st_size > most:
+    if most is not None and status.st_size > most:
         raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
 
 

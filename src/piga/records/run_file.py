@@ -57,12 +57,12 @@ class ServoTable(Table, frozen=True):
         RunFileError, UnitError
             If one is not physical, or the pendulosity is given twice or not at all.
         """
-        found = tuple(
+        given_ones = tuple(
             given_parameter(name, given, like, f"[instrument] servo.{name}")
             for name, like in SERVO_UNITS.items()
             if (given := getattr(self, name)) is not None
         )
-        for entry in found:
+        for entry in given_ones:
             positive = entry.name in ("integral_gain", "pendulosity", "angular_momentum")
             if entry.value < 0.0 or (positive and entry.value == 0.0):
                 raise RunFileError(
@@ -74,7 +74,7 @@ class ServoTable(Table, frozen=True):
                 "[instrument] servo: one of pendulosity and angular_momentum is needed",
                 remedy="give exactly one: the pendulosity is scale_factor times the angular momentum",
             )
-        return found
+        return given_ones
 
 
 class InstrumentTable(Table, frozen=True):

@@ -99,11 +99,11 @@ def square_sum(values: NDArray) -> float:
 
 def gathered(values: NDArray, rows: NDArray[np.int64]) -> NDArray:
     """``values[rows]`` for rows far apart, in order; the pages they lie on are given back on the way."""
-    found = []
+    parts = []
     for start in range(0, max(rows.size, 1), SPARSE):
         _watch.trim()
-        found.append(values[rows[start : start + SPARSE]])
-    return np.concatenate(found)
+        parts.append(values[rows[start : start + SPARSE]])
+    return np.concatenate(parts)
 
 
 class Arrays:
@@ -136,11 +136,11 @@ class Arrays:
 
 def mapped(path: Path) -> NDArray[Any]:
     """The array of an ``.npy`` file, mapped where files in use may be deleted, and looked after as all that is."""
-    found = np.load(path, allow_pickle=False, mmap_mode="r")
-    if os.name == "nt" or not isinstance(found, np.memmap):
-        return np.array(found)
+    array = np.load(path, allow_pickle=False, mmap_mode="r")
+    if os.name == "nt" or not isinstance(array, np.memmap):
+        return np.array(array)
     with path.open("r+b") as stream:
-        return _map(stream.fileno(), 0, path.parent, found.shape, found.dtype, found.offset)
+        return _map(stream.fileno(), 0, path.parent, array.shape, array.dtype, array.offset)
 
 
 def arrays_like(values: NDArray[Any]) -> Arrays:

@@ -116,9 +116,9 @@ def check_name(name: str) -> bool:
 def meaning_of(name: str) -> str:
     """The coefficient in words."""
     base = name.split("[", maxsplit=1)[0]
-    found = harmonic(base)
-    if found:
-        return f"{'sine' if found[0] == 's' else 'cosine'} of {found[1]} x output angle"
+    wave = harmonic(base)
+    if wave:
+        return f"{'sine' if wave[0] == 's' else 'cosine'} of {wave[1]} x output angle"
     return MEANING[base]
 
 
@@ -142,8 +142,8 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:
             )
         if terms.count(name) > 1:
             raise RunFileError(f"{where}: '{name}' is named twice", remedy="name it once")
-        found = harmonic(name)
-        partner = found and ("c" if found[0] == "s" else "s") + str(found[1])
+        wave = harmonic(name)
+        partner = wave and ("c" if wave[0] == "s" else "s") + str(wave[1])
         if partner and partner not in terms:
             raise RunFileError(
                 f"{where}: '{name}' without '{partner}': the zero of the output angle is not known, so the two "

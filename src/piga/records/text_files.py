@@ -189,17 +189,17 @@ def _field_names(kind: type[msgspec.Struct], keys: list[str]) -> list[str]:
     for key in keys:
         name = key.split("[")[0]
         fields = {field.encode_name: field.type for field in msgspec.structs.fields(current)}  # type: ignore[arg-type]
-        found = _structs_of(fields.get(name))
-        if not found:
+        inside = _structs_of(fields.get(name))
+        if not inside:
             return []
-        current = found[0]
+        current = inside[0]
     return [field.encode_name for field in msgspec.structs.fields(current)]  # type: ignore[arg-type]
 
 
 def _structs_of(annotation: object) -> list[type[msgspec.Struct]]:
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
-    return [found for part in getattr(annotation, "__args__", ()) for found in _structs_of(part)]
+    return [struct for part in getattr(annotation, "__args__", ()) for struct in _structs_of(part)]
 
 
 class _Schema(msgspec.Struct, frozen=True):

@@ -74,10 +74,10 @@ def drop_repeats(
             identical &= column[first] == column[second]
         usable[second] = False
         usable[first[~identical]] = False
-        for kind, found in enumerate((second[identical], second[~identical])):
-            if found.size and not counts[kind]:
-                first_rows[kind] = int(rows[found[0]])
-            counts[kind] += int(found.size)
+        for kind, repeats in enumerate((second[identical], second[~identical])):
+            if repeats.size and not counts[kind]:
+                first_rows[kind] = int(rows[repeats[0]])
+            counts[kind] += int(repeats.size)
     events = []
     if counts[0]:
         events.append(Event("repeated-row", counts[0], first_rows[0], "the copy is not used"))

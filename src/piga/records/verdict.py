@@ -97,18 +97,18 @@ class Verdict:
 
 def verdict(calibration: Calibration) -> Verdict:
     """The verdict on a calibration, from what its record holds: it is the same after reading it back."""
-    found = [
+    statements = [
         *_scale(calibration),
         *_whiteness(calibration),
         *_separation(calibration),
         *_budget(calibration),
         *_rows(calibration),
     ]
-    said = " ".join(item.remedy for item in found if isinstance(item, Doubt))
-    found += [Doubt(note) for note in calibration.notes if note not in said]
-    doubts = [item for item in found if isinstance(item, Doubt)]
+    said = " ".join(item.remedy for item in statements if isinstance(item, Doubt))
+    statements += [Doubt(note) for note in calibration.notes if note not in said]
+    doubts = [item for item in statements if isinstance(item, Doubt)]
     doubts.sort(key=lambda doubt: not doubt.grave)
-    return Verdict(tuple(item for item in found if isinstance(item, str)), tuple(doubts))
+    return Verdict(tuple(item for item in statements if isinstance(item, str)), tuple(doubts))
 
 
 def whitened_rms(calibration: Calibration) -> float:

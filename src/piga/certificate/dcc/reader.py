@@ -181,13 +181,13 @@ def _date(root: etree._Element, name: str, path: Path) -> dt.date:
 
 
 def _one(root: etree._Element, query: str, path: Path, what: str) -> etree._Element:
-    found = root.findall(query, _NAMES)
-    if len(found) != 1:
+    elements = root.findall(query, _NAMES)
+    if len(elements) != 1:
         raise DataError(
-            f"{path}: holds {len(found) or 'no'} {what}: was it made by piga?",
+            f"{path}: holds {len(elements) or 'no'} {what}: was it made by piga?",
             remedy="only certificates made by piga can be read back",
         )
-    return found[0]
+    return elements[0]
 
 
 def _attached(root: etree._Element, path: Path) -> Calibration:

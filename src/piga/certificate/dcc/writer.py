@@ -260,7 +260,7 @@ def _methods(data: CertificateFile) -> etree._Element:
 
 
 def _equipment(data: CertificateFile) -> etree._Element:
-    found = []
+    equipment = []
     for standard in data.traceability.standard:
         shown = "; ".join(part for part in (standard.realises, standard.certificate) if part)
         identification = [
@@ -272,8 +272,8 @@ def _equipment(data: CertificateFile) -> etree._Element:
             rich("description", shown),
             dcc("identifications", [dcc("identification", identification)]),
         ]
-        found.append(dcc("measuringEquipment", parts, "basic_normalUsed"))
-    return dcc("measuringEquipments", found)
+        equipment.append(dcc("measuringEquipment", parts, "basic_normalUsed"))
+    return dcc("measuringEquipments", equipment)
 
 
 def _condition(condition: ConditionTable) -> etree._Element:

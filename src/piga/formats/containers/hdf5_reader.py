@@ -117,12 +117,12 @@ def _is_line(item: Any) -> bool:
 def _line(path: Path, name: str, item: Any) -> NDArray:
     """The numbers of a dataset of one column, read in pieces of whole chunks; a long one lies on disk."""
     rows = max(PIECE_ROWS, *(item.chunks or (0,)))
-    found = long_column(item.dtype)
+    column = long_column(item.dtype)
     for start in range(0, item.size, rows):
         part = slice(start, start + rows)
         piece = item[part] if item.ndim == 1 else item[0, part] if item.shape[0] == 1 else item[part, 0]
-        found.append(as_numbers(path, name, piece), item.size)
-    return found.finish()
+        column.append(as_numbers(path, name, piece), item.size)
+    return column.finish()
 
 
 def _characters(values: NDArray) -> NDArray:
@@ -187,9 +187,9 @@ def _names(source: Any) -> list[str]:
     """Names of the datasets, breadth first, a bounded number of them."""
     import h5py
 
-    found: list[str] = []
+    names: list[str] = []
     queue = [("", source, 0)]
-    while queue and len(found) < MAX_NAMES:
+    while queue and len(names) < MAX_NAMES:
         prefix, group, depth = queue.pop(0)
         for key in group:
             if not isinstance(group.get(key, getlink=True), h5py.HardLink) or key.startswith("#"):
@@ -197,10 +197,10 @@ def _names(source: Any) -> list[str]:
             item = group[key]
             if isinstance(item, h5py.Dataset):
                 fields = item.dtype.names
-                found += [f"{prefix}{key}/{part}" for part in fields] if fields else [f"{prefix}{key}"]
+                names += [f"{prefix}{key}/{part}" for part in fields] if fields else [f"{prefix}{key}"]
             elif isinstance(item, h5py.Group) and depth < 8:
                 queue.append((f"{prefix}{key}/", item, depth + 1))
-    return found
+    return names
 
 
 def _check_storage(item: Any, path: Path, name: str) -> None:

@@ -65,7 +65,7 @@ def _load(path: Path, names: list[str]) -> dict[str, Any]:
 
     try:
         present = [entry[0] for entry in whosmat(path)]
-        found = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
+        variables = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
     except MemoryError:
         raise
     except Exception as error:  # SciPy lets whatever a damaged file provokes through
@@ -73,7 +73,7 @@ def _load(path: Path, names: list[str]) -> dict[str, Any]:
             f"{path}: not a readable MATLAB file ({first_line(error)})",
             remedy="save it again with -v7 or -v7.3",
         ) from None
-    return {name: found.get(name) for name in present}
+    return {name: variables.get(name) for name in present}
 
 
 def _column(path: Path, variables: dict[str, Any], name: str) -> NDArray:
@@ -91,11 +91,11 @@ def _column(path: Path, variables: dict[str, Any], name: str) -> NDArray:
 
 
 def _names(variables: dict[str, Any]) -> list[str]:
-    found = []
+    names = []
     for name, item in variables.items():
         fields = getattr(getattr(item, "dtype", None), "names", None)
-        found += [f"{name}.{field}" for field in fields] if fields else [name]
-    return found
+        names += [f"{name}.{field}" for field in fields] if fields else [name]
+    return names
 
 
 def _cells(values: NDArray) -> list[object]:

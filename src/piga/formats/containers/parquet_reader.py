@@ -155,7 +155,7 @@ def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[st
 def _units(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:
     metadata = {name: schema.field(name).metadata or {} for name in numeric}
     return {
-        name: found[b"unit"].decode("utf-8", errors="replace")
-        for name, found in metadata.items()
-        if b"unit" in found
+        name: entries[b"unit"].decode("utf-8", errors="replace")
+        for name, entries in metadata.items()
+        if b"unit" in entries
     }

@@ -62,16 +62,16 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
 
 def _numbers(path: Path, name: str, channel: Any) -> NDArray:
     """The numbers of a channel, read as they were written, piece after piece; a long one lies on disk."""
-    found = long_column(channel.dtype)
+    column = long_column(channel.dtype)
     count = 0
     if channel.dtype.kind in "iuf":
         for piece in channel.data_chunks():
             count += len(piece)
             if len(piece):
-                found.append(as_numbers(path, name, np.asarray(piece[:])), len(channel))
+                column.append(as_numbers(path, name, np.asarray(piece[:])), len(channel))
     if count == 0 or count != len(channel):  # no numbers, or cut off: the library has its ways
         return as_numbers(path, name, np.asarray(channel[:]))
-    return found.finish()
+    return column.finish()
 
 
 def _check_size(path: Path, channels: list[Any], names: tuple[str, ...]) -> None:
@@ -86,10 +86,12 @@ def _check_size(path: Path, channels: list[Any], names: tuple[str, ...]) -> None
 
 
 def _find(path: Path, channels: list[Any], name: str) -> Any:
-    found = [channel for channel in channels if name in (channel.name, f"{channel.group_name}/{channel.name}")]
-    if not found:
+    matching = [
+        channel for channel in channels if name in (channel.name, f"{channel.group_name}/{channel.name}")
+    ]
+    if not matching:
         raise no_column(path, name, [f"{channel.group_name}/{channel.name}" for channel in channels])
-    if len(found) > 1:
-        groups = ", ".join(f"'{channel.group_name}/{channel.name}'" for channel in found[:5])
+    if len(matching) > 1:
+        groups = ", ".join(f"'{channel.group_name}/{channel.name}'" for channel in matching[:5])
         raise DataError(f"{path}: several groups have a channel '{name}'", remedy=f"name it as one of {groups}")
-    return found[0]
+    return matching[0]

@@ -96,12 +96,12 @@ def _examine(path: Path, stream: BinaryIO) -> list[Event]:
         raise DataError(
             f"{path}: not a readable XLSX file ({error})", remedy="save it again as .xlsx"
         ) from None
-    found = []
+    events = []
     if formulas:
-        found.append(Event("formula", formulas, None, "the value last computed is used"))
+        events.append(Event("formula", formulas, None, "the value last computed is used"))
     if hidden:
-        found.append(Event("hidden-row", hidden, None, "used like the others"))
-    return found
+        events.append(Event("hidden-row", hidden, None, "used like the others"))
+    return events
 
 
 def _check_part(path: Path, part: zipfile.ZipInfo) -> None:

@@ -67,30 +67,30 @@ class Place:
 
 
 def find_faults(
-    found: Faults,
+    faults: Faults,
     raw: Bytes,
     place: Place,
     form: TextFormat,
     numeric: tuple[str, ...],
     missing: tuple[str, ...] = (),
 ) -> list[int]:
-    """Look at every cell of a piece that is needed; adds to ``found`` and gives the lines (0-based) with faults."""
+    """Look at every cell of a piece that is needed; adds to ``faults`` and gives the lines (0-based) with faults."""
     tokens = {*MISSING, *INFINITE, *missing}
     places = [(name, form.names.index(name)) for name in dict.fromkeys(numeric)]
     damaged = []
     offset = place.byte
     for index, line in enumerate(bytes(raw).split(b"\n")):
-        before = found.total
+        before = faults.total
         if line.strip():
-            _look_at_line(found, place.row + index, offset, line, form, places, tokens)
-        if found.total > before:
+            _look_at_line(faults, place.row + index, offset, line, form, places, tokens)
+        if faults.total > before:
             damaged.append(index)
         offset += len(line) + 1
     return damaged
 
 
 def _look_at_line(
-    found: Faults,
+    faults: Faults,
     row: int,
     offset: int,
     line: Bytes,
@@ -102,27 +102,27 @@ def _look_at_line(
         words = (
             f"row {row}: {line.count(0)} NUL bytes from byte {offset + line.find(0)} (the logger lost power?)"
         )
-        found.add(row, "nul-bytes", words)
+        faults.add(row, "nul-bytes", words)
         return
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError as error:
         words = f"row {row}: byte {error.start} of the row is no UTF-8 text"
-        found.add(row, "bad-encoding", words, "; or add [data] encoding = '...'")
+        faults.add(row, "bad-encoding", words, "; or add [data] encoding = '...'")
         return
-    _look_at(found, row, text.rstrip("\r"), form, places, tokens)
+    _look_at(faults, row, text.rstrip("\r"), form, places, tokens)
 
 
 def _look_at(
-    found: Faults, row: int, line: str, form: TextFormat, places: list[tuple[str, int]], tokens: set[str]
+    faults: Faults, row: int, line: str, form: TextFormat, places: list[tuple[str, int]], tokens: set[str]
 ) -> None:
     cells = split_cells(line, form.separator)
     if cells is None:
-        found.add(row, "open-quote", f"row {row}: a quotation mark is not closed")
+        faults.add(row, "open-quote", f"row {row}: a quotation mark is not closed")
         return
     if len(cells) != len(form.names):
         many = form.separator == "," and len(cells) > len(form.names)
-        found.add(
+        faults.add(
             row,
             "long-row" if len(cells) > len(form.names) else "short-row",
             f"row {row} has {len(cells)} cells, the header has {len(form.names)}",
@@ -134,7 +134,7 @@ def _look_at(
         if cell in tokens or is_number(cell, form.decimal):
             continue
         words = f"row {row}, column '{name}' ({column_letter(column)}): '{cell[:40]}' is not a number"
-        found.add(row, "not-a-number", words, _cell_hint(cell, form))
+        faults.add(row, "not-a-number", words, _cell_hint(cell, form))
 
 
 def split_cells(line: str, separator: str) -> list[str] | None:

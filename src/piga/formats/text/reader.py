@@ -109,17 +109,17 @@ class TextStream:
 
     def events(self) -> list[Event]:
         """What was found, after the last chunk."""
-        found = []
+        events = []
         if self._source.encoding != "utf-8":
-            found.append(Event("encoding", 1, 1, f"read as {self._source.encoding}"))
+            events.append(Event("encoding", 1, 1, f"read as {self._source.encoding}"))
         if self._truncated is not None:
             row = self._truncated
-            found.append(Event("truncated-last-line", 1, row, f"row {row} has no line end: not used"))
-        found += self._faults.events()
+            events.append(Event("truncated-last-line", 1, row, f"row {row} has no line end: not used"))
+        events += self._faults.events()
         blank = self._last_filled - self._form.skip - self._read - self._faults.rows
         if blank > 0:
-            found.append(Event("blank-line", blank, None, "skipped"))
-        return [*found, *self._missed.events(self._numeric)]
+            events.append(Event("blank-line", blank, None, "skipped"))
+        return [*events, *self._missed.events(self._numeric)]
 
     def _file_rows(self, raw: Bytes, read: int, ends: int) -> NDArray[np.int64]:
         """File rows of the data rows of a piece (blank lines are counted, as an editor does)."""

@@ -94,8 +94,8 @@ class TextSource:
 
     def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
         """Complete lines in order and how many, without the first ``skip``; read ahead on another thread."""
-        found = ((piece, _line_feeds(piece)) for piece in self._pieces(skip))
-        return found if self.path.stat().st_size < self._piece else ahead(found)
+        counted = ((piece, _line_feeds(piece)) for piece in self._pieces(skip))
+        return counted if self.path.stat().st_size < self._piece else ahead(counted)
 
     def _complete_lines(self, most: int) -> bytes:
         """The complete lines of the first ``most`` bytes; all of a shorter file that has no line end."""

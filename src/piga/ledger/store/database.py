@@ -263,8 +263,8 @@ def schema_version(connection: sa.Connection) -> int:
         return int(connection.exec_driver_sql("PRAGMA user_version").scalar_one())
     if not sa.inspect(connection).has_table("piga_schema_version"):
         return 0
-    found = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalar_one_or_none()
-    return 0 if found is None else int(found)
+    revision = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalar_one_or_none()
+    return 0 if revision is None else int(revision)
 
 
 def migrate(connection: sa.Connection) -> None:

@@ -197,10 +197,10 @@ def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = 
         If it is none, or one of a newer schema; ``what`` names it.
     """
     try:
-        found = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
-        if found != schema:
+        written = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
+        if written != schema:
             raise StoreError(
-                f"{what}: schema '{found}', '{schema}' is needed",
+                f"{what}: schema '{written}', '{schema}' is needed",
                 remedy="a newer schema needs a newer piga; anything else is damage: run piga records verify",
             )
         return decode_json(raw, kind) if strict else msgspec.json.decode(raw, type=kind)
@@ -238,8 +238,8 @@ def now() -> str:
 
 def moment(text: str) -> datetime:
     """A time as written in a document; without a zone it is UTC."""
-    found = datetime.fromisoformat(text)
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+    time = datetime.fromisoformat(text)
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
 def checked_text(name: str, text: str) -> str:
@@ -415,4 +415,4 @@ class Record:
 
     def file(self, role: str) -> StoredFile | None:
         """The first file of a role."""
-        return next((found for found in self.document.files if found.role == role), None)
+        return next((stored for stored in self.document.files if stored.role == role), None)

@@ -90,15 +90,15 @@ def insert_blob(
     if connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
         return
     connection.execute(BLOB.insert().values(sha256=name, size=size))
-    found, length = hashlib.sha256(), 0
+    digest, length = hashlib.sha256(), 0
     for number, part in enumerate(_evenly(parts)):
-        found.update(part)
+        digest.update(part)
         length += len(part)
         codec, data = ("zlib", zlib.compress(part, 6)) if size > compress_above else ("plain", part)
         connection.execute(
             CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
         )
-    if (found.hexdigest(), length) != (name, size):
+    if (digest.hexdigest(), length) != (name, size):
         raise StoreError(
             f"file {name[:12]}: changed while it was stored",
             remedy="stop the program that writes it, try again",
@@ -179,11 +179,11 @@ def check_blobs(
         yield name, _altered(name) if altered else data if isinstance(data, StoreError) else None
     for name, size in large:
         try:
-            found = digest_of(read_blob(connection, name))
+            stored = digest_of(read_blob(connection, name))
         except StoreError as error:
             yield name, error
         else:
-            yield name, None if found == (name, size) else _altered(name)
+            yield name, None if stored == (name, size) else _altered(name)
 
 
 def _altered(name: str) -> StoreError:

@@ -139,11 +139,11 @@ class Store:
             If there is no such record or file, or it is damaged.
         """
         with self.database.reading() as connection:
-            found = self._find(connection, str(name))
-            file = found.file(role)
+            record = self._find(connection, str(name))
+            file = record.file(role)
             if file is None:
-                roles = ", ".join(sorted({stored.role for stored in found.document.files}))
-                raise StoreError(f"record {found.id} has no file '{role}'", remedy=f"it has: {roles}")
+                roles = ", ".join(sorted({stored.role for stored in record.document.files}))
+                raise StoreError(f"record {record.id} has no file '{role}'", remedy=f"it has: {roles}")
             return b"".join(read_blob(connection, file.sha256))
 
     def calibration(self, name: str | int) -> Calibration:
@@ -238,14 +238,14 @@ class Store:
             self._check_clock(connection, head)
             made = Link(LINK, head.number + 1, head.sha256, sha256(document), now(), **taken_over)
             link = encode(made)
-        found = decode(document, RecordDocument, RECORD, "record")
+        record = decode(document, RecordDocument, RECORD, "record")
         entry = Entry(head.number + 1, link, document)
         connection.execute(
             ENTRY.insert().values(
                 number=entry.number,
                 head=sha256(link),
-                id=found.id,
-                serial=found.serial,
+                id=record.id,
+                serial=record.serial,
                 link=link,
                 document=document,
             )

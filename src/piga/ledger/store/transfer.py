@@ -59,17 +59,17 @@ def export_records(
     """
     numbers = None if chosen is None else {store.record(name).number for name in chosen}
 
-    found = Verification("")
+    result = Verification("")
 
     def write(part: Path) -> None:
-        nonlocal found
+        nonlocal result
         write_members(store, part, numbers, lambda count, total: advance(count, 2 * total))
-        found = verify(part, advance=lambda count, total: advance(count, 2 * total))
-        _refuse_unsound(found, store.name)
+        result = verify(part, advance=lambda count, total: advance(count, 2 * total))
+        _refuse_unsound(result, store.name)
 
     write_whole(target, write, replace=replace, kind=StoreError)
-    found.name = str(target)
-    return found
+    result.name = str(target)
+    return result
 
 
 def import_records(store: Store, path: Path, operator: str, reason: str) -> list[str]:
@@ -130,24 +130,24 @@ def backup(store: Store, target: Path, *, replace: bool = False, advance: Advanc
     StoreError
         If the store is damaged or the copy cannot be written; nothing is left behind then.
     """
-    found = Verification("")
+    result = Verification("")
 
     def copy(part: Path) -> None:
-        nonlocal found
+        nonlocal result
         assert store.database.path is not None  # noqa: S101 - a PostgreSQL store is exported
         with explained(str(target)):
             source = connect_sqlite(f"{store.database.path.resolve().as_uri()}?mode=ro")
             with closing(source), closing(sqlite3.connect(part)) as copied:
                 copied.execute("PRAGMA journal_mode=OFF")
                 source.backup(copied)
-        found = verify(part, advance=advance)
-        _refuse_unsound(found, store.name)
+        result = verify(part, advance=advance)
+        _refuse_unsound(result, store.name)
 
     if store.database.path is None:
         return export_records(store, target, replace=replace, advance=advance)
     write_whole(target, copy, replace=replace, kind=StoreError)
-    found.name = str(target)
-    return found
+    result.name = str(target)
+    return result
 
 
 def restore(source: Path, target: str | Path) -> Verification:
@@ -164,8 +164,8 @@ def restore(source: Path, target: str | Path) -> Verification:
         else:
             old = stack.enter_context(Store(open_database(source)))
             origin = StoreSource(stack.enter_context(old.database.reading()))
-        found = _checked(origin)
-        _refuse_unsound(found, str(source))
+        result = _checked(origin)
+        _refuse_unsound(result, str(source))
         if is_url(target):
             _restore_postgresql(origin, str(target))
         else:
@@ -174,7 +174,7 @@ def restore(source: Path, target: str | Path) -> Verification:
             )
     restored = verify(target)
     _refuse_unsound(restored, restored.name)
-    if restored.head != found.head:
+    if restored.head != result.head:
         raise StoreError(f"{target}: its head is not that of {source}", remedy="restore again")
     return restored
 
@@ -232,14 +232,14 @@ def _has(connection: sa.Connection, raw: bytes) -> bool:
 
 
 def _checked(source: Source) -> Verification:
-    found = Verification("the source")
-    check_chain(found, source)
-    return found
+    result = Verification("the source")
+    check_chain(result, source)
+    return result
 
 
-def _refuse_unsound(found: Verification, name: str) -> None:
-    if not found.sound:
+def _refuse_unsound(result: Verification, name: str) -> None:
+    if not result.sound:
         raise StoreError(
-            f"{name}: {found.problems[0]} ({len(found.problems)} problems in all)",
+            f"{name}: {result.problems[0]} ({len(result.problems)} problems in all)",
             remedy="piga records verify lists them; use another copy",
         )

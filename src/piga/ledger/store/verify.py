@@ -133,36 +133,36 @@ def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = sile
     advance:
         Called with the number of files that were checked since the last call, and the number of all.
     """
-    found = Verification(str(where))
+    result = Verification(str(where))
     try:
         if not is_url(where) and is_export(Path(where)):
             with Export(Path(where)) as export:
-                check_chain(found, export, heads, advance)
+                check_chain(result, export, heads, advance)
         else:
-            _verify_store(found, where, heads, advance)
+            _verify_store(result, where, heads, advance)
     except PigaError as error:
-        found.problem(error.message)
+        result.problem(error.message)
     except (TypeError, ValueError, OverflowError) as error:
-        found.problem(f"something in it cannot be read at all ({error})")
-    return found
+        result.problem(f"something in it cannot be read at all ({error})")
+    return result
 
 
-def _verify_store(found: Verification, where: str | Path, heads: Iterable[str], advance: Advance) -> None:
+def _verify_store(result: Verification, where: str | Path, heads: Iterable[str], advance: Advance) -> None:
     with Store(open_database(where)) as store:
-        found.name = store.name
+        result.name = store.name
         with store.database.reading() as connection:
             if connection.dialect.name == "sqlite":
-                _check_sqlite(found, connection)
+                _check_sqlite(result, connection)
             else:
-                _check_postgresql(found, connection)
-            check_chain(found, StoreSource(connection), heads, advance)
-            _check_columns(found, connection)
+                _check_postgresql(result, connection)
+            check_chain(result, StoreSource(connection), heads, advance)
+            _check_columns(result, connection)
 
 
 def check_chain(
-    found: Verification, source: Source, heads: Iterable[str] = (), advance: Advance = silent
+    result: Verification, source: Source, heads: Iterable[str] = (), advance: Advance = silent
 ) -> None:
-    """Check links, records and files of a chain; problems are added to ``found``."""
+    """Check links, records and files of a chain; problems are added to ``result``."""
     identity = source.identity()
     store = decode(identity, Identity, IDENTITY, "identity", strict=True).store
     head, expected = sha256(identity), 1
@@ -173,44 +173,44 @@ def check_chain(
         try:
             link = decode(entry.link, Link, LINK, f"link {entry.number}", strict=True)
             if entry.number != expected or link.number != expected:
-                found.problem(f"record {expected} is missing: {entry.number} follows")
+                result.problem(f"record {expected} is missing: {entry.number} follows")
             if link.previous != head:
-                found.problem(f"record {entry.number}: its link does not follow the one before it")
+                result.problem(f"record {entry.number}: its link does not follow the one before it")
             if entry.document is not None:
-                _check_document(found, entry, link, store, names, wanted)
+                _check_document(result, entry, link, store, names, wanted)
         except StoreError as error:
-            found.problem(error.message)
+            result.problem(error.message)
         head, expected = sha256(entry.link), entry.number + 1
         seen[head] = entry.number
-        found.records += entry.document is not None
-    _check_files(found, source, wanted, advance)
-    found.head = head
+        result.records += entry.document is not None
+    _check_files(result, source, wanted, advance)
+    result.head = head
     for known in heads:
-        found.known[known] = seen.get(known.lower())
-        if found.known[known] is None:
-            found.problem(
+        result.known[known] = seen.get(known.lower())
+        if result.known[known] is None:
+            result.problem(
                 f"head {known}: is not in this chain: it was altered, cut short, or is another store's"
             )
 
 
 def _check_document(
-    found: Verification, entry: Entry, link: Link, store: str, names: set[str], wanted: dict[str, int]
+    result: Verification, entry: Entry, link: Link, store: str, names: set[str], wanted: dict[str, int]
 ) -> None:
     raw = entry.document or b""
     if sha256(raw) != link.record:
-        found.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
+        result.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
     document = decode(raw, RecordDocument, RECORD, f"record {entry.number}", strict=True)
     place = (store, link.number, link.previous)
     if link.taken_over is not None:
         place = _place_of_origin(link.taken_over, link.record)
     if (document.store, document.number, document.after) != place:
-        found.problem(f"record {entry.number}: was not written for this place")
+        result.problem(f"record {entry.number}: was not written for this place")
     if document.id in names:
-        found.problem(f"record {entry.number}: has the name of another ({document.id})")
+        result.problem(f"record {entry.number}: has the name of another ({document.id})")
     names.add(document.id)
     for file in document.files:
         if not is_digest(file.sha256) or wanted.setdefault(file.sha256, file.size) != file.size:
-            found.problem(f"record {entry.number}: file '{file.name}' has no valid digest or size")
+            result.problem(f"record {entry.number}: file '{file.name}' has no valid digest or size")
 
 
 def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
@@ -220,21 +220,21 @@ def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]
     return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
 
 
-def _check_files(found: Verification, source: Source, wanted: dict[str, int], advance: Advance) -> None:
+def _check_files(result: Verification, source: Source, wanted: dict[str, int], advance: Advance) -> None:
     there = source.file_names()
     for name in sorted(wanted.keys() - there):
-        found.problem(f"file {name[:12]}: is missing")
+        result.problem(f"file {name[:12]}: is missing")
     for name in sorted(there - wanted.keys()):
-        found.problem(f"file {str(name)[:12]}: belongs to no record")
+        result.problem(f"file {str(name)[:12]}: belongs to no record")
     both = sorted(wanted.keys() & there)
     for _, error in source.check_files((name, wanted[name]) for name in both):
         if error is not None:
-            found.problem(error.message)
-        found.files += 1
+            result.problem(error.message)
+        result.files += 1
         advance(1, len(both))
 
 
-def _check_columns(found: Verification, connection: sa.Connection) -> None:
+def _check_columns(result: Verification, connection: sa.Connection) -> None:
     """What is kept beside the documents for look-ups must say the same, and no part may be left over."""
     last = Head(0, sha256(read_identity(connection)))
     entries = connection.execute(
@@ -243,17 +243,17 @@ def _check_columns(found: Verification, connection: sa.Connection) -> None:
     for row in entries:
         document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
         if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
-            found.problem(f"record {row.number}: the table's columns do not fit the record")
+            result.problem(f"record {row.number}: the table's columns do not fit the record")
         last = Head(row.number, sha256(row.link))
     if read_head(connection) != last:
-        found.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
+        result.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
     for table, rows in ((STORE, 1), (HEAD, 1)):
         if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != rows:
-            found.problem(f"table {table.name}: one row is needed")
-    _check_parts(found, connection)
+            result.problem(f"table {table.name}: one row is needed")
+    _check_parts(result, connection)
 
 
-def _check_parts(found: Verification, connection: sa.Connection) -> None:
+def _check_parts(result: Verification, connection: sa.Connection) -> None:
     """Parts are numbered from 0 without gaps, and each belongs to a file."""
     grouped = sa.select(
         CHUNK.c.sha256, sa.func.count().label("rows"), sa.func.min(CHUNK.c.part), sa.func.max(CHUNK.c.part)
@@ -261,10 +261,10 @@ def _check_parts(found: Verification, connection: sa.Connection) -> None:
     names = set(connection.execute(sa.select(BLOB.c.sha256)).scalars())
     for name, rows, first, last in connection.execute(grouped):
         if name not in names or first != 0 or last != rows - 1:
-            found.problem(f"file {str(name)[:12]}: its parts are not complete, or too many")
+            result.problem(f"file {str(name)[:12]}: its parts are not complete, or too many")
 
 
-def _check_sqlite(found: Verification, connection: sa.Connection) -> None:
+def _check_sqlite(result: Verification, connection: sa.Connection) -> None:
     for pragma, sound in (
         ("integrity_check", "ok"),
         ("application_id", APPLICATION_ID),
@@ -274,12 +274,12 @@ def _check_sqlite(found: Verification, connection: sa.Connection) -> None:
     ):
         rows = connection.exec_driver_sql(f"PRAGMA {pragma}").scalars().all()
         if rows != [sound]:
-            found.problem(f"SQLite {pragma}: {'; '.join(str(row) for row in rows[:3])}")
+            result.problem(f"SQLite {pragma}: {'; '.join(str(row) for row in rows[:3])}")
     if connection.exec_driver_sql("PRAGMA foreign_key_check").first() is not None:
-        found.problem("a part of a file belongs to no file")
+        result.problem("a part of a file belongs to no file")
     if _schema(connection.exec_driver_sql(_SCHEMA_QUERY).all()) != _sqlite_schema():
-        found.problem("tables or the triggers that refuse changes were altered")
-    _check_revision(found, connection)
+        result.problem("tables or the triggers that refuse changes were altered")
+    _check_revision(result, connection)
 
 
 _SCHEMA_QUERY = "SELECT type, name, tbl_name, sql FROM sqlite_master"
@@ -326,7 +326,7 @@ _KEYS = frozenset(
 """Table and definition of every key and check."""
 
 
-def _check_postgresql(found: Verification, connection: sa.Connection) -> None:
+def _check_postgresql(result: Verification, connection: sa.Connection) -> None:
     """Triggers, the function behind them, keys and checks must be those that piga makes."""
     ours = "(SELECT oid FROM pg_class WHERE relkind = 'r' AND relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
     triggers = connection.exec_driver_sql(
@@ -339,16 +339,16 @@ def _check_postgresql(found: Verification, connection: sa.Connection) -> None:
     there = {(r.tgname, r.relname, r.tgtype, _condition(r.pg_get_triggerdef)) for r in own}
     refuse = f"BEGIN RAISE EXCEPTION '{_WORDS}'; END"
     if there != _TRIGGERS or any(_text(row.tgenabled) != "O" for row in triggers):
-        found.problem("the triggers that refuse changes were altered or disabled")
+        result.problem("the triggers that refuse changes were altered or disabled")
     if any((row.btrim, row.lanname) != (refuse, "plpgsql") for row in own):
-        found.problem("the function that refuses changes was replaced")
+        result.problem("the function that refuses changes was replaced")
     keys = connection.exec_driver_sql(
         "SELECT c.relname, pg_get_constraintdef(k.oid) FROM pg_constraint k "  # noqa: S608
         f"JOIN pg_class c ON c.oid = k.conrelid WHERE k.contype <> 'n' AND k.conrelid IN {ours}"
     ).all()
     if {tuple(row) for row in keys} != _KEYS:
-        found.problem("keys or checks of the tables were altered")
-    _check_revision(found, connection)
+        result.problem("keys or checks of the tables were altered")
+    _check_revision(result, connection)
 
 
 def _condition(definition: str) -> str | None:
@@ -361,7 +361,7 @@ def _text(value: str | bytes) -> str:
     return value.decode() if isinstance(value, bytes) else value
 
 
-def _check_revision(found: Verification, connection: sa.Connection) -> None:
+def _check_revision(result: Verification, connection: sa.Connection) -> None:
     rows = connection.exec_driver_sql("SELECT version_num FROM piga_schema_version").scalars().all()
     if rows != [f"{SCHEMA:04d}"] or not list(MIGRATIONS.glob(f"v{SCHEMA:04d}_*.py")):
-        found.problem("the schema version was altered")
+        result.problem("the schema version was altered")
