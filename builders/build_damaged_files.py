@@ -172,7 +172,7 @@ def shape() -> list[Case]:
         error("blank", b"\n \n\n", "is empty"),
         error("header-only", (HEADER + "\n").encode(), "no data"),
         error("no-header", text(rows()).split(b"\n", 1)[1], "row 1: the first row holds numbers"),
-        error("column-twice", text(rows(), "t,n,fx,fx,fz"), "row 1: .*'fx' stands more than once", place=True),
+        error("column-twice", text(rows(), "t,n,fx,fx,fz"), "row 1: .*duplicate column name 'fx'", place=True),
         error("column-missing", text(rows(), "t,n,fx,fy,up"), "no column 'fz'"),
         error("short-row", short, "row 7 has 3 cells, the header has 5", place=True),
         error("long-row", cell(5, 4, "0.0,7"), "row 7 has 6 cells", place=True),

@@ -106,7 +106,7 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
         (["list", "--store", "none.sqlite"], "no such store"),
         (["list", "--store", "text.txt"], "no SQLite database"),
         (["show", "77", "--store", "a.sqlite"], "no record 77"),
-        (["show", "first", "--store", "a.sqlite"], "is no record"),
+        (["show", "first", "--store", "a.sqlite"], "is not a record"),
         (
             ["show", "1", "--store", "a.sqlite", "--extract", "text.txt"],
             "--extract text.txt: the directory cannot be",

@@ -35,7 +35,7 @@ NAMES = ("t", "n", "fx", "fy", "fz")
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"data": "range = { speed = [0.0, 1.0] }"}, "range: 'speed' is no column that is used"),
+        ({"data": "range = { speed = [0.0, 1.0] }"}, "range: 'speed' is not a column in use"),
         ({"data": "range = { fx = [1.0, 0.0] }"}, "range: 'fx': 1 is not below 0"),
         ({"data": 'segment = "fx"'}, "'fx' is read as numbers already"),
         ({"data": 'sequence = { column = "k", wraps_at = 1 }'}, "wraps_at must be 2 or more"),
@@ -265,7 +265,7 @@ def test_workbooks_of_too_many_or_encrypted_parts(tmp_path: Path, monkeypatch: p
 def test_parquet_without_rows_or_with_two_columns_of_one_name(tmp_path: Path) -> None:
     empty = pa.table({name: pa.array([], pa.float64()) for name in NAMES})
     twice = pa.Table.from_arrays([pa.array([0.0, 1.0])] * 6, names=[*NAMES, "fz"])
-    for table, message in ((empty, "no data row"), (twice, "'fz' stands more than once")):
+    for table, message in ((empty, "no data row"), (twice, "duplicate column name 'fz'")):
         parquet.write_table(table, tmp_path / "run.parquet")
         with pytest.raises(piga.DataError, match=message):
             piga.read_run(write_run(tmp_path, "run.parquet"))
@@ -297,7 +297,7 @@ def test_a_log_that_changes_or_is_no_file(tmp_path: Path, monkeypatch: pytest.Mo
             piga.read_run(write_run(tmp_path))
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(piga.DataError, match="no regular file"):
+    with pytest.raises(piga.DataError, match="not a regular file"):
         piga.read_run(tmp_path / "run.toml")
 
 

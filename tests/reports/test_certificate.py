@@ -100,7 +100,7 @@ def test_each_item_is_needed(cal, table, key):
     ("tables", "words"),
     [
         ({"people": {"authorised": PersonTable(name="A")}}, "who authorises"),
-        ({"laboratory": {"country": "Germany"}}, "no two-letter"),
+        ({"laboratory": {"country": "Germany"}}, "not a two-letter"),
         ({"certificate": {"number": " 1"}}, "begins or ends with a space"),
         ({"certificate": {"replaces": "old"}}, "what was changed"),
         ({"statements": {"opinions": "stable"}}, "authorised to give opinions"),

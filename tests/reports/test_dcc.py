@@ -377,7 +377,7 @@ ALTERED = [
     (f"{CORE}receiptDate", "2026-03-05", "beginPerformanceDate 2026-03-03 is before receiptDate"),
     (f"{CORE}endPerformanceDate", "2026-03-10", "issueDate 2026-03-09 is before endPerformanceDate"),
     (f"{CORE}issueDate", "2025-03-09", "issueDate 2025-03-09 is before"),
-    (f"{CORE}issueDate", "yesterday", "is no date"),
+    (f"{CORE}issueDate", "yesterday", "is not a date"),
     (f"{CORE}reportAmendedSubstituted/dcc:replacedUniqueIdentifier", "old 2", "it replaces 'old 2'"),
     (".//dcc:usedSoftware/dcc:software/dcc:release", "v9.9.9", "releases"),
     (f"{real_of('m_Y')}/../dcc:measurementMetaData//dcc:conformity", "fail", "conformity 'pass' is not"),
@@ -400,7 +400,7 @@ def test_an_altered_statement_contradicts_another(stated, query, text, words):
     node.text = text
     with pytest.raises(PigaError, match=words) as caught:
         calibration_of(root, Path("forged.xml"))
-    assert "contradicts itself" in caught.value.message or "is no date" in caught.value.message
+    assert "contradicts itself" in caught.value.message or "is not a date" in caught.value.message
 
 
 def sentence(root, title):

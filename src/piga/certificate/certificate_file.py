@@ -267,7 +267,7 @@ def _texts(data: CertificateFile) -> Iterator[str]:
     for table in ("laboratory", "customer"):
         country = getattr(data, table).country
         if country and not re.fullmatch("[A-Z]{2}", country):
-            yield f"[{table}] country (7.8.2.1): '{country}' is no two-letter ISO 3166-1 code"
+            yield f"[{table}] country (7.8.2.1): '{country}' is not a two-letter ISO 3166-1 code"
     if data.certificate.number and not re.fullmatch(r"\S(.*\S)?", data.certificate.number):
         yield "[certificate] number (7.8.2.1 d): begins or ends with a space"
     if data.certificate.replaces and not data.certificate.amendment:
@@ -295,7 +295,7 @@ def quantity_text(text: str) -> tuple[float, str]:
     Raises
     ------
     UnitError
-        If it is no number with a known unit.
+        If it is not a number with a known unit.
     """
     number, _, unit = text.strip().partition(" ")
     to_si(f"{number} {unit.strip() or '1'}", unit.strip() or "1", what=text)

@@ -55,7 +55,7 @@ class Reading:
         Raises
         ------
         DataError
-            If the reading is no whole count, outside its range, too fast to be unwrapped, jumps, or was reset.
+            If the reading is not a whole count, outside its range, too fast to be unwrapped, jumps, or was reset.
         """
         if self.scale.counts:
             self._check_counts()
@@ -115,7 +115,7 @@ class Reading:
             if bad.any():
                 at = int(np.argmax(bad))
                 raise DataError(
-                    f"{self.path}: row {self.rows[part][at]}, column '{self.name}': {reading[at]!r} is no whole count",
+                    f"{self.path}: row {self.rows[part][at]}, column '{self.name}': {reading[at]!r} is not a whole count",
                     remedy="set kind to 'angle' or 'rate' with its unit",
                 )
 

@@ -149,7 +149,7 @@ class SteadyFile:
     def _state(self) -> tuple[int, int, int, int]:
         """What changes when a file is written to: size, times, and which file it is."""
         if self.path.exists() and not self.path.is_file():
-            raise DataError(f"{self.path}: is no regular file", remedy=f"name the file: {self._remedy}")
+            raise DataError(f"{self.path}: is not a regular file", remedy=f"name the file: {self._remedy}")
         try:
             status = os.stat(self.path)  # noqa: PTH116 - one call for all four
         except OSError as error:

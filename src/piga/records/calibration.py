@@ -543,7 +543,7 @@ class Calibration:
         Raises
         ------
         CalibrationError
-            If the file is no calibration record of a known schema.
+            If the file is not a calibration record of a known schema.
         """
         from piga.records.calibration_json import read_calibration
 

@@ -268,7 +268,7 @@ def read_calibration(path: Path) -> Calibration:
     Raises
     ------
     CalibrationError
-        If the file is missing, is no calibration record, is of a newer schema, or contradicts itself: what
+        If the file is missing, is not a calibration record, is of a newer schema, or contradicts itself: what
         compensation, certificates and the store read passes here.
     """
     return read_with_digest(path)[0]

@@ -306,7 +306,10 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
 def _check_units(run_file: RunFile) -> None:
     data, estimation = run_file.data, run_file.estimation
     if to_si(run_file.instrument.scale_factor, "rad/s/g", what="[instrument] scale_factor") <= 0.0:
-        raise RunFileError("[instrument] scale_factor: must be positive", remedy="turn the axes, not the sign")
+        raise RunFileError(
+            "[instrument] scale_factor: must be positive",
+            remedy="use a positive value; reverse X0 in the reference",
+        )
     if run_file.instrument.servo is not None:
         run_file.instrument.servo.parameters()
     if data.time is not None:
@@ -386,7 +389,7 @@ def _check_faults(run_file: RunFile) -> None:
     for name, (low, high) in (data.range or {}).items():
         if name not in data.number_columns():
             raise RunFileError(
-                f"[data] range: '{name}' is no column that is used",
+                f"[data] range: '{name}' is not a column in use",
                 remedy=f"columns are: {', '.join(data.number_columns())}",
             )
         if not low < high:

@@ -74,7 +74,7 @@ _HARMONIC = re.compile(r"^([sc])([1-9]\d?)$")
 
 
 def harmonic(name: str) -> tuple[str, int] | None:
-    """``("s", 2)`` for ``s2``; None when the name is no harmonic."""
+    """``("s", 2)`` for ``s2``; None when the name is not a harmonic."""
     match = _HARMONIC.match(name)
     return None if match is None else (match.group(1), int(match.group(2)))
 

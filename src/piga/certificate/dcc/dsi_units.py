@@ -67,7 +67,7 @@ def from_dsi(text: str, power: int = 0) -> float:
     Raises
     ------
     DataError
-        If the text is no finite number.
+        If the text is not a finite number.
     """
     try:
         number = Decimal(text.strip())

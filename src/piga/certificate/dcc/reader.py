@@ -177,7 +177,7 @@ def _date(root: etree._Element, name: str, path: Path) -> dt.date:
     try:
         return dt.date.fromisoformat(element.text or "")
     except ValueError:
-        raise DataError(f"{path}: {name} '{(element.text or '')[:40]}' is no date", remedy=AGAIN) from None
+        raise DataError(f"{path}: {name} '{(element.text or '')[:40]}' is not a date", remedy=AGAIN) from None
 
 
 def _one(root: etree._Element, query: str, path: Path, what: str) -> etree._Element:

@@ -216,7 +216,7 @@ def check_profile(root: etree._Element, path: Path) -> etree._Element | None:
     if not tops or tops[0] is not signature:
         raise _outside(path, "the signature is not the last element of the document")
     if len(ours) != sum(1 for _ in signature.iter()):
-        raise _outside(path, "holds what is no part of a signature in it, or parts of a signature outside it")
+        raise _outside(path, "holds what is not part of a signature in it, or parts of a signature outside it")
     if root.getprevious() is not None or root.getnext() is not None:
         raise _outside(path, "holds comments or instructions, which the signature does not cover")
     if any(node.tag is etree.Comment for node in root.iter()):

@@ -42,7 +42,7 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
     Raises
     ------
     DataError
-        If the file is damaged, unpacks to too much, lacks a variable, or one is no plain column.
+        If the file is damaged, unpacks to too much, lacks a variable, or one is not a plain column.
     """
     with open_regular(path) as stream:
         head = stream.read(520)

@@ -142,9 +142,7 @@ def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[st
                 remedy="correct the column name in [data]",
             )
         if schema.names.count(name) > 1:
-            raise DataError(
-                f"{path}: the column name '{name}' stands more than once", remedy="rename one of them"
-            )
+            raise DataError(f"{path}: duplicate column name '{name}'", remedy="rename one of them")
         kind = schema.field(name).type
         if name in numeric and not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
             raise DataError(

@@ -39,7 +39,7 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
     Raises
     ------
     DataError
-        If the container is damaged or unpacks to too much, the sheet is not clear, or cells are no numbers:
+        If the container is damaged or unpacks to too much, the sheet is not clear, or cells are not numbers:
         with row and column letter of each (100 listed).
     """
     try:

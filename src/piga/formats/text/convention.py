@@ -45,7 +45,7 @@ ENCODINGS = (
     "iso8859-1", "iso8859-2", "iso8859-5", "iso8859-7", "iso8859-9", "iso8859-15", "koi8-r", "koi8-u", "mac-roman",
     "cp437", "cp850", "cp852", "cp855", "cp866", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257",
 )  # fmt: skip
-"""Encodings that a text file may be declared to have, by the names Python gives them; Python knows many that are no text."""
+"""Encodings that a text file may be declared to have, by the names Python gives them; Python knows many that are not text."""
 
 
 def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
@@ -138,7 +138,7 @@ def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
     repeated = sorted({name for name in names if name and names.count(name) > 1})
     if repeated:
         raise DataError(
-            f"{path}: row {row}: the column name '{repeated[0]}' stands more than once",
+            f"{path}: row {row}: duplicate column name '{repeated[0]}'",
             remedy="rename one of them",
         )
 

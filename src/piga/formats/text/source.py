@@ -1,6 +1,6 @@
 """The bytes of a text file as complete lines of UTF-8, piece by piece, whatever its length and encoding.
 
-An error further on in the file (bytes that are no text, a damaged ``.gz``) is raised when that place is reached,
+An error further on in the file (bytes that are not text, a damaged ``.gz``) is raised when that place is reached,
 so that what is reported does not depend on the size of the pieces.
 """
 

@@ -90,7 +90,7 @@ class Store:
         return self.database.name
 
     def identity(self) -> Identity:
-        """Who this store is."""
+        """Identity document of the store."""
         with self.database.reading() as connection:
             return decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
 
@@ -364,7 +364,7 @@ class Store:
         elif text.isascii() and text.isdigit() and len(text) < 10:
             condition = ENTRY.c.number == int(text)
         else:
-            raise StoreError(f"'{name}' is no record", remedy="give a number, or a name like 7K3QP-9XW2M")
+            raise StoreError(f"'{name}' is not a record", remedy="give a number, or a name like 7K3QP-9XW2M")
         row = connection.execute(sa.select(ENTRY).where(condition)).one_or_none()
         if row is None:
             raise StoreError(f"{self.name}: no record {name}", remedy="piga records list shows them")
