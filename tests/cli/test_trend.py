@@ -69,8 +69,8 @@ def test_a_trend_loads_no_estimator(folder):
     [
         ({"sources": []}, "no records are named"),
         ({"sources": [], "store": "x.sqlite"}, "--serial"),
-        ({"at": "soon"}, "no date"),
-        ({"common": ["much"]}, "is no number"),
+        ({"at": "soon"}, "not a date"),
+        ({"common": ["much"]}, "is not a number"),
         ({"common": ["0.5", "timing=0"]}, "drop the plain number"),
         ({"common": ["7"]}, "not between 0 and 1"),
         ({"serial": "other"}, "at least two records"),

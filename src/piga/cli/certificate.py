@@ -34,7 +34,7 @@ class _IssueByDefault(Group):
     """``piga certificate CALIBRATION.json ...`` is ``piga certificate issue CALIBRATION.json ...``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the default command in front of what is no command."""
+        """Put the default command before an argument that is not a command."""
         if args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
             args = ["issue", *args]
         return super().parse_args(ctx, args)

@@ -26,7 +26,7 @@ def clean(text: str) -> str:
 
 
 class _Nowhere(io.TextIOBase):
-    """In the place of a standard output that takes nothing."""
+    """A stream that drops what is written: it replaces a standard output that cannot be written."""
 
     def write(self, text: str, /) -> int:
         """Take the text and drop it."""
@@ -51,7 +51,7 @@ def write_out(text: str, *, needed: bool) -> None:
     """Write on stdout; where it is full or closed, what the command did stays done and is not reported as failed.
 
     ``needed``: the text is the result itself (JSON), and a full disk behind stdout ends with exit code 1.
-    A reader that went away is no error.
+    It is not an error when the reader has gone.
     """
     try:
         sys.stdout.write(text)

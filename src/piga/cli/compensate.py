@@ -148,7 +148,7 @@ def _refuse(live: bool, **options: object) -> None:
 
 
 def _page(report: Path | None, resume: bool) -> Path | None:
-    """Where the page goes; None when none is wanted."""
+    """Path of the page; None without a page."""
     if report is None:
         return None
     if resume:
@@ -184,7 +184,7 @@ class _Options:
     period: float | None
 
     def arguments(self) -> dict[str, Any]:
-        """As the functions of :mod:`piga.compensation` take them."""
+        """Keyword arguments for the functions of :mod:`piga.compensation`."""
         return {
             "method": self.method,
             "phase": self.phase,
@@ -194,7 +194,7 @@ class _Options:
         }
 
     def in_words(self, calibration: Calibration) -> dict[str, str]:
-        """For a page."""
+        """Options as label-value pairs for the page."""
         from piga.compensation.model import check_method
 
         phase = "of the calibration"

@@ -85,7 +85,7 @@ def trend(
 
 
 def _written(out: Path, inputs: list[Path], drifts: Trend, date: dt.datetime, force: bool) -> list[Path]:
-    """trend.json and trend.html."""
+    """Write trend.json and trend.html; return their paths."""
     from piga.reports.trend import trend_document, write_trend_report
 
     text = json.dumps(trend_document(drifts, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -141,7 +141,7 @@ def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:
         time = dt.datetime.fromisoformat(created)
     except ValueError:
         raise PigaError(
-            f"{path}: provenance.created '{created[:40]}' is no time", remedy="calibrate again"
+            f"{path}: provenance.created '{created[:40]}' is not a time", remedy="calibrate again"
         ) from None
     return str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration.figures()
 
@@ -154,7 +154,7 @@ def _common(given: list[str]) -> Common:
             parts[name] = float(number)
         except ValueError:
             raise PigaError(
-                f"--common {text}: '{number}' is no number", remedy="e.g. 0.5, or timing=0"
+                f"--common {text}: '{number}' is not a number", remedy="e.g. 0.5, or timing=0"
             ) from None
     if "" in parts and len(parts) > 1:
         raise PigaError(
@@ -167,5 +167,5 @@ def _date(text: str) -> dt.datetime:
     try:
         time = dt.datetime.fromisoformat(text)
     except ValueError:
-        raise PigaError(f"--at {text}: no date", remedy="write e.g. 2027-06-01") from None
+        raise PigaError(f"--at {text}: is not a date", remedy="write e.g. 2027-06-01") from None
     return time if time.tzinfo else time.replace(tzinfo=dt.UTC)

@@ -24,7 +24,7 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = No
     Raises
     ------
     ArgumentError
-        If the values are no numbers or the shape differs; the message names both shapes.
+        If the values are not numbers or the shape differs; the message names both shapes.
     """
     try:
         array = np.ascontiguousarray(values, dtype=np.float64).reshape(np.shape(values))

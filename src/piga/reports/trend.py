@@ -84,7 +84,7 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None) ->
         tuple(panels),
         caption="Above, the values with the 95 % interval of each record's own uncertainty, the line through the "
         "days, and the band in which a further record is expected. Below, how far each day lies from what the days "
-        "before let expect, and the moving average of these scores. Good: points in the band, scores within ±3, "
+        "before forecast, and the moving average of these scores. Good: points in the band, scores within ±3, "
         "the average within its own limits.",
         height=2.7,
     )

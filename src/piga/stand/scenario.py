@@ -144,7 +144,7 @@ def _positions(value: str | tuple[Quantity, ...]) -> tuple[float, ...]:
     numbers, _, unit = value.strip().partition(" ")
     parts = numbers.split(":")
     if len(parts) != 3:
-        raise ArgumentError(f"[stand] positions: '{value}' is no range", remedy="write e.g. '0:360:15 deg'")
+        raise ArgumentError(f"[stand] positions: '{value}' is not a range", remedy="write e.g. '0:360:15 deg'")
     first, last, step = (_si(f"{part} {unit}", "rad", "positions") for part in parts)
     return position_range(first, last, step)
 

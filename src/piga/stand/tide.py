@@ -26,19 +26,19 @@ from piga.units import ARCSEC, DAY
 Array = NDArray[np.float64]
 
 GRAVIMETRIC_FACTORS = (1.157, 1.154, 1.162)
-"""Of degree 2: long-period, diurnal (that of O1) and semidiurnal part [Dehant1999]."""
+"""Gravimetric factors of degree 2: long-period, diurnal (that of O1) and semidiurnal part [Dehant1999]."""
 GRAVIMETRIC_FACTOR_3 = 1.07
-"""Of degree 3 [Dehant1999]."""
+"""Gravimetric factor of degree 3 [Dehant1999]."""
 K1_FACTOR = 1.135
-"""Of the diurnal wave K1, near the free core nutation [Dehant1999]."""
+"""Gravimetric factor of the diurnal wave K1, near the free core nutation [Dehant1999]."""
 K1_POTENTIAL = 0.53050 * 2.6277
 """Amplitude of K1 in the potential at 45 deg and the mean radius [m^2/s^2]: Doodson's coefficient and constant [Doodson1921]."""
 MEAN_RADIUS = 6.371e6
-"""To which that belongs [m]."""
+"""Mean radius of the Earth that belongs to this amplitude [m]."""
 GM_MOON, GM_SUN = 4.902800e12, 1.32712440e20
 """Gravitational constants [m^3/s^2]."""
 OBLIQUITY = math.radians(23.43929111)
-"""Of the ecliptic, J2000 [rad]."""
+"""Obliquity of the ecliptic, J2000 [rad]."""
 PRECESSION = math.radians(1.3972)
 """General precession in longitude per Julian century [rad]: places are of date, as sidereal time is."""
 TERRESTRIAL_LESS_UTC = 69.0

@@ -117,7 +117,7 @@ RAMP_TOP: Final = 2.06
 
 
 def in_g(a_x: float, a_Y: float, a_Z: float) -> tuple[float, float, float]:
-    """The same specific force [m/s^2]."""
+    """Specific force in m/s^2 from components in g."""
     return a_x * G0, a_Y * G0, a_Z * G0
 
 
@@ -146,7 +146,7 @@ def published_calibration(profile: Profile, duration: float = 100.0) -> Calibrat
 
 @cache
 def own_calibration(profile: Profile) -> Calibration:
-    """The same by the linear estimator, which needs no first guess; with its history."""
+    """The calibration by the linear estimator, which needs no first guess; with its history."""
     return calibrate(record(profile), terms=["tan_beta"], method="recursive")
 
 

@@ -199,7 +199,7 @@ def published_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: f
 
 
 def momentum_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: float) -> dict[str, float]:
-    """The same from the geometry of two momenta, by central difference [rad/s]; own derivation."""
+    """Coupled drift from the geometry of two momenta, by central difference [rad/s]; own derivation."""
     half = 600.0
     h1, h2 = np.array([0.0, 0.0, 1.0]), np.array([math.cos(eta), 0.0, -math.sin(eta)])
     z_G2 = np.array([math.sin(eta), 0.0, math.cos(eta)])

@@ -38,7 +38,7 @@ DURATION = 60.0
 _SWING, _PERIOD = 0.6, 15.0
 _DOTS = 45
 _EVERY = 20
-"""Every so many samples of the run are drawn: seventeen a revolution at least."""
+"""Every 20th sample of the run is drawn: at least seventeen per revolution."""
 
 
 @dataclass(frozen=True)

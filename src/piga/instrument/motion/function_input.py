@@ -27,7 +27,7 @@ DEGREE = 16
 _PANELS = 128
 """Panels at the start, if the caller does not limit their length."""
 _JUMP_LEVEL, _JUMP_SHARE = 15, 1e-3
-"""From this halving on, a panel may take this share of the whole tolerance: it holds a jump."""
+"""After this many halvings a panel holds a jump: it may take this share of the whole tolerance."""
 _MOST_EVALUATIONS = 3_000_000
 
 

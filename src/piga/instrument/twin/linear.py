@@ -235,7 +235,7 @@ class ServoParameters:
 
     @classmethod
     def of_twin(cls, p: TwinParameters) -> ServoParameters:
-        """Those of a twin."""
+        """The servo parameters of a twin."""
         return cls(p.K, p.pendulosity, p.integral_gain, p.proportional_gain, p.rate_gain, p.damping)
 
 

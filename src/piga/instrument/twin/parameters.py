@@ -129,11 +129,11 @@ class TwinParameters:
         )  # fmt: skip
 
     def with_scale_factor(self, K: float) -> TwinParameters:
-        """The same design with its pendulosity changed to give scale factor ``K``."""
+        """The design with its pendulosity changed to give scale factor ``K``."""
         return replace(self, pendulosity=K * self.angular_momentum)
 
     def stiffened(self, factor: float) -> TwinParameters:
-        """The same design with all servo gains multiplied by ``factor``."""
+        """The design with all servo gains multiplied by ``factor``."""
         return replace(
             self,
             proportional_gain=factor * self.proportional_gain,

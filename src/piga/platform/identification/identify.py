@@ -231,7 +231,7 @@ def identify_recursively(
     orders: int = 3,
     points: int = 200,
 ) -> Identification:
-    """The same estimate sample by sample, with its history.
+    """Identify sample by sample, with the history of the estimate.
 
     The rows are linearised once about a batch solution over the first quarter of the record (at least four case
     turns), which also gives the noise levels, and taken in one by one by square-root (Givens) updates; the end

@@ -69,7 +69,7 @@ class Tip:
         return float(np.arctan2(self.v, self.u))
 
     def gyro(self) -> Gyro:
-        """As a gyro with misalignment, phase and harmonics over the case angle."""
+        """The gyro with misalignment, phase and harmonics over the case angle."""
         harmonics = []
         for k, (a, b) in enumerate(zip(self.cosines, self.sines, strict=True), start=1):
             phase = np.arctan2(-b, a) - k * self.phase

@@ -295,7 +295,7 @@ class Scenario:
         return round(self.duration / self.step)
 
     def without_errors(self) -> Scenario:
-        """The same run with perfect gyros and sensors: what the navigator alone does."""
+        """The scenario with perfect gyros and sensors: what the navigator alone does."""
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
 
 

@@ -272,7 +272,7 @@ class Perturbation:
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def plus(self, other: Perturbation) -> Perturbation:
-        """Both at once."""
+        """The sum of two perturbations."""
 
         def added(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
             return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

@@ -348,7 +348,7 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
 
 
 def run_figures(cal: Calibration) -> tuple[Figure, ...]:
-    """Residuals against time of every run at hand, each with its own clock and scales."""
+    """Residuals against time of every run, each with its own clock and scales."""
     residuals = cal.residuals
     if residuals is None or residuals.run is None:
         return ()

@@ -401,9 +401,7 @@ def _orders(figures: dict[str, Figure]) -> Section:
         "turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
-    missing = (
-        "No segment turns at least twice with residuals at hand, so no revolution order can be told from drift."
-    )
+    missing = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
     if not {"residual-order", "ripple-polar"} & figures.keys():
         return Section(
             "Residuals against rotation", "rotation", (Text(lead, lead=True), Notice("info", missing))

@@ -87,7 +87,7 @@ def error_record(
 
 
 def in_windows(residuals: Residuals) -> Residuals:
-    """The same with every segment cut into windows of ``WINDOW`` turns: where the force changes, so does the drift.
+    """The residuals with every segment cut into windows of ``WINDOW`` turns: where the force changes, so does the drift.
 
     A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
     """

@@ -27,16 +27,16 @@ from piga.reports.render.decimate import SHOWN
 Array = NDArray[np.float64]
 
 BLOCK = 1 << 15
-"""Rows of a whole record that are taken at a time."""
+"""Rows of a whole record in one piece."""
 KEPT = 1 << 16
-"""Rows of an outline from which on its buckets are made larger."""
+"""Most rows of an outline; above them its buckets grow."""
 GROWTH = 4
-"""By how much."""
+"""Factor by which a bucket grows."""
 MARKS = 4096
-"""The same for the places of a flag."""
+"""Most places of one flag; above them its buckets grow."""
 CURVES = ("indicated", "ax", "correction", "u_ax")
 LEADING = [("t", "f8"), ("psi", "f8"), ("angle", "f8"), ("segment", "i4")]
-"""What is kept of each of the first rows."""
+"""Columns of the leading rows."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Outline:
         self.rows = {name: np.zeros(0) for name in ("row", "t", *self.curves)}
 
     def add(self, part: dict[str, Array]) -> None:
-        """Take rows behind those that are there."""
+        """Append rows."""
         if not self.curves:
             return
         part = _extremes(part, self.curves, self.bucket)
@@ -74,7 +74,7 @@ class Marks:
     last: float = math.nan
 
     def add(self, row: Array, t: Array) -> None:
-        """Take flagged rows behind those that are there."""
+        """Append flagged rows."""
         if row.size == 0:
             return
         self.first = self.first if self.count else float(t[0])
@@ -239,7 +239,7 @@ def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> d
 
 AXES = ("x", "y", "z")
 CURVE_KEPT = 1 << 13
-"""Rows of the outline of one curve: there are many."""
+"""Most rows of the outline of one curve of a set."""
 RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
 
 

@@ -78,7 +78,7 @@ def mount(axis: str, what: str = "mount") -> Array:
     """
     name = axis.removeprefix("-")
     if name not in _ALONG_Z:
-        raise ArgumentError(f"{what}: '{axis}' is no base axis", remedy="use X0, Y0, Z0, -X0, -Y0 or -Z0")
+        raise ArgumentError(f"{what}: '{axis}' is not a base axis", remedy="use X0, Y0, Z0, -X0, -Y0 or -Z0")
     flip = axis_turn(0, math.pi).round() if axis.startswith("-") else np.eye(3)
     return _ALONG_Z[name] @ flip
 
