@@ -173,7 +173,7 @@ def test_memory_is_bounded_and_extremes_are_kept():
         chunk = Chunk(t, K_G / G0 * ax, ax, ax, begins, NO_RATES, NONE, NONE)
         found.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
     rows = found.outline.rows
-    assert rows["row"].size <= compensation_outline.KEPT
+    assert rows["row"].size <= compensation_outline.SIZES.rows
     assert (np.diff(rows["row"]) > 0).all()
     for index in (0, 13):
         assert rows["ax"][rows["row"] == index * size + 4711] == [50.0 + index]
@@ -181,7 +181,7 @@ def test_memory_is_bounded_and_extremes_are_kept():
     coarse, warm = found.marks["coarse"], found.marks["temperature"]
     assert (coarse.count, warm.count) == (2, total * size - 2)
     assert (coarse.first, coarse.last) == (47.11, (13 * size + 4711) * 0.01)
-    assert 0 < warm.row.size <= compensation_outline.MARKS
+    assert 0 < warm.row.size <= compensation_outline.SIZES.marks
     assert {len(series.arrays()[0]) for series in flag_figure(found).panels[0].series} == {2, warm.row.size}
 
 

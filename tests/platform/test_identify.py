@@ -8,7 +8,7 @@ import pytest
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_recursively, observability, simulate
 from piga.platform.identification.estimate import Group, solve
-from piga.platform.identification.observation import Record
+from piga.platform.identification.observation import ForceFilter, Record
 from piga.platform.model.geometry import apparent_gyro
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
 
@@ -89,7 +89,7 @@ def test_a_long_record_is_cut_into_stretches(monkeypatch):
     readouts = simulate(s).readouts
     assert len(Record.checked(readouts, ("force",), 3).stretches) == 3
     cut = identify(readouts, s.place, sources=("force",))
-    monkeypatch.setattr("piga.platform.identification.observation._TURNS", 100)
+    monkeypatch.setattr("piga.platform.identification.observation.FORCE_FILTER", ForceFilter(turns=100))
     assert len(Record.checked(readouts, ("force",), 3).stretches) == 1
     whole = identify(readouts, s.place, sources=("force",))
     std = np.sqrt(np.diag(whole.covariance))

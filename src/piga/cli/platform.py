@@ -10,6 +10,7 @@ import typer
 
 from piga.cli.common import ForceOption, Group, files_named_in, print_json, progress, say, write_text
 from piga.output import results
+from piga.units import ARCSEC
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -89,7 +90,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
     with _results(out, "align", scenario, force, "alignment.json") as folder:
         _write_json(folder / "alignment.json", document)
         _page(folder, alignment_page(run, aligned))
-    worst = float(aligned.std[:3].max()) * 206264.806
+    worst = float(aligned.std[:3].max()) / ARCSEC
     _finish(document, json, f"triad attitude to {worst:.2g} arcsec; wrote {out}/alignment.json, report.html")
 
 

@@ -255,14 +255,23 @@ def _triad(pair: list[Array]) -> Array:
     return np.stack([first, across, np.cross(first, across)], axis=1)
 
 
-_WINDOW = 10
-"""The window is two Hann windows of a tenth of a turn one after the other."""
-_ROWS = 20
-"""Rows kept per turn: lines up to the tenth of the case rate stay below the folding frequency."""
-_POINTS = 80
-"""Points per turn at which regressors are evaluated: they are smooth and need be right to 1e-3 only."""
-_TURNS = 16
-"""Length of a stretch [turns]; stretches are independent, so that the cost grows with the record only."""
+@dataclass(frozen=True)
+class ForceFilter:
+    """How the specific force of a moving base is filtered and thinned; own choices, counted by turns of the case."""
+
+    window: int = 10
+    """Two Hann windows of this part of a turn, one after the other."""
+    rows: int = 20
+    """Rows kept per turn: lines up to the tenth of the case rate stay below the folding frequency."""
+    points: int = 80
+    """Points per turn at which regressors are evaluated: they are smooth, 1e-3 is accurate enough."""
+    turns: int = 16
+    """Turns in a stretch; stretches are independent, so that the cost grows with the length of the record only."""
+    fewest: int = 20
+    """Fewest samples per turn of the faster case."""
+
+
+FORCE_FILTER = ForceFilter()
 
 
 @dataclass(frozen=True)
@@ -370,12 +379,12 @@ def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[Stretch, 
     """Cut a record; ``turns`` (2,) are the periods [s] of the faster and the slower case."""
     fast, slow = turns
     samples = fast / readouts.step
-    every = max(1, round(samples / _POINTS))
-    stride = every * max(1, round(samples / _ROWS / every))
-    hann = np.hanning(max(round(samples / _WINDOW), 3) + 2)[1:-1]
+    every = max(1, round(samples / FORCE_FILTER.points))
+    stride = every * max(1, round(samples / FORCE_FILTER.rows / every))
+    hann = np.hanning(max(round(samples / FORCE_FILTER.window), 3) + 2)[1:-1]
     window = np.convolve(hann, hann) / hann.sum() ** 2
     n = len(readouts.increments)
-    count = max(1, round(n * readouts.step / slow / _TURNS))
+    count = max(1, round(n * readouts.step / slow / FORCE_FILTER.turns))
     edges = np.linspace(0, n, count + 1).astype(np.int64)
     return tuple(
         Stretch(readouts.between(int(a), int(b)), window, stride, every, slow) for a, b in pairwise(edges)
@@ -432,9 +441,6 @@ def _spline(phase: Array, pieces: int, coefficients: Array) -> Array:
 STATIC_SOURCES = ("gimbals", "pick-off")
 MOVING_SOURCES = ("force", "pick-off")
 
-_FEWEST = 20
-"""Samples per case turn that the specific force needs."""
-
 
 @dataclass(frozen=True)
 class Record:
@@ -465,11 +471,11 @@ class Record:
                 f"identification needs two turns of the cases ({2.0 * slow:g} s), the record has {span:g} s",
                 remedy="lengthen [identification] duration, or [compensation] misalignment = 'true'",
             )
-        if "force" in sources and fast < _FEWEST * readouts.step:
+        if "force" in sources and fast < FORCE_FILTER.fewest * readouts.step:
             raise ArgumentError(
-                f"identification from the specific force needs {_FEWEST} samples a case turn, the record has "
+                f"identification from the specific force needs {FORCE_FILTER.fewest} samples a case turn, the record has "
                 f"{fast / readouts.step:.1f}",
-                remedy=f"shorten [run] step to {fast / _FEWEST:g} s",
+                remedy=f"shorten [run] step to {fast / FORCE_FILTER.fewest:g} s",
             )
         return record
 

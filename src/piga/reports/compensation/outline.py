@@ -26,14 +26,24 @@ from piga.reports.render.decimate import SHOWN
 
 Array = NDArray[np.float64]
 
-BLOCK = 1 << 15
-"""Rows of a whole record in one piece."""
-KEPT = 1 << 16
-"""Most rows of an outline; above them its buckets grow."""
-GROWTH = 4
-"""Factor by which a bucket grows."""
-MARKS = 4096
-"""Most places of one flag; above them its buckets grow."""
+
+@dataclass(frozen=True)
+class OutlineSizes:
+    """Sizes of an outline: enough for a figure of any width, small against a long record."""
+
+    piece: int = 1 << 15
+    """Rows of a whole record in one piece."""
+    rows: int = 1 << 16
+    """Most rows of an outline; above them its buckets grow."""
+    set_rows: int = 1 << 13
+    """Most rows of the outline of one curve of a set."""
+    marks: int = 4096
+    """Most places of one flag; above them its buckets grow."""
+    growth: int = 4
+    """Factor by which a bucket grows."""
+
+
+SIZES = OutlineSizes()
 CURVES = ("indicated", "ax", "correction", "u_ax")
 LEADING = [("t", "f8"), ("psi", "f8"), ("angle", "f8"), ("segment", "i4")]
 """Columns of the leading rows."""
@@ -44,7 +54,7 @@ class Outline:
     """Rows that keep the outline of all ``curves`` against time: ``rows`` by name, about ``kept``, and rows per bucket."""
 
     curves: tuple[str, ...] = CURVES
-    kept: int = KEPT
+    kept: int = SIZES.rows
     rows: dict[str, Array] = field(default_factory=dict)
     bucket: int = 1
 
@@ -58,7 +68,7 @@ class Outline:
         part = _extremes(part, self.curves, self.bucket)
         self.rows = {name: np.concatenate((self.rows[name], part[name])) for name in self.rows}
         while self.rows["row"].size > self.kept:
-            self.bucket *= GROWTH
+            self.bucket *= SIZES.growth
             self.rows = _extremes(self.rows, self.curves, self.bucket)
 
 
@@ -80,8 +90,8 @@ class Marks:
         self.first = self.first if self.count else float(t[0])
         self.count, self.last = self.count + row.size, float(t[-1])
         self.row, self.t = np.concatenate((self.row, row)), np.concatenate((self.t, t))
-        while self.row.size > MARKS:
-            self.bucket *= GROWTH
+        while self.row.size > SIZES.marks:
+            self.bucket *= SIZES.growth
             some = np.unique(self.row // self.bucket, return_index=True)[1]
             self.row, self.t = self.row[some], self.t[some]
 
@@ -153,7 +163,7 @@ class CompensationOutline(Watch):
     def record(self, record: Run, result: Compensated) -> None:
         """Take a whole record."""
         changes = np.flatnonzero(np.diff(record.segment)) + 1
-        edges = np.unique(np.concatenate((changes, np.arange(0, record.size, BLOCK), [record.size])))
+        edges = np.unique(np.concatenate((changes, np.arange(0, record.size, SIZES.piece), [record.size])))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             rows = slice(start, stop)
             base = NO_RATES if record.base_rate is None else record.base_rate[rows]
@@ -238,8 +248,6 @@ def _extremes(rows: dict[str, Array], curves: tuple[str, ...], bucket: int) -> d
 
 
 AXES = ("x", "y", "z")
-CURVE_KEPT = 1 << 13
-"""Most rows of the outline of one curve of a set."""
 RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx", "dy", "dz")
 
 
@@ -262,7 +270,7 @@ class SetOutline(Watch):
         self._raw = np.linalg.pinv(self._axes[:, 0, :])
         self.instruments = [outline_of(kind, item.calibration, ()) for item in instruments]
         curves = (*RAW, *FORCE, *CORRECTION, "residual", *self.misfits)
-        self.outlines = {name: Outline((name,), CURVE_KEPT) for name in curves}
+        self.outlines = {name: Outline((name,), SIZES.set_rows) for name in curves}
 
     @property
     def redundant(self) -> bool:
