@@ -25,9 +25,7 @@ import numpy as np
 
 import piga
 from piga.compensation import Mounted, SetCompensator
-from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file
-from piga.compensation.model import Model, make_model
-from piga.compensation.step import (
+from piga.compensation.compensator import (
     NO_FLAGS,
     NO_MARKS,
     NO_RATES,
@@ -38,6 +36,8 @@ from piga.compensation.step import (
     run_kernel,
     work_array,
 )
+from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file
+from piga.compensation.model import Model, make_model
 from piga.records import Calibration, Coefficient, Provenance, Quality
 from piga.records.terms import unit_of
 

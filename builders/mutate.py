@@ -126,15 +126,15 @@ INSTRUMENT = {
     "instrument/twin/run instrument/twin/linear instrument/twin/parameters": TWIN,
 }
 COMPENSATION = {
-    "compensation/compensate compensation/compensator compensation/model compensation/step "
-    "compensation/validity compensation/result": COMPENSATED,
-    "compensation/phase compensation/resample compensation/rate_angle": [
+    "compensation/compensate compensation/compensator compensation/model compensation/compensator "
+    "compensation/model compensation/result": COMPENSATED,
+    "compensation/phase compensation/resample compensation/phase": [
         *PHASES,
         *COMPENSATED,
         *tests_of("compensation", "files"),
     ],
-    "compensation/sets/published_set compensation/sets/set_compensator "
-    "compensation/sets/triad compensation/mounting": SETS,
+    "compensation/sets/set_compensator compensation/sets/set_compensator "
+    "compensation/sets/triad compensation/sets/set_compensator": SETS,
 }
 PLATFORM_ROOM = {
     "platform/identification/alignment platform/identification/observation "

@@ -17,7 +17,7 @@ from sphinx.application import Sphinx
 
 import piga
 from piga.cli.main import app as command_line
-from piga.compensation.sets.triad_file import TriadFile
+from piga.compensation.sets.set_files import TriadFile
 from piga.planning.plan_file import PlanTable
 from piga.platform.model.scenario import ScenarioFile
 from piga.records.run_file import RunFile

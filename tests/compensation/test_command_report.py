@@ -14,7 +14,7 @@ import pytest
 
 import piga
 from piga.compensation import FLAGS, Compensated
-from piga.compensation.step import NO_RATES, NONE, Chunk
+from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.records.calibration import Residuals
 from piga.reports.compensation import outline as compensation_outline
 from piga.reports.compensation import page as compensation

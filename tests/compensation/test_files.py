@@ -11,11 +11,11 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation.files import parts
-from piga.compensation.rate_angle import RateAngle, integrated_rate
+from piga.compensation.files import file_to_file as parts
+from piga.compensation.phase import RateAngle, integrated_rate
 from piga.compensation.resample import Resampler
 from piga.compensation.sets import set_files
-from piga.compensation.sets.triad_file import orthogonal_triad
+from piga.compensation.sets.set_files import orthogonal_triad
 from tests.output.kills import kills
 
 from .test_command import CAL, KERNEL, command, small_chunks, write

@@ -11,7 +11,7 @@ import pytest
 
 import piga
 from piga.compensation.sets import set_files
-from piga.compensation.sets.triad_file import orthogonal_triad
+from piga.compensation.sets.set_files import orthogonal_triad
 from piga.units import G0
 
 from .test_command import CAL, small_chunks, to_file

@@ -12,7 +12,7 @@ import pyarrow.parquet
 import pytest
 from scipy.io import savemat
 
-from piga.compensation.sets.triad_file import is_triad_file
+from piga.compensation.sets.set_files import is_triad_file
 from piga.units import G0
 
 from .test_command import CAL

@@ -16,10 +16,9 @@ import pytest
 import piga
 from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_triad
 from piga.compensation.files.live import Bounded, _field, compensate_arrow, compensate_lines, unpacked_size
-from piga.compensation.flags import MEANING, describe
-from piga.compensation.sets.published_set import PublishedSet
-from piga.compensation.sets.triad_file import read_triad
-from piga.compensation.validity import age_in_days
+from piga.compensation.model import MEANING, age_in_days, describe
+from piga.compensation.sets.set_compensator import PublishedSet
+from piga.compensation.sets.set_files import read_triad
 from piga.units import G0
 
 from .test_command import CAL, command, write

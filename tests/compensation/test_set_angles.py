@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from piga.compensation import Mounted, SetCompensator
-from piga.compensation.sets.published_set import PublishedSet
+from piga.compensation.sets.set_compensator import PublishedSet
 from piga.units import G0
 
 from .test_triad import PHASES, SKEWED, made, orthogonal, rotation

@@ -16,7 +16,7 @@ import pytest
 import piga
 from piga.compensation.files.file_to_file import FileSummary
 from piga.compensation.sets import set_files
-from piga.compensation.sets.triad_file import orthogonal_triad
+from piga.compensation.sets.set_files import orthogonal_triad
 
 from .test_command import CAL, small_chunks, to_file
 from .twin_data import calibration_of

@@ -17,7 +17,7 @@ import piga
 from piga.calibration.joint.summary import read_summary
 from piga.certificate.certificate_file import read_certificate_file
 from piga.certificate.dcc.xml_signature import load_certificate, read_xml
-from piga.compensation.sets.triad_file import is_triad_file
+from piga.compensation.sets.set_files import is_triad_file
 from piga.errors import PigaError
 from piga.formats.containers.parquet_reader import read_labels
 from piga.formats.text.reader import TextStream

@@ -71,7 +71,7 @@ def compensate(
 
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
-    from piga.compensation.files.parts import was_begun
+    from piga.compensation.files.file_to_file import was_begun
     from piga.compensation.model import Phase
     from piga.records.calibration_json import read_with_digest
     from piga.units import to_si
@@ -159,7 +159,7 @@ def _page(report: Path | None, resume: bool) -> Path | None:
 
 
 def _is_triad(path: Path) -> bool:
-    from piga.compensation.sets.triad_file import is_triad_file
+    from piga.compensation.sets.set_files import is_triad_file
 
     return is_triad_file(path)
 
@@ -243,11 +243,12 @@ def _single(
     from piga.compensation.files.file_to_file import (
         HELD_ROWS,
         FileSummary,
+        Parts,
         compensate_to_file,
         found_while_reading,
+        key_of,
     )
-    from piga.compensation.files.parts import Parts, key_of
-    from piga.compensation.validity import age_flag
+    from piga.compensation.model import age_flag
     from piga.compensation.writers import format_of, inputs_listed
     from piga.records.spool import give_back
     from piga.stand import read_run
@@ -316,8 +317,7 @@ def _together(
     runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, options: _Options,
     page: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
-    from piga.compensation.sets.set_files import compensate_set_files
-    from piga.compensation.sets.triad_file import orthogonal_triad, read_triad
+    from piga.compensation.sets.set_files import compensate_set_files, orthogonal_triad, read_triad
     from piga.compensation.writers import format_of
 
     _spare_memory()

@@ -9,10 +9,27 @@ from itertools import islice, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.model import Model, Phase, check_method, make_model, needs_phase, phases
+from piga.compensation.compensator import (
+    NO_RATES,
+    NONE,
+    Chunk,
+    Step,
+    empty_step,
+    init_state,
+    run_kernel,
+    work_array,
+)
+from piga.compensation.model import (
+    Limits,
+    Model,
+    Phase,
+    age_flag,
+    check_method,
+    make_model,
+    needs_phase,
+    phases,
+)
 from piga.compensation.result import Compensated, notes_on
-from piga.compensation.step import NO_RATES, NONE, Chunk, Step, empty_step, init_state, run_kernel, work_array
-from piga.compensation.validity import Limits, age_flag
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.run import Run

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.arithmetic import resample as kernels
-from piga.compensation.flags import FLAGS
+from piga.compensation.model import FLAGS
 from piga.compensation.result import Compensated, CompensatedSet
 from piga.errors import ArgumentError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.flags import FLAGS
+from piga.compensation.model import FLAGS
 from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
 

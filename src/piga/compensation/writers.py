@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation.flags import FLAGS, MEANING
+from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.formats.parquet_writer import number_column
 from piga.records.coverage import TYPE_A_ONLY

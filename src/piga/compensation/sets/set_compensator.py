@@ -1,9 +1,10 @@
-"""A stream of three or more instruments, solved together without any other reference."""
+"""A set of instruments, compensated together: their mounting, the exact solution and the published one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,14 +12,195 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels.compensation import layout as at
 from piga._kernels.compensation.set import SET_STATE, SET_WORK, SetModels, SetRows, SetSamples, SetWork
 from piga._kernels.compensation.set import compensate_set as set_kernel
-from piga.compensation.model import Model, make_model
-from piga.compensation.mounting import Mounted, check_spread, rotation
+from piga.compensation.compensator import find_begins, init_state
+from piga.compensation.model import Limits, Model, Phase, age_flag, make_model
 from piga.compensation.result import CompensatedSet
-from piga.compensation.step import find_begins
-from piga.compensation.validity import Limits, age_flag
 from piga.errors import ArgumentError
+from piga.records.calibration import Calibration
 
 Array = NDArray[np.float64]
+
+ORTHOGONAL = 1e-6
+"""Largest deviation of an axes matrix from a rotation that is taken for a rotation."""
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """An instrument in a set: its calibration and its axes.
+
+    Attributes
+    ----------
+    calibration:
+        Coefficients of the instrument.
+    axes:
+        Rows X0, Y0, Z0 of the instrument in the common frame, shape (3, 3), a rotation.
+    phase:
+        Phase of the output zero when it is not the calibration's.
+    segment:
+        Segment whose phase is used (per-segment calibrations).
+    """
+
+    calibration: Calibration
+    axes: Array
+    phase: Phase | None = None
+    segment: str | None = None
+
+
+def rotation(axes: ArrayLike, index: int) -> Array:
+    """The axes matrix of an instrument as the nearest exact rotation.
+
+    Raises
+    ------
+    ArgumentError
+        If it is no right-handed set of orthogonal unit vectors.
+    """
+    matrix = np.asarray(axes, dtype=float)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ArgumentError(
+            f"axes of instrument {index}: shape {matrix.shape}", remedy="rows X0, Y0, Z0 of 3 numbers each"
+        )
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > ORTHOGONAL or np.linalg.det(matrix) < 0.0:
+        raise ArgumentError(
+            f"axes of instrument {index}: the rows are no right-handed set of orthogonal unit vectors",
+            remedy="give X0, Y0, Z0 of the instrument in the common frame, to six digits or more",
+        )
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ right)
+
+
+def check_spread(axes: Array) -> None:
+    """Refuse fewer than three instruments, and input axes that lie in one plane; ``axes`` (N, 3, 3).
+
+    Raises
+    ------
+    ArgumentError
+        In both cases.
+    """
+    if axes.shape[0] < 3:
+        raise ArgumentError(
+            f"a set of {axes.shape[0]} instruments cannot give three components",
+            remedy="use three or more instruments",
+        )
+    smallest = np.linalg.svd(axes[:, 0, :], compute_uv=False)[-1]
+    if smallest < 0.05:
+        raise ArgumentError(
+            f"the input axes lie in one plane (smallest singular value {smallest:.3g})",
+            remedy="check axes, first rows",
+        )
+
+
+class PublishedSet:
+    """Compensate a set by the published formula [Wei2024], for comparison.
+
+    First, what all instruments indicate is taken as force along their input axes (least squares). Its components
+    across each instrument are the transverse force in the published formula at the output angle; the corrected
+    indications give the force. The error is of second order in the coupling, and of first order in other error terms
+    than ``k0``, which are left in.
+
+    Parameters
+    ----------
+    instruments:
+        As for :class:`piga.compensation.SetCompensator`.
+    sampled:
+        True when rates are recorded beside the angles.
+    max_age_days:
+        Calibrations that are older are flagged.
+
+    Raises
+    ------
+    ArgumentError
+        If there are fewer than three instruments.
+    """
+
+    def __init__(
+        self, instruments: Sequence[Mounted], *, sampled: bool = False, max_age_days: float | None = None
+    ) -> None:
+        if len(instruments) < 3:
+            raise ArgumentError(
+                f"a set of {len(instruments)} instruments cannot give three components",
+                remedy="use three or more instruments",
+            )
+        self._axes = np.array([np.asarray(item.axes, dtype=float) for item in instruments])
+        self._solve = np.linalg.pinv(self._axes[:, 0, :])
+        self._models = [
+            make_model(item.calibration, method="published", segment=item.segment, phase=item.phase)
+            for item in instruments
+        ]
+        self._sampled = sampled
+        self._flag = 0
+        for item in instruments:
+            self._flag |= age_flag(item.calibration, max_age_days)
+        self._clock = init_state()
+        self._last: tuple[Array, Array, Array, Array] | None = None
+
+    def push(
+        self,
+        t: ArrayLike,
+        output: ArrayLike,
+        *,
+        rate: ArrayLike | None = None,
+        base_rate: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+        begins: NDArray[np.bool_] | None = None,
+    ) -> CompensatedSet:
+        """Compensate the next samples; arguments as for the exact set, ``temperature`` is not used."""
+        del temperature
+        time, psi = np.atleast_1d(np.asarray(t, dtype=float)), np.asarray(output, dtype=float)
+        psi = psi.reshape(len(self._models), time.size)
+        omega = np.zeros((*psi.shape, 3)) if base_rate is None else np.asarray(base_rate, dtype=float)
+        marks = find_begins(self._clock, time) if begins is None else np.array(begins, dtype=np.bool_)
+        if time.size == 0:
+            return self._result(time, np.zeros((0, 3)), np.zeros((0, 3)), marks)
+        if self._last is None:
+            marks[0] = True
+            self._last = time[:1], psi[:, :1], omega[:, :1], np.zeros((1, 3))
+        before = self._last
+        step = np.where(marks, 0.0, np.diff(time, prepend=before[0]))
+        if self._sampled:
+            force = self._force(psi, np.asarray(rate, dtype=float), omega)
+            both = np.concatenate((before[3], force))
+            dv = 0.5 * step[:, None] * (both[1:] + both[:-1])
+        else:
+            known, turning = (
+                np.concatenate((before[1], psi), axis=1),
+                np.concatenate((before[2], omega), axis=1),
+            )
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rates = np.where(step > 0.0, np.diff(known, axis=1) / step, np.nan)
+            force = self._force(
+                0.5 * (known[:, 1:] + known[:, :-1]), rates, 0.5 * (turning[:, 1:] + turning[:, :-1])
+            )
+            dv = np.where(step[:, None] > 0.0, force * step[:, None], 0.0)
+        self._clock[at.S_VALID], self._clock[at.S_TIME] = 1.0, time[-1]
+        self._last = time[-1:], psi[:, -1:], omega[:, -1:], force[-1:]
+        return self._result(time, force, dv, step == 0.0)
+
+    def _force(self, psi: Array, rate: Array, omega: Array) -> Array:
+        """Force (n, 3) in the common frame from angles and rates (N, n)."""
+        p = [model.parameters for model in self._models]
+        indicated = [
+            (rate[i] + omega[i, :, 0]) / q[at.P_K] - q[at.P_TERMS + at.TERMS.index("k0")]
+            for i, q in enumerate(p)
+        ]
+        first = self._combined(indicated)
+        corrected = []
+        for i, q in enumerate(p):
+            y, z = (sum(self._axes[i, row, k] * first[k] for k in range(3)) for row in (1, 2))
+            K, tangent = q[at.P_K], q[at.P_TAN_BETA]
+            Y = tangent * (K * y - omega[i, :, 1]) + q[at.P_OFFSET_Y]
+            Z = tangent * (K * z - omega[i, :, 2]) + q[at.P_OFFSET_Z]
+            alpha = q[at.P_PHI] + psi[i]
+            corrected.append(indicated[i] - (Y * np.sin(alpha) - Z * np.cos(alpha)) / K)
+        return np.stack(self._combined(corrected), axis=1)
+
+    def _combined(self, along: list[Array]) -> list[Array]:
+        """Components in the common frame of what is known along the input axes; added one by one."""
+        return [np.asarray(sum(self._solve[k, i] * a for i, a in enumerate(along))) for k in range(3)]
+
+    def _result(self, t: Array, force: Array, dv: Array, none: NDArray[np.bool_]) -> CompensatedSet:
+        flags = np.where(none, at.NO_INCREMENT, 0).astype(np.int32) | np.int32(self._flag)
+        return CompensatedSet(t, force, dv, np.zeros((0, 3)), np.full(t.size, np.nan), flags)
+
 
 FAULT_PROBABILITY = 1e-6
 """Chance that the flag ``fault`` is raised in a row of a sound set."""

@@ -1,12 +1,14 @@
-"""Several run files of instruments that are solved together, from file to file in bounded memory."""
+"""Sets from file to file: the set file (TOML) and its runs, block by block."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,18 +19,95 @@ from piga.compensation.files.file_to_file import (
     HELD_ROWS,
     found_while_reading,
 )
-from piga.compensation.flags import FLAGS
-from piga.compensation.mounting import Mounted
-from piga.compensation.rate_angle import RateAngle
+from piga.compensation.model import FLAGS, Phase
+from piga.compensation.phase import RateAngle
 from piga.compensation.resample import Resampler
 from piga.compensation.result import CompensatedSet, notes_on
-from piga.compensation.sets.published_set import PublishedSet
-from piga.compensation.sets.set_compensator import SetCompensator
+from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.compensation.sets.triad import check_member, check_together, mounted_on, set_stream
 from piga.compensation.writers import Inputs, TableWriter, inputs_listed
+from piga.errors import RunFileError
+from piga.records import Calibration, read_toml
+from piga.records.calibration_json import read_with_digest
 from piga.records.run import Run
+from piga.records.run_file import Quantity
 from piga.records.spool import give_back, trim
+from piga.records.text_files import toml_bytes, toml_document
 from piga.stand.run_reference import read_run
+from piga.units import to_si
+
+Row = tuple[float, float, float]
+
+
+class TriadInstrument(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``[[triad.instrument]]``: run, calibration and axes (rows X0, Y0, Z0 in the common frame)."""
+
+    run: str
+    calibration: str
+    axes: tuple[Row, Row, Row]
+    phase: Quantity | None = None
+
+
+class TriadTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``[triad]``."""
+
+    instrument: tuple[TriadInstrument, ...]
+
+
+class TriadFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A whole triad file."""
+
+    triad: TriadTable
+
+
+def is_triad_file(path: Path) -> bool:
+    """True when a TOML file has a table ``[triad]`` (a file that cannot be read is told by its reader)."""
+    try:
+        return "triad" in toml_document(path)
+    except RunFileError:
+        return False
+
+
+def read_triad(path: Path) -> tuple[list[Path], list[Mounted], list[tuple[str, str]]]:
+    """Run files and mounted instruments of a triad file; file names are relative to it.
+
+    Last come the triad file and the calibrations: name, and SHA-256 of what was read.
+
+    Raises
+    ------
+    RunFileError
+        If the file is not valid.
+    CalibrationError
+        If a calibration it names cannot be read.
+    """
+    raw = toml_bytes(path)
+    file = read_toml(path, TriadFile, raw)
+    items = file.triad.instrument
+    if len(items) < 3:
+        raise RunFileError(
+            f"{path}: [[triad.instrument]] stands {len(items)} times", remedy="three or more are needed"
+        )
+    read = [read_with_digest(path.parent / item.calibration) for item in items]
+    mounted = [
+        Mounted(
+            calibration,
+            np.array(item.axes),
+            None if item.phase is None else Phase(to_si(item.phase, "rad", what=f"{path}: phase")),
+        )
+        for item, (calibration, _) in zip(items, read, strict=True)
+    ]
+    named = [Path(item.calibration).name for item in items]
+    inputs = [(path.name, hashlib.sha256(raw).hexdigest()), *zip(named, (d for _, d in read), strict=True)]
+    return [path.parent / item.run for item in items], mounted, inputs
+
+
+def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
+    """Three instruments whose input axes are x, y and z of the common frame, in this order.
+
+    The transverse axes follow in cyclic order: the second has ``X0 = y, Y0 = z, Z0 = x``.
+    """
+    return [Mounted(c, np.roll(np.eye(3), -i, axis=0)) for i, c in enumerate(calibrations)]
+
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation.compensate import check_phase_kept, check_serial
-from piga.compensation.model import METHODS
-from piga.compensation.mounting import Mounted
-from piga.compensation.rate_angle import integrated_rate
+from piga.compensation.model import METHODS, Limits
+from piga.compensation.phase import integrated_rate
 from piga.compensation.result import CompensatedSet
-from piga.compensation.sets.published_set import PublishedSet
-from piga.compensation.sets.set_compensator import SetCompensator
-from piga.compensation.validity import Limits
+from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.errors import ArgumentError, DataError
 from piga.records.run import Run
 from piga.records.spool import spans

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
+from piga.compensation.compensator import NO_RATES, NONE, Chunk
 from piga.compensation.sets.set_files import Rows
-from piga.compensation.step import NO_RATES, NONE, Chunk
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
