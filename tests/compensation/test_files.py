@@ -142,7 +142,7 @@ def test_a_stop_while_parts_are_deleted_does_not_matter(tmp_path, monkeypatch, c
 def test_killed_at_any_moment_the_result_is_the_same(tmp_path):
     run, out = write(tmp_path, rows=200_000), tmp_path / "o.parquet"
     small = (
-        "from piga.compensation import parts; from piga.records import spool; "
+        "from piga.compensation.files import file_to_file as parts; from piga.records import spool; "
         "parts.PART_ROWS = 20_000; spool.BLOCK = 5000"
     )
     words = ["compensate", str(run), "--calibration", str(tmp_path / "run.json"), "--out", str(out)]

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from piga._version import __version__
 from piga.compensation.compensate import compensate_in_pieces
 from piga.compensation.compensator import Chunk, init_state
-from piga.compensation.files import parts as parts_module
 from piga.compensation.model import FLAGS
 from piga.compensation.resample import Resampler
 from piga.compensation.result import Compensated, notes_on
@@ -282,7 +281,7 @@ def compensate_to_file(
     pieces = compensate_in_pieces(record, calibration, state=state, done=done, **options)
     while rows < record.size:
         with parts.writer() as writer:
-            count, taken = _work_off(pieces, writer, summary, resampler, advance, parts_module.PART_ROWS)
+            count, taken = _work_off(pieces, writer, summary, resampler, advance, PART_ROWS)
             done, rows = done + count, rows + taken
         parts.keep(
             {
