@@ -19,7 +19,7 @@ WORK = """
 import json, sys, threading, time
 import numpy as np
 import piga
-from piga.records import raw_columns
+from piga.reading import raw_columns
 from piga.cli.calibrate import write_results
 from pathlib import Path
 
