@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from piga.records.calibration import Amount, Outlier, RunRecord
+from piga.records.calibration import Amount, Outlier, RunRecord, SegmentLeverage
+from piga.records.run_file import UncertaintyTable
 from piga.records.terms import shown_unit
 from piga.reports.calibration.figures import (
     convergence_figure,
@@ -20,7 +21,16 @@ from piga.reports.calibration.page import (
     calibration_text,
     write_calibration_report,
 )
-from piga.reports.calibration.tables import budget_tables, coefficient_table, residual_quantity, scalars
+from piga.reports.calibration.tables import (
+    SOURCES,
+    budget_tables,
+    coefficient_table,
+    freedom,
+    leverage_tables,
+    residual_quantity,
+    scalars,
+    source_in_words,
+)
 from piga.reports.render.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker
@@ -334,3 +344,39 @@ def test_diagnostics_have_words_and_no_digits_that_say_nothing():
     )
     assert rows["Range of the axial specific force"] == "−9.802 to 9.800 m/s²"
     assert "Scatter of the segments over what the noise of the angle explains" in rows
+
+
+def test_every_source_of_a_run_file_has_words():
+    entries = {field for field in UncertaintyTable.__struct_fields__ if field != "reference_id"}
+    assert entries == set(SOURCES)
+    assert source_in_words("levelling axis 1") == "levelling of the stand (levelling axis 1)"
+    assert source_in_words("fit residuals (repeatability)") == "fit residuals (repeatability)"
+
+
+def test_the_budget_names_sources_in_words(cal):
+    row = dataclasses.replace(cal.budget[0], source="reference_scale")
+    sources = budget_tables(dataclasses.replace(cal, budget=(row, *cal.budget[1:])))[0]
+    assert "scale of the reference (reference_scale)" in {cells[0] for cells in sources.rows}
+
+
+def test_degrees_of_freedom_beyond_a_thousand_are_not_counted_out(cal):
+    shown = {
+        nu: freedom(dataclasses.replace(cal.coefficients[0], degrees_of_freedom=nu))
+        for nu in (3.77, 342.4, 1000.0, 173_678.0, math.inf, math.nan)
+    }
+    assert list(shown.values()) == ["3.77", "342", "1000", "> 1000", "∞", "–"]
+
+
+def test_the_leverage_of_eight_coefficients_fits_the_page(cal):
+    """Nine and more columns were 1034 px wide on a page of 964."""
+    some = cal.coefficients[0]
+    keys = [f"k{i}" for i in range(8)]
+    many = tuple(dataclasses.replace(some, name=key, segment=None) for key in keys)
+    row = SegmentLeverage(0.5, dict.fromkeys(keys, 0.1), dict.fromkeys(keys, 0.2))
+    diagnostics = dataclasses.replace(cal.diagnostics, leverage={"a": row, "b": row})
+    tables = leverage_tables(dataclasses.replace(cal, coefficients=many, diagnostics=diagnostics))
+    assert [[column.heading for column in table.columns] for table in tables] == [
+        ["Segment", "Leverage", *keys[:4]],
+        ["Segment", "Leverage", *keys[4:]],
+    ]
+    assert tables[1].rows[1][:2] == ("b", "0.50")

@@ -422,11 +422,23 @@ def _drifts(trends: Sequence[CoefficientTrend]) -> list[str]:
         if drift is not None and abs(drift.value) > drift.half_width():
             scale, unit = shown_unit(trend.key, trend.unit)
             value, half = drift.value * scale, drift.half_width() * scale
-            shown = f"{unit} per year".removeprefix("1 ")
-            sentences.append(
-                f"{trend.key} drifts by {value:.3g} {shown} (95 %: {value - half:.3g} to {value + half:.3g})."
-            )
+            ends = value, value - half, value + half
+            shown, low, high = (_to_two_digits_of(half, number) for number in ends)
+            unit = f"{unit} per year".removeprefix("1 ")
+            sentences.append(f"{trend.key} drifts by {shown} {unit} (95 %: {low} to {high}).")
     return sentences
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def _to_two_digits_of(half: float, number: float) -> str:
+    """A number to the place of the second digit of a half-width, in the notation of the tables: ``−1.45 × 10⁻⁶``."""
+    last = math.floor(math.log10(half)) - 1
+    first = math.floor(math.log10(abs(number))) if number else last
+    power = first if first < -3 else 0
+    text = f"{round(number, -last) / 10.0**power:.{max(power - last, 0)}f}".replace("-", "−")
+    return f"{text} × 10{str(power).translate(_SUPERSCRIPT)}" if power else text
 
 
 def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:

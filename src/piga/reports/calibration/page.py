@@ -25,7 +25,7 @@ from piga.reports.calibration.tables import (
     facts_table,
     freedom,
     judgement,
-    leverage_table,
+    leverage_tables,
     outlier_table,
     propagation_table,
     quality_table,
@@ -39,7 +39,18 @@ from piga.reports.calibration.tables import (
 from piga.reports.render.decimate import outline
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, short, significant
-from piga.reports.render.page import Block, FigureBlock, Notice, Page, Section, Text, Tile, Tone, write_page
+from piga.reports.render.page import (
+    Block,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tone,
+    write_page,
+)
 from piga.units import ARCSEC, G0
 
 
@@ -461,9 +472,14 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
-    for table, text in ((leverage_table(cal), LEVERAGE_LEAD), (propagation_table(cal), PROPAGATION_LEAD)):
-        blocks += [Text(text, lead=True), table] if table is not None else []
+    for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (_propagation(cal), PROPAGATION_LEAD)):
+        blocks += [Text(text, lead=True), *tables] if tables else []
     return Section("Identifiability and noise", "identifiability", tuple(blocks))
+
+
+def _propagation(cal: Calibration) -> tuple[Table, ...]:
+    table = propagation_table(cal)
+    return () if table is None else (table,)
 
 
 def _quality(cal: Calibration, figures: dict[str, Figure]) -> Section:

@@ -22,7 +22,7 @@ SHOWN_NAMES = 14
 _SHOWN_OUTLIERS = 30
 
 
-MANY = 1_000_000
+MANY = 1000
 """Degrees of freedom beyond which the number tells nothing more."""
 
 
@@ -379,11 +379,44 @@ def budget_table(cal: Calibration) -> Table:
     return Table(columns, tuple(rows), notes=(note,))
 
 
+SOURCES = {
+    "reference_scale": "scale of the reference",
+    "reference_bias": "bias of the reference",
+    "reference_misalignment": "direction of the reference",
+    "gravity": "local gravity",
+    "timing": "clock of the record",
+    "temperature": "thermometer",
+    "reference_repeatability": "reference, set anew at each position",
+    "mounting_repeatability": "mounting, set anew for each run",
+    "levelling": "levelling of the stand",
+    "angle_error": "angle of the head",
+    "angle_harmonics": "periodic error of the head's angle",
+    "settling": "settling of the stand",
+    "arm_radius": "radius of the arm",
+    "arm_stretch": "stretch of the arm",
+    "rate_error": "rate of the stand",
+    "rate_ripple": "ripple of the stand's rate",
+    "transverse_motion": "transverse motion of the table",
+    "rocking": "rocking of the table",
+    "angle_repeatability": "angle of the head, set anew at each position",
+    "rate_repeatability": "rate of the stand, set anew at each level",
+    "levelling_repeatability": "levelling, set anew for each run",
+}
+"""Entries of ``[uncertainty]`` in words."""
+
+
+def source_in_words(source: str) -> str:
+    """A source of the budget in words, with its key: ``scale of the reference (reference_scale)``."""
+    words = SOURCES.get(source.partition(" ")[0])
+    return f"{words} ({source})" if words else source
+
+
 def budget_tables(cal: Calibration) -> tuple[Table, ...]:
     """The budget for the page: the sources, then what each adds to the coefficients, as many as fit the page."""
     whole = budget_table(cal)
     sources = whole.only(range(DESCRIBED))
-    sources = replace(sources, rows=tuple(row for row in sources.rows if row[1]), notes=())
+    rows = tuple((source_in_words(str(row[0])), *row[1:]) for row in sources.rows if row[1])
+    sources = replace(sources, rows=rows, notes=())
     contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
     return (sources, *contributions.parts(1, ACROSS))
 
@@ -512,11 +545,11 @@ _SHOWN = 24
 _ALONE, _SHIFT = 0.9, 3.0
 
 
-def leverage_table(cal: Calibration) -> Table | None:
-    """Leverage of the segments, of many those with the most; None without."""
+def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
+    """Leverage of the segments, of many those with the most, with as many coefficients across as fit; none without."""
     leverage = cal.diagnostics.leverage
     if not leverage:
-        return None
+        return ()
     most = sorted(leverage, key=lambda label: -leverage[label].leverage)[:_SHOWN]
     names = [c.name for c in common_coefficients(cal)]
     columns = (Column("Segment", align="text"), Column("Leverage"), *(Column(name) for name in names))
@@ -532,7 +565,7 @@ def leverage_table(cal: Calibration) -> Table | None:
     notes = (
         (f"The {_SHOWN} of {len(leverage)} segments with the most leverage.",) if len(leverage) > _SHOWN else ()
     )
-    return Table(columns, rows, notes=notes)
+    return Table(columns, rows, notes=notes).parts(2, SENSITIVITIES_ACROSS)
 
 
 def _share(share: float | None, shift: float | None) -> Cell:
