@@ -275,9 +275,13 @@ def test_many_kills_of_a_command(tmp_path: Path, name: str) -> None:
     more: dict[str, list[str]] = {
         "simulate": ["simulate", str(SCENARIO)],
         "calibrate": ["calibrate", str(tmp_path / "demo" / "tumble-a.toml")],
-        "platform": ["platform", "simulate", str(EXAMPLES / "platform-published.toml")],
+        "platform": ["platform", "simulate", str(tmp_path / "platform.toml")],
         "demo": ["demo"],
     }
+    if name == "platform":
+        text = (EXAMPLES / "platform-published.toml").read_text()
+        assert 'duration = "10 d"' in text
+        (tmp_path / "platform.toml").write_text(text.replace('duration = "10 d"', 'duration = "1 h"'))
     if name == "calibrate":
         words = [sys.executable, "-m", "piga", "demo", "--out", str(tmp_path / "demo")]
         subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
