@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from piga.cli import common
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.records.files import lines, write_log, write_run
 
 
@@ -68,3 +69,16 @@ def test_the_reader_is_told_once(capsys: pytest.CaptureFixture[str], monkeypatch
     common.say("first")
     common.say("second")
     assert capsys.readouterr().err.count("what the command did is done") == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="redirections of a POSIX shell")
+@pytest.mark.parametrize(("shell", "closed"), [(">&-", "output"), ("<&-", "input")])
+@pytest.mark.parametrize("arrow", [False, True])
+def test_a_live_stream_with_a_closed_end(tmp_path: Path, shell: str, closed: str, arrow: bool) -> None:
+    """The rows are the result: they are not computed to be dropped."""
+    calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3}).to_json(tmp_path / "c.json")
+    words = ["compensate", "-", "--calibration", tmp_path / "c.json", *(["--arrow"] if arrow else [])]
+    done = command(words, shell=shell)
+    assert done.returncode == 2
+    assert f"standard {closed} is closed".encode() in done.stderr
+    assert b"Traceback" not in done.stderr

@@ -33,6 +33,19 @@ class _Nowhere(io.TextIOBase):
         return len(text)
 
 
+def check_pipes() -> None:
+    """Refuse a live stream whose standard input or output is closed: nothing comes in, or the result is lost.
+
+    Raises
+    ------
+    PigaError
+        Naming the one that is closed.
+    """
+    closed = "input" if sys.stdin is None else "output" if isinstance(sys.stdout, _Nowhere) else ""
+    if closed:
+        raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
+
+
 LOST = 1
 """Exit code when a JSON document could not be written on stdout."""
 

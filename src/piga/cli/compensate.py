@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import ForceOption, files_named_in, note, print_json, progress, say, write_by_rename
+from piga.cli.common import (
+    ForceOption,
+    check_pipes,
+    files_named_in,
+    note,
+    print_json,
+    progress,
+    say,
+    write_by_rename,
+)
 from piga.errors import ArgumentError
 from piga.output import check_outputs
 
@@ -422,6 +431,7 @@ def _live(
     from piga.compensation import Compensator
     from piga.compensation.files.live import compensate_arrow, compensate_lines
 
+    check_pipes()
     stream = Compensator(
         calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
     )
