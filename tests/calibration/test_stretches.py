@@ -98,12 +98,12 @@ def test_power_over_white_is_one_for_white_noise() -> None:
     stretch = empty_stretches(scanned(50.3, 0.5)[0].run, 40, 0)[0]
     rng = np.random.default_rng(7)
     over = []
-    for _ in range(40):
+    for _ in range(250):
         tooth = SawTooth.of(stretch, 1e-4)
         add_waves(rng.random(stretch.size), 0, stretch.edges, tooth.cosines, tooth.sines)
         over.append(tooth.over_white())
-    np.testing.assert_allclose(np.mean(over, axis=0), 1.0, atol=0.7)
-    assert np.mean(over) == pytest.approx(1.0, abs=0.08)
+    np.testing.assert_allclose(np.mean(over, axis=0), 1.0, atol=0.3)
+    assert np.mean(over) == pytest.approx(1.0, abs=0.04)
 
 
 @pytest.mark.only_compiled
