@@ -26,7 +26,7 @@ import numpy as np
 
 from piga import earth
 from piga.platform import Navigator, compare, compensator, simulate, true_knowledge
-from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Scenario, Sensors
+from piga.platform.model.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation, Sensors
 from piga.platform.navigation.navigator import true_start
 
 DAY = 86400.0
@@ -34,11 +34,11 @@ DEG = math.pi / 180.0
 ARCSEC = DEG / 3600.0
 
 
-def scenario(days: float) -> Scenario:
+def scenario(days: float) -> PlatformScenario:
     """The published case with wobble and readout noise."""
     wobble = (Harmonic(2, 18.0 * ARCSEC, 1.0), Harmonic(3, 3.0 * ARCSEC, 2.0))
     turning = Rotation(2.0 * math.pi / 480.0)
-    return Scenario(
+    return PlatformScenario(
         Place(40.0 * DEG, 116.0 * DEG), days * DAY, polar_rotation=turning, equatorial_rotation=turning,
         polar=Gyro(240.0 * ARCSEC, 0.35, wobble),
         equatorial=Gyro(240.0 * ARCSEC, 1.3, wobble, drift=(0.01 * DEG / 3600.0, 0.0)),

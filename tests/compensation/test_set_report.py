@@ -10,7 +10,7 @@ import pyarrow.parquet
 import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_triad
-from piga.compensation.sets.set_files import Rows
+from piga.compensation.sets.set_files import SetRows
 from piga.records.coverage import TYPE_A_ONLY
 from piga.reports.compensation import page as compensation_set
 from piga.reports.compensation.figures import (
@@ -42,7 +42,7 @@ def outline_of_set(axes, rows: int, fault: int = -1, pieces: int = 1, **more):
         psi[2, fault] += 1e-4
     stream, found = SetCompensator(mounted, details=True), SetOutline("angle", mounted)
     for part in np.array_split(np.arange(rows), pieces):
-        rows_read = Rows(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
+        rows_read = SetRows(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
         found.piece("all", rows_read, stream.push(t[part], psi[:, part]))
     return found, mounted
 

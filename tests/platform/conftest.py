@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from piga.platform import Scenario, true_knowledge
+from piga.platform import PlatformScenario, true_knowledge
 from piga.platform.identification.observation import Tip
 from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Sensors
 
@@ -18,7 +18,7 @@ INTERPRETED = bool(numba.config.DISABLE_JIT)
 only_compiled = pytest.mark.skipif(INTERPRETED, reason="days of one-second steps take minutes with the JIT off")
 
 
-def published(**changes) -> Scenario:
+def published(**changes) -> PlatformScenario:
     """The published case; ten days at 1 Hz unless changed."""
     turning = Rotation(2.0 * np.pi / 480.0)
     values = {
@@ -29,10 +29,10 @@ def published(**changes) -> Scenario:
         "polar": Gyro(4.0 * ARCMIN, 20.0 * DEG),
         "equatorial": Gyro(4.0 * ARCMIN, 75.0 * DEG, drift=(0.01 * DEG / 3600.0, 0.0)),
     }
-    return Scenario(**(values | changes))
+    return PlatformScenario(**(values | changes))
 
 
-def wobbling(**changes) -> Scenario:
+def wobbling(**changes) -> PlatformScenario:
     """The published case with wobble and readout noise."""
     polar = (Harmonic(2, 0.3 * ARCMIN, 60.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 130.0 * DEG))
     equatorial = (Harmonic(2, 0.3 * ARCMIN, 100.0 * DEG), Harmonic(3, 0.05 * ARCMIN, 10.0 * DEG))
@@ -49,7 +49,7 @@ HARMONICS = (Harmonic(1, 0.2 * ARCMIN, 0.3), Harmonic(2, 0.25 * ARCMIN, 1.0), Ha
 NOISE = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-4)
 
 
-def calibration(**changes) -> Scenario:
+def calibration(**changes) -> PlatformScenario:
     """A short static run with harmonics in both gyros, for identification."""
     values = {
         "duration": 3600.0 if INTERPRETED else 7200.0,

@@ -7,8 +7,8 @@ import pytest
 
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_recursively, observability, simulate
-from piga.platform.identification.estimate import Group, solve
-from piga.platform.identification.observation import ForceFilter, Record
+from piga.platform.identification.estimate import UnknownGroup, solve
+from piga.platform.identification.observation import ForceFilter, ObservedRecord
 from piga.platform.model.geometry import apparent_gyro
 from piga.platform.model.scenario import Gyro, MotionPlan, Oscillation, PigaSensors, Rotation, Sensors
 
@@ -87,10 +87,10 @@ def test_a_long_record_is_cut_into_stretches(monkeypatch):
     """Forty-five turns: three stretches with a slow force each tell as much as one long one."""
     s = calibration(duration=21600.0, step=16.0, sensors=NOISE)
     readouts = simulate(s).readouts
-    assert len(Record.checked(readouts, ("force",), 3).stretches) == 3
+    assert len(ObservedRecord.checked(readouts, ("force",), 3).stretches) == 3
     cut = identify(readouts, s.place, sources=("force",))
     monkeypatch.setattr("piga.platform.identification.observation.FORCE_FILTER", ForceFilter(turns=100))
-    assert len(Record.checked(readouts, ("force",), 3).stretches) == 1
+    assert len(ObservedRecord.checked(readouts, ("force",), 3).stretches) == 1
     whole = identify(readouts, s.place, sources=("force",))
     std = np.sqrt(np.diag(whole.covariance))
     np.testing.assert_allclose(np.sqrt(np.diag(cut.covariance)), std, rtol=0.05)
@@ -200,7 +200,7 @@ def test_least_squares_agrees_with_the_normal_equations():
         rng.normal(size=40),
         rng.normal(size=30),
     )
-    parts = [Group("a", r1, j1).reduced(), Group("b", r2, j2).reduced()]
+    parts = [UnknownGroup("a", r1, j1).reduced(), UnknownGroup("b", r2, j2).reduced()]
     found = solve(parts, (0.5, 2.0), ("p", "q", "s"))
     normal = j1.T @ j1 / 0.25 + j2.T @ j2 / 4.0
     np.testing.assert_allclose(

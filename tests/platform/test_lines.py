@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from piga.platform import compare, compensator, theory_lines, true_knowledge
-from piga.platform.model.scenario import Compensation, Gyro, Harmonic, MotionPlan, Place, Rotation, Scenario
+from piga.platform.model.scenario import (
+    Compensation,
+    Gyro,
+    Harmonic,
+    MotionPlan,
+    Place,
+    PlatformScenario,
+    Rotation,
+)
 from piga.platform.navigation.analysis import CHANNELS, daily_lines, fitted_lines
 from piga.platform.navigation.navigator import Errors
 from piga.platform.runs.budget import line_budget
@@ -101,7 +109,7 @@ def down_axes(latitude, longitude) -> np.ndarray:
     return about(2, longitude) @ about(1, -np.asarray(latitude) - 0.5 * np.pi)
 
 
-def undoing(s: Scenario, model: str, c1: np.ndarray, c2: np.ndarray) -> np.ndarray:
+def undoing(s: PlatformScenario, model: str, c1: np.ndarray, c2: np.ndarray) -> np.ndarray:
     """``I + [e x]`` (n, 3, 3) of model A with the true misalignments, or nothing."""
     undone = np.broadcast_to(np.eye(3), (len(c1), 3, 3)).copy()
     if model == "A":

@@ -20,7 +20,7 @@ import piga
 from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi
 from piga.formats.columns import label_text
 from piga.formats.containers.container import READERS, read_container
-from piga.reading.output_signal import Reading, Scale
+from piga.reading.output_signal import OutputScale, Reading
 from piga.records import Run, read_run_file
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.spool import Arrays
@@ -138,7 +138,7 @@ def test_time_may_begin_anew_with_a_segment() -> None:
 def test_an_unwrapped_reading_takes_the_nearest_turn() -> None:
     values = np.array([250.0, 4.0, 10.0, 200.0, 190.0])
     begins = np.array([True, False, False, True, False])
-    scale = Scale(0.5, 256.0, keeps_phase=False, counts=True)
+    scale = OutputScale(0.5, 256.0, keeps_phase=False, counts=True)
     reading = Reading(Path("run.csv"), "n", values, np.arange(5), begins, 40.0, 1.0, scale)
     output, lost, events = reading.output(Arrays(None))
     np.testing.assert_array_equal(output, [125.0, 130.0, 133.0, 100.0, 95.0])

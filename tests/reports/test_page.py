@@ -10,12 +10,12 @@ import pytest
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.page import (
     Cell,
-    Column,
     FigureBlock,
     Notice,
     Page,
     Section,
     Table,
+    TableColumn,
     Text,
     Tile,
     json_island,
@@ -69,7 +69,7 @@ def page(word="plain"):
     blocks = (
         Text(f"One {word}.\n\nTwo.", lead=True),
         Table(
-            (Column("Name", align="text"), Column(word, "arcsec")),
+            (TableColumn("Name", align="text"), TableColumn(word, "arcsec")),
             (("a", Cell("1", "good")), (word, Cell("2", heat=-0.7))),
             caption=word,
             notes=(word,),
@@ -175,12 +175,12 @@ def test_anchors_are_names_and_unique(anchors, message):
 
 def test_a_row_of_the_wrong_length_is_refused():
     with pytest.raises(ValueError, match="a row of 1 cells for 2 columns"):
-        Table((Column("a"), Column("b")), (("1",),))
+        Table((TableColumn("a"), TableColumn("b")), (("1",),))
 
 
 @pytest.mark.parametrize(("count", "widths"), [(0, [0]), (3, [3]), (4, [4]), (8, [4, 4]), (9, [3, 3, 3])])
 def test_a_wide_table_comes_in_parts(count: int, widths: list[int]) -> None:
-    columns = (Column("Source", align="text"), *(Column(f"c{i}") for i in range(count)))
+    columns = (TableColumn("Source", align="text"), *(TableColumn(f"c{i}") for i in range(count)))
     table = Table(columns, (("s", *(str(i) for i in range(count))),), "caption", ("note",))
     parts = table.parts(1, 4)
     assert [len(part.columns) - 1 for part in parts] == widths

@@ -26,7 +26,7 @@ from piga.reports.calibration.tables import (
     sentence,
 )
 from piga.reports.render.numbers import count, pretty_unit, printed, relative, rounded, significant
-from piga.reports.render.page import Column, Table, resource, template
+from piga.reports.render.page import Table, TableColumn, resource, template
 
 _ACROSS = 5
 """Coefficients side by side in a table of the certificate."""
@@ -155,7 +155,11 @@ def _method(data: CertificateFile) -> _Part:
 
 
 def _conditions_table(data: CertificateFile) -> Table:
-    columns = (Column("Condition", align="text"), Column("Value"), Column("Expanded uncertainty (k = 2)"))
+    columns = (
+        TableColumn("Condition", align="text"),
+        TableColumn("Value"),
+        TableColumn("Expanded uncertainty (k = 2)"),
+    )
     rows = tuple((c.name, _quantity(c.value), _quantity(c.uncertainty) or "–") for c in data.environment)
     return Table(columns, rows)
 
@@ -172,7 +176,7 @@ def _standards_table(data: CertificateFile) -> Table:
         (s.name, s.realises or "–", s.identification or "–", s.certificate or "–")
         for s in data.traceability.standard
     )
-    return Table(tuple(Column(heading, align="text") for heading in headings), rows)
+    return Table(tuple(TableColumn(heading, align="text") for heading in headings), rows)
 
 
 def _results(calibration: Calibration, before: Calibration | None) -> _Part:
@@ -199,14 +203,14 @@ def _results(calibration: Calibration, before: Calibration | None) -> _Part:
 
 def _result_table(calibration: Calibration, caption: str) -> Table:
     columns = (
-        Column("Coefficient", align="text"),
-        Column("Meaning", align="text"),
-        Column("Value"),
-        Column("U (95 %)"),
-        Column("Unit", align="text"),
-        Column("U / value"),
-        Column("ν"),
-        Column("k"),
+        TableColumn("Coefficient", align="text"),
+        TableColumn("Meaning", align="text"),
+        TableColumn("Value"),
+        TableColumn("U (95 %)"),
+        TableColumn("Unit", align="text"),
+        TableColumn("U / value"),
+        TableColumn("ν"),
+        TableColumn("k"),
     )
     rows = tuple(_result_row(c) for c in common_coefficients(calibration))
     return Table(columns, rows, caption)
@@ -255,13 +259,13 @@ def _result_row(c: Coefficient) -> tuple[str, ...]:
 
 def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
     columns = (
-        Column("Coefficient", align="text"),
-        Column("Lower limit"),
-        Column("Value"),
-        Column("U (95 %)"),
-        Column("Upper limit"),
-        Column("Unit", align="text"),
-        Column("Verdict", align="text"),
+        TableColumn("Coefficient", align="text"),
+        TableColumn("Lower limit"),
+        TableColumn("Value"),
+        TableColumn("U (95 %)"),
+        TableColumn("Upper limit"),
+        TableColumn("Unit", align="text"),
+        TableColumn("Verdict", align="text"),
     )
     rows = []
     for verdict in conformity:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga.cli.common import (
+    CommandGroup,
     ForceOption,
-    Group,
     JsonOption,
     files_named_in,
     note,
@@ -30,7 +30,7 @@ RESULTS = ("certificate.html", "working-copy.html", "certificate.xml")
 """What issuing can leave."""
 
 
-class _IssueByDefault(Group):
+class _IssueByDefault(CommandGroup):
     """``piga certificate CALIBRATION.json ...`` is ``piga certificate issue CALIBRATION.json ...``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -197,7 +197,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
 
 
-class Group(TyperGroup):
+class CommandGroup(TyperGroup):
     """A group that does not load pydantic to learn that ``--help`` was not given.
 
     Typer converts every value that is not of its type yet through pydantic (0.1 s to import). A flag that was not given

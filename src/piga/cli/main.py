@@ -15,7 +15,7 @@ from piga._version import __version__
 from piga.cli import certificate, platform, records, trend
 from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert
-from piga.cli.common import Group, note, prepare_output
+from piga.cli.common import CommandGroup, note, prepare_output
 from piga.cli.compensate import compensate
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
@@ -37,7 +37,7 @@ _DISK = {
 
 app = typer.Typer(
     name="piga",
-    cls=Group,
+    cls=CommandGroup,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import ForceOption, Group, files_named_in, print_json, progress, say, write_text
+from piga.cli.common import CommandGroup, ForceOption, files_named_in, print_json, progress, say, write_text
 from piga.output import results
 from piga.units import ARCSEC
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from piga.platform.model.scenario import Model
-    from piga.platform.model.simulate import Run
+    from piga.platform.model.simulate import PlatformRun
     from piga.platform.navigation.analysis import Array
-    from piga.platform.runs.chain import Comparison
+    from piga.platform.runs.chain import ModelComparisonRun
 
 app = typer.Typer(
     name="platform",
-    cls=Group,
+    cls=CommandGroup,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -189,7 +189,7 @@ def compare(
     _finish(document, json, _lines_text(comparison, out))
 
 
-def _simulated(scenario: Path) -> Run:
+def _simulated(scenario: Path) -> PlatformRun:
     from piga.platform.model.scenario import load_scenario
     from piga.platform.model.simulate import simulate as simulate_platform
 
@@ -198,7 +198,7 @@ def _simulated(scenario: Path) -> Run:
         return simulate_platform(read)
 
 
-def _compared(scenario: Path) -> Comparison:
+def _compared(scenario: Path) -> ModelComparisonRun:
     from piga.platform.model.scenario import load_scenario
     from piga.platform.runs.chain import compare as compare_models
 
@@ -207,7 +207,7 @@ def _compared(scenario: Path) -> Comparison:
         return compare_models(read)
 
 
-def _lines_text(comparison: Comparison, out: Path | None) -> str:
+def _lines_text(comparison: ModelComparisonRun, out: Path | None) -> str:
     runs = comparison.models
     lines = [_day_table({m: r.lines.amplitude for m, r in runs.items()}, "east velocity line [m/s]")]
     equatorial = {m: r.lines.equatorial for m, r in runs.items() if r.lines.equatorial}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga.cli.common import (
-    Group,
+    CommandGroup,
     JsonOption,
     RunFileArgument,
     note,
@@ -222,7 +222,7 @@ def _changes(reproduced: Reproduced) -> str:
 
 app = typer.Typer(
     name="records",
-    cls=Group,
+    cls=CommandGroup,
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Keep calibrations as evidence.\n\nNothing in the store can be changed unnoticed, and every record can be recomputed.",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.record import Rows, Samples, Settings, compensate_record
+from piga._kernels.compensation.record import RowArrays, Samples, Settings, compensate_record
 from piga.compensation.model import Limits, Model, Phase, age_flag, check_method, make_model
 from piga.compensation.result import Compensated, notes_on
 from piga.errors import ArgumentError
@@ -141,7 +141,7 @@ def run_kernel(
         Settings(model.has_terms, model.formula, model.base_flag, typical_step),
         state,
         work,
-        Rows(result.ax, result.dv, result.u_ax, result.flags),
+        RowArrays(result.ax, result.dv, result.u_ax, result.flags),
     )
 
 

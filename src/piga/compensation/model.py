@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.compensation import layout as at
-from piga._kernels.compensation.record import Instrument
+from piga._kernels.compensation.record import InstrumentArrays
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import harmonic, si_factor
@@ -120,9 +120,9 @@ class Model:
     needs_temperature: bool
 
     @property
-    def instrument(self) -> Instrument:
+    def instrument(self) -> InstrumentArrays:
         """The arrays, as the kernels take them."""
-        return Instrument(
+        return InstrumentArrays(
             self.parameters, self.orders, self.sines, self.cosines, self.codes, self.factor, self.limits
         )
 

@@ -21,7 +21,7 @@ CHUNK_ROWS = 1 << 16
 
 
 @dataclass(frozen=True)
-class Chunk:
+class FileChunk:
     """Rows that follow each other in a file.
 
     Attributes
@@ -54,7 +54,7 @@ class RecordStream(Protocol):
         """About how many rows there will be; 0 when nothing is known."""
         ...
 
-    def chunks(self) -> Iterator[Chunk]:
+    def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
         ...
 

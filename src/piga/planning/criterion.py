@@ -179,7 +179,7 @@ JUMPS = (1, 5)
 
 
 @dataclass(frozen=True)
-class Limits:
+class PlanLimits:
     """Times in dwell steps: ``total`` (dwells and moves between them), ``move``, ``shortest`` dwell."""
 
     total: float
@@ -201,7 +201,7 @@ class Schedule:
     value: float
 
 
-def improve(tables: Array, criterion: Criterion, limits: Limits, places: Index, dwells: Index) -> Schedule:
+def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Index, dwells: Index) -> Schedule:
     """Steepest descent over exchanges: another place, time from visit to visit, a visit more or less.
 
     ``tables`` (n, steps, m, m) hold the information of 1, 2, ... dwell steps, scaled parameters.
@@ -227,7 +227,7 @@ def _information(tables: Array, places: Index, dwells: Index) -> Array:
     return tables[places, dwells - 1].sum(axis=0)
 
 
-def _fitted(places: Index, dwells: Index, limits: Limits) -> tuple[Index, Index]:
+def _fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Index]:
     """Dwells within the limits, visits left out from the end until the test fits, time to spare given away."""
     dwells = np.clip(dwells, limits.shortest, limits.longest)
     while limits.room(dwells) < 0:
@@ -240,7 +240,7 @@ def _fitted(places: Index, dwells: Index, limits: Limits) -> tuple[Index, Index]
     return places, dwells
 
 
-def _neighbours(tables: Array, limits: Limits, places: Index, dwells: Index) -> Iterator[tuple]:
+def _neighbours(tables: Array, limits: PlanLimits, places: Index, dwells: Index) -> Iterator[tuple]:
     """Changes of the information (b, m, m) with the function that makes the visits of each."""
     own = tables[places, dwells - 1]
     count = tables.shape[0]
@@ -279,7 +279,7 @@ def _neighbours(tables: Array, limits: Limits, places: Index, dwells: Index) -> 
             )
 
 
-def _fewer(tables: Array, limits: Limits, places: Index, dwells: Index, own: Array) -> Iterator[tuple]:
+def _fewer(tables: Array, limits: PlanLimits, places: Index, dwells: Index, own: Array) -> Iterator[tuple]:
     """One visit less, its time and its move to another or in equal parts to all."""
     if places.size < 2:
         return
@@ -302,7 +302,7 @@ def _put(values: Index, at: int, value: Any) -> Index:
     return changed
 
 
-def start_of(mixture: Mixture, steps: int, limits: Limits) -> tuple[Index, Index]:
+def start_of(mixture: Mixture, steps: int, limits: PlanLimits) -> tuple[Index, Index]:
     """Visits that share the time as the mixture does, the small ones left out.
 
     The candidates of the mixture are (place, dwell) pairs, ``steps`` dwells per place.

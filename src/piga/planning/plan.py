@@ -28,8 +28,8 @@ from piga.planning.candidates import (
 from piga.planning.criterion import (
     LARGEST_POWER,
     Criterion,
-    Limits,
     Mixture,
+    PlanLimits,
     Schedule,
     best_mixture,
     improve,
@@ -120,10 +120,10 @@ class _Search:
         rates[:, : shortest - 1] = 0.0
         return rates.reshape(-1, *self.tables.shape[2:])
 
-    def limits(self, duration: float) -> Limits:
+    def limits(self, duration: float) -> PlanLimits:
         step = self.request.dwell_step
         shortest = max(1, math.ceil(self.request.minimum_dwell / step - 1e-9))
-        return Limits(duration / step, self.request.move / step, shortest, self.tables.shape[1])
+        return PlanLimits(duration / step, self.request.move / step, shortest, self.tables.shape[1])
 
     def criterion(self, kind: str) -> Criterion:
         """The criterion in scaled parameters (``scaled = file / scale``)."""

@@ -14,7 +14,7 @@ import msgspec
 
 from piga.calibration.model.request import Request, check_servo
 from piga.errors import PigaError, RunFileError, UnitError
-from piga.records.run_file import ModelTable, Quantity, Table, UncertaintyTable
+from piga.records.run_file import ModelTable, Quantity, TomlTable, UncertaintyTable
 from piga.records.terms import check_terms, si_factor, unit_of
 from piga.records.text_files import read_toml
 from piga.stand.scenario import (
@@ -38,7 +38,7 @@ TIMELY = ("k0_t", "k0_T", "k1_T")
 """Terms whose information depends on when a position is taken, not only on how long."""
 
 
-class PlanSettings(Table, frozen=True):
+class PlanSettings(TomlTable, frozen=True):
     """``[plan]``: time, limits and criterion.
 
     ``criterion`` D: least volume of the uncertainty ellipsoid of ``coefficients``; A: least mean variance,
@@ -59,7 +59,7 @@ class PlanSettings(Table, frozen=True):
     whole_revolutions: bool = True
 
 
-class MountingTable(Table, frozen=True):
+class MountingTable(TomlTable, frozen=True):
     """``[mounting]``: a profile of the platform, and the skew angles to try."""
 
     profile: ProfileTable | DividingHeadTable | CentrifugeTable | RateTableTable

@@ -7,9 +7,9 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 from piga.platform.identification.alignment import Alignment, align
 from piga.platform.identification.identify import Identification, identify, identify_recursively, observability
 from piga.platform.model.geometry import nulled_attitude, small_angle_attitude, small_angles
-from piga.platform.model.models import Compensator, Knowledge, compensator, true_knowledge
-from piga.platform.model.scenario import Scenario, load_scenario
-from piga.platform.model.simulate import Readouts, Run, simulate
+from piga.platform.model.models import CaseCompensator, Knowledge, compensator, true_knowledge
+from piga.platform.model.scenario import PlatformScenario, load_scenario
+from piga.platform.model.simulate import PlatformRun, Readouts, simulate
 from piga.platform.navigation.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
 from piga.platform.navigation.navigator import (
     Navigation,
@@ -22,21 +22,21 @@ from piga.platform.navigation.navigator import (
 )
 from piga.platform.runs.budget import error_budget, monte_carlo, standard_sources
 from piga.platform.runs.capstone import Capstone, capstone
-from piga.platform.runs.chain import Comparison, compare, prepare, run_model
+from piga.platform.runs.chain import ModelComparisonRun, compare, prepare, run_model
 
 __all__ = [
     "Alignment",
     "Capstone",
-    "Comparison",
-    "Compensator",
+    "CaseCompensator",
     "Identification",
     "Knowledge",
+    "ModelComparisonRun",
     "Navigation",
     "Navigator",
     "Perturbation",
+    "PlatformRun",
+    "PlatformScenario",
     "Readouts",
-    "Run",
-    "Scenario",
     "Start",
     "align",
     "capstone",

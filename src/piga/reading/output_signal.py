@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Scale:
+class OutputScale:
     """How a reading becomes an output.
 
     ``factor``: SI per unit of the reading; ``span``: range at which the reading folds back, in its own unit
@@ -44,7 +44,7 @@ class Reading:
     begins: NDArray[np.bool_]
     largest: float
     nominal: float
-    scale: Scale
+    scale: OutputScale
 
     def output(self, arrays: Arrays) -> tuple[Array, NDArray[np.bool_], list[Event]]:
         """Output angle [rad], unwrapped; samples where the whole turns were lost; what is to be said.

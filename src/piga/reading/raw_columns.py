@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import Chunk, RecordStream
+from piga.formats.columns import FileChunk, RecordStream
 from piga.formats.stream import TEXT_SUFFIXES, file_kind, open_stream
 from piga.records.calibration import Event
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular, read_whole
@@ -108,7 +108,7 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> Ra
     )
 
 
-def _check_size(path: Path, name: str, chunk: Chunk) -> None:
+def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
     """Refuse numbers that no instrument gives and whose squares overflow; what is not finite is counted elsewhere."""
     size = np.abs(chunk.numbers[name])
     bad = (size > LARGEST_SAMPLE) & (size < np.inf)

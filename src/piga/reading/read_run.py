@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, RunFileError
 from piga.output import settle
-from piga.reading.output_signal import Reading, Scale
+from piga.reading.output_signal import OutputScale, Reading
 from piga.reading.raw_columns import RawColumns, read_columns, split_lost
 from piga.reading.signal_checks import (
     Extremes,
@@ -238,22 +238,22 @@ class Assembly:
         unit = self._unit(column.column, column.unit)
         return self._scaled(column.column, parse_unit(unit).factor, offset_to_si(unit))
 
-    def _scale(self) -> Scale:
+    def _scale(self) -> OutputScale:
         """How the logged output becomes one in SI."""
         instrument, output = self.run_file.instrument, self.run_file.data.output
         if output.kind == "rate":
-            return Scale(conversion_factor(self._unit(output.column, str(output.unit)), "rad/s"))
+            return OutputScale(conversion_factor(self._unit(output.column, str(output.unit)), "rad/s"))
         if output.kind == "angle":
             factor = conversion_factor(self._unit(output.column, str(output.unit)), "rad")
             span = None if output.wraps_at is None else to_si(output.wraps_at, "rad") / factor
-            return Scale(factor, span, span is None or _whole_turns(span, 2.0 * np.pi / factor))
+            return OutputScale(factor, span, span is None or _whole_turns(span, 2.0 * np.pi / factor))
         revolution = float(instrument.counts_per_revolution or 0.0)
         span = None if instrument.counter_bits is None else 2.0**instrument.counter_bits
-        return Scale(
+        return OutputScale(
             2.0 * np.pi / revolution, span, span is None or _whole_turns(span, revolution), counts=True
         )
 
-    def _output(self, base: TimeBase, scale: Scale, largest: float) -> tuple[Array, NDArray[np.bool_]]:
+    def _output(self, base: TimeBase, scale: OutputScale, largest: float) -> tuple[Array, NDArray[np.bool_]]:
         """Output in SI, and the samples where the whole turns were lost."""
         name, raw = self.run_file.data.output.column, self.raw
         if self.run_file.data.output.kind == "rate":

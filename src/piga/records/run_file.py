@@ -32,11 +32,11 @@ PHASE_SOURCES: tuple[str, ...] = get_args(PhaseSource)
 METHODS: tuple[str, ...] = get_args(Method)
 
 
-class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error."""
 
 
-class ServoTable(Table, frozen=True):
+class ServoTable(TomlTable, frozen=True):
     """``[instrument] servo``: what is known of the servo and the float, each with its uncertainty where it has one.
 
     The stiffness of the servo is then a known part of the model, and with ``damping`` (of the float) so is that.
@@ -77,7 +77,7 @@ class ServoTable(Table, frozen=True):
         return given_ones
 
 
-class InstrumentTable(Table, frozen=True):
+class InstrumentTable(TomlTable, frozen=True):
     """``[instrument]``: who it is, its nominal figures, and what is known of its servo."""
 
     serial: str
@@ -87,14 +87,14 @@ class InstrumentTable(Table, frozen=True):
     servo: ServoTable | None = None
 
 
-class Column(Table, frozen=True):
+class Column(TomlTable, frozen=True):
     """A column with its unit."""
 
     column: str
     unit: str
 
 
-class OutputColumn(Table, frozen=True):
+class OutputColumn(TomlTable, frozen=True):
     """The output column: counts, angle or rate; ``wraps_at`` when a logged angle folds back."""
 
     column: str
@@ -103,21 +103,21 @@ class OutputColumn(Table, frozen=True):
     wraps_at: Quantity | None = None
 
 
-class SequenceColumn(Table, frozen=True):
+class SequenceColumn(TomlTable, frozen=True):
     """A sample number that grows by one; ``wraps_at`` when it begins again at zero."""
 
     column: str
     wraps_at: int | None = None
 
 
-class Columns(Table, frozen=True):
+class Columns(TomlTable, frozen=True):
     """Three columns X0, Y0, Z0 with one unit."""
 
     columns: tuple[str, str, str]
     unit: str
 
 
-class DataTable(Table, frozen=True):
+class DataTable(TomlTable, frozen=True):
     """``[data]``: the file, its columns and, where it cannot tell itself, its format."""
 
     file: str
@@ -148,7 +148,7 @@ class DataTable(Table, frozen=True):
         return list(dict.fromkeys(names))
 
 
-class ModelTable(Table, frozen=True):
+class ModelTable(TomlTable, frozen=True):
     """``[model]``: the terms to estimate and how the phase of the output zero behaves.
 
     ``compare`` lists sets of terms to be compared beside.
@@ -161,7 +161,7 @@ class ModelTable(Table, frozen=True):
     temperature_reference: Quantity = "20 degC"
 
 
-class EstimationTable(Table, frozen=True):
+class EstimationTable(TomlTable, frozen=True):
     """``[estimation]``: method; noise levels when they are known; start of the published recursion.
 
     ``per_run`` names the terms that may differ between the runs of a joint calibration.
@@ -176,7 +176,7 @@ class EstimationTable(Table, frozen=True):
     P0: float | None = None
 
 
-class UncertaintyTable(Table, frozen=True):
+class UncertaintyTable(TomlTable, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
     A string is the standard uncertainty of a normal distribution; :class:`~piga.records.distribution.Spread`
@@ -220,7 +220,7 @@ class UncertaintyTable(Table, frozen=True):
         }
 
 
-class RunFile(Table, frozen=True):
+class RunFile(TomlTable, frozen=True):
     """A whole run file."""
 
     instrument: InstrumentTable

@@ -15,12 +15,12 @@ True
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.page import (
     Cell,
-    Column,
     FigureBlock,
     Notice,
     Page,
     Section,
     Table,
+    TableColumn,
     Text,
     Tile,
     page_html,
@@ -31,7 +31,6 @@ from piga.reports.render.static import figure_svg, write_figure
 __all__ = [
     "Axis",
     "Cell",
-    "Column",
     "Figure",
     "FigureBlock",
     "Notice",
@@ -40,6 +39,7 @@ __all__ = [
     "Section",
     "Series",
     "Table",
+    "TableColumn",
     "Text",
     "Tile",
     "figure_svg",

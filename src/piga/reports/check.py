@@ -12,7 +12,17 @@ from piga.records.run import Run
 from piga.records.spool import steps
 from piga.reports.render.decimate import POINTS, envelope_rows
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
-from piga.reports.render.page import Column, FigureBlock, Notice, Page, Section, Table, Text, Tile, write_page
+from piga.reports.render.page import (
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    TableColumn,
+    Text,
+    Tile,
+    write_page,
+)
 from piga.units import G0
 
 _BLOCK = 1 << 20
@@ -88,14 +98,14 @@ def check_page(run: Run) -> Page:
         for event in quality.events
     )
     columns = (
-        Column("finding", align="text"),
-        Column("count"),
-        Column("first row"),
-        Column("what is done", align="text"),
+        TableColumn("finding", align="text"),
+        TableColumn("count"),
+        TableColumn("first row"),
+        TableColumn("what is done", align="text"),
     )
     findings = Table(columns, rows, "All findings") if rows else Notice("good", "Nothing was found.")
     digests = Table(
-        (Column("file", align="text"), Column("SHA-256", align="text")),
+        (TableColumn("file", align="text"), TableColumn("SHA-256", align="text")),
         tuple(run.input_sha256.items()),
         "Files",
         code=True,

@@ -20,12 +20,12 @@ from piga.reports.render.numbers import pretty_unit, printed, short, significant
 from piga.reports.render.page import (
     Block,
     Cell,
-    Column,
     FigureBlock,
     Notice,
     Page,
     Section,
     Table,
+    TableColumn,
     Text,
     Tile,
     Tone,
@@ -283,10 +283,10 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
 
 def _visit_table(plan: Plan) -> Table:
     columns = (
-        Column("position or level", align="text"),
-        Column("dwell", "s"),
-        Column("revolutions"),
-        Column("force along X0", "g"),
+        TableColumn("position or level", align="text"),
+        TableColumn("dwell", "s"),
+        TableColumn("revolutions"),
+        TableColumn("force along X0", "g"),
     )
     rows = tuple(
         (
@@ -302,12 +302,12 @@ def _visit_table(plan: Plan) -> Table:
 
 def _uncertainty_table(plan: Plan) -> Table:
     columns = [
-        Column("coefficient", align="text"),
-        Column("unit", align="text"),
-        Column("u, Type A"),
-        Column("u with the stand"),
+        TableColumn("coefficient", align="text"),
+        TableColumn("unit", align="text"),
+        TableColumn("u, Type A"),
+        TableColumn("u with the stand"),
     ]
-    columns += [Column(p.name, "u / planned") for p in plan.standard]
+    columns += [TableColumn(p.name, "u / planned") for p in plan.standard]
     rows = []
     for name in plan.names:
         scale, unit = shown_unit(name, unit_of(name))
@@ -363,7 +363,9 @@ def _excluded_blocks(plan: Plan) -> tuple[Block, ...]:
     rows = tuple((item.candidate.label, item.reason) for item in plan.excluded)
     return (
         Table(
-            (Column("candidate", align="text"), Column("reason", align="text")), rows, "Candidates left out."
+            (TableColumn("candidate", align="text"), TableColumn("reason", align="text")),
+            rows,
+            "Candidates left out.",
         ),
     )
 

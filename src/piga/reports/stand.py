@@ -19,12 +19,12 @@ from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import count, pretty_unit, printed, short, significant
 from piga.reports.render.page import (
     Block,
-    Column,
     FigureBlock,
     Notice,
     Page,
     Section,
     Table,
+    TableColumn,
     Text,
     Tile,
     write_page,
@@ -391,12 +391,12 @@ def _servo_section(test: SimulatedTest, figures: dict[str, Figure]) -> Section:
 
 def _design_section(p: TwinParameters) -> Section:
     columns = (
-        Column("parameter", align="text"),
-        Column("symbol", align="text"),
-        Column("value"),
-        Column("unit", align="text"),
-        Column("plausible range"),
-        Column("source of the default", align="text"),
+        TableColumn("parameter", align="text"),
+        TableColumn("symbol", align="text"),
+        TableColumn("value"),
+        TableColumn("unit", align="text"),
+        TableColumn("plausible range"),
+        TableColumn("source of the default", align="text"),
     )
     rows = []
     for entry in parameter_table():
@@ -426,10 +426,10 @@ def _name(value: TrueValue) -> str:
 
 def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
     columns = (
-        Column("name", align="text"),
-        Column("value"),
-        Column("unit", align="text"),
-        Column("", align="text"),
+        TableColumn("name", align="text"),
+        TableColumn("value"),
+        TableColumn("unit", align="text"),
+        TableColumn("", align="text"),
     )
     rows = [
         (

@@ -18,12 +18,12 @@ from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, sh
 from piga.reports.render.page import (
     Block,
     Cell,
-    Column,
     FigureBlock,
     Notice,
     Page,
     Section,
     Table,
+    TableColumn,
     Text,
     Tile,
     write_page,
@@ -36,7 +36,7 @@ _GRID = 80
 
 
 @dataclass(frozen=True)
-class Scale:
+class TrendScale:
     """How values of a coefficient are drawn: ``(value - origin) * factor`` in ``unit``, named ``quantity``."""
 
     origin: float
@@ -49,18 +49,18 @@ class Scale:
         return (np.asarray(values, dtype=float) - self.origin) * self.factor
 
 
-def scale_of(trend: CoefficientTrend) -> Scale:
+def scale_of(trend: CoefficientTrend) -> TrendScale:
     """A round origin near the values, and micro-units (ppm of it for the scale factor)."""
     values = np.array([point.value for point in trend.points])
     spread = max(float(np.ptp(values)), *(point.own for point in trend.points)) or abs(float(values[0])) or 1.0
     place = -math.floor(math.log10(spread))
     origin = round(float(np.median(values)), place)
     if trend.key == "scale_factor" and origin:
-        return Scale(origin, 1e6 / origin, f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
+        return TrendScale(origin, 1e6 / origin, f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
     unit = {"1": "10⁻⁶", "1/K": "10⁻⁶/K"}.get(trend.unit) or pretty_unit(f"u{trend.unit}")
     shown = fixed(origin * 1e6, max(place - 6, 0)).replace("-", "−")
     quantity = f"{trend.key} − {shown}" if origin > 0 else f"{trend.key} + {shown.lstrip('−')}"
-    return Scale(origin, 1e6, quantity if origin else trend.key, unit)
+    return TrendScale(origin, 1e6, quantity if origin else trend.key, unit)
 
 
 DATE = Axis("date", "", dates=True)
@@ -90,7 +90,7 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None) ->
     )
 
 
-def _values(trend: CoefficientTrend, start: dt.datetime, scale: Scale, ahead: float | None) -> Panel:
+def _values(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, ahead: float | None) -> Panel:
     times = np.array([point.time for point in trend.points])
     values = np.array([point.value for point in trend.points])
     bars = np.array([point.own_half_width for point in trend.points]) * scale.factor
@@ -119,7 +119,7 @@ def _values(trend: CoefficientTrend, start: dt.datetime, scale: Scale, ahead: fl
 
 def _points(
     start: dt.datetime,
-    scale: Scale,
+    scale: TrendScale,
     times: np.ndarray,
     values: np.ndarray,
     bars: np.ndarray,
@@ -139,7 +139,7 @@ def _points(
     )
 
 
-def _line(trend: CoefficientTrend, start: dt.datetime, scale: Scale, last: float) -> list[Series]:
+def _line(trend: CoefficientTrend, start: dt.datetime, scale: TrendScale, last: float) -> list[Series]:
     grid = np.linspace(trend.points[0].time, last, _GRID)
     further: list[Forecast] = [trend.next_record(float(time)) for time in grid]
     middle = scale.shown(np.array([forecast.value for forecast in further]))
@@ -223,15 +223,15 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
 def summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
     """One row per coefficient: value on the last day, stability, drift, forecast."""
     columns = [
-        Column("Coefficient", align="text"),
-        Column("Unit", align="text"),
-        Column("On the last day"),
-        Column("Turn-on", "std"),
-        Column("Day to day", "std"),
-        Column("Drift per year"),
+        TableColumn("Coefficient", align="text"),
+        TableColumn("Unit", align="text"),
+        TableColumn("On the last day"),
+        TableColumn("Turn-on", "std"),
+        TableColumn("Day to day", "std"),
+        TableColumn("Drift per year"),
     ]
     if at is not None:
-        columns.append(Column(f"Forecast for {at:%Y-%m-%d}"))
+        columns.append(TableColumn(f"Forecast for {at:%Y-%m-%d}"))
     rows = [_summary_row(drifts, trend, at) for trend in drifts.coefficients]
     return Table(tuple(columns), tuple(rows))
 
@@ -292,14 +292,14 @@ def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
     columns = (
-        Column("Record", align="text"),
-        Column("Date"),
-        Column("Value", shown),
-        Column("u, own part", shown),
-        Column("u, whole", shown),
-        Column("95 %, whole", shown),
-        Column("Expected ± 95 %", shown),
-        Column("Score"),
+        TableColumn("Record", align="text"),
+        TableColumn("Date"),
+        TableColumn("Value", shown),
+        TableColumn("u, own part", shown),
+        TableColumn("u, whole", shown),
+        TableColumn("95 %, whole", shown),
+        TableColumn("Expected ± 95 %", shown),
+        TableColumn("Score"),
     )
     rows: list[tuple[str | Cell, ...]] = []
     for point, time in zip(trend.points, drifts.times, strict=True):

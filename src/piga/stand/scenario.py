@@ -16,7 +16,7 @@ from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.instrument import ErrorModel, Instrument
 from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.instrument.twin.parameters import twin_parameters
-from piga.records.run_file import Column, Columns, Quantity, ServoTable, Table
+from piga.records.run_file import Column, Columns, Quantity, ServoTable, TomlTable
 from piga.records.terms import UNITS, harmonic, unit_of
 from piga.records.text_files import read_toml
 from piga.stand.imperfections import Imperfections, imperfections
@@ -36,7 +36,7 @@ from piga.stand.tide import EarthTide
 from piga.units import to_si
 
 
-class InstrumentTable(Table, frozen=True):
+class SpecimenTable(TomlTable, frozen=True):
     """``[instrument]``: as in a run file: nominal figures, and what is known of the servo."""
 
     serial: str
@@ -46,7 +46,7 @@ class InstrumentTable(Table, frozen=True):
     servo: ServoTable | None = None
 
 
-class ElectronicsTable(Table, frozen=True):
+class ElectronicsTable(TomlTable, frozen=True):
     """``[electronics]``: readout, clock and noise."""
 
     sample_rate: Quantity
@@ -59,7 +59,7 @@ class ElectronicsTable(Table, frozen=True):
     clock_jitter: Quantity = 0.0
 
 
-class TemperatureTable(Table, frozen=True):
+class TemperatureTable(TomlTable, frozen=True):
     """``[temperature]`` of the instrument; constant 20 degC when the table is not there."""
 
     start: Quantity = "20 degC"
@@ -68,14 +68,14 @@ class TemperatureTable(Table, frozen=True):
     period: Quantity = "1 d"
 
 
-class EarthTideTable(Table, frozen=True):
+class EarthTideTable(TomlTable, frozen=True):
     """``[run] earth_tide``: UTC of the start of the test, and whether the lab's reference has the tide."""
 
     start: dt.datetime
     reference: Literal["ignores", "includes"] = "ignores"
 
 
-class RunTable(Table, frozen=True):
+class RunTable(TomlTable, frozen=True):
     """``[run]``: how it is simulated and written."""
 
     model: Literal["quasi-steady", "twin"] = "quasi-steady"
@@ -87,7 +87,7 @@ class RunTable(Table, frozen=True):
     earth_tide: EarthTideTable | None = None
 
 
-class SiteTable(Table, frozen=True):
+class SiteTable(TomlTable, frozen=True):
     """Place and gravity: keys that all stands share."""
 
     latitude: Quantity
@@ -200,7 +200,7 @@ class RateTableTable(SiteTable, frozen=True, tag_field="kind", tag="rate-table")
         return RateTable(self.site(), spin, self.along, self.axis == "horizontal", azimuth, offset)
 
 
-class DriveTable(Table, frozen=True):
+class DriveTable(TomlTable, frozen=True):
     """``[[stand.drives]]`` of a vibration table."""
 
     shape: Literal["rest", "sine", "sweep", "random"]
@@ -238,7 +238,7 @@ class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibrati
         return VibrationTable(self.site(), tuple(drive.drive() for drive in self.drives), self.axis, self.up)
 
 
-class ProfileTable(Table, frozen=True, tag_field="kind", tag="profile"):
+class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
     """``[stand] kind = "profile"``: a logged profile, file relative to the scenario."""
 
     file: str
@@ -256,7 +256,7 @@ class ProfileTable(Table, frozen=True, tag_field="kind", tag="profile"):
 SimpleStand = DividingHeadTable | CentrifugeTable | RateTableTable | VibrationTableTable | ProfileTable
 
 
-class CompositeTable(Table, frozen=True, tag_field="kind", tag="composite"):
+class CompositeTable(TomlTable, frozen=True, tag_field="kind", tag="composite"):
     """``[stand] kind = "composite"``: ``[[stand.parts]]`` one after the other."""
 
     parts: tuple[SimpleStand, ...]
@@ -267,7 +267,7 @@ class CompositeTable(Table, frozen=True, tag_field="kind", tag="composite"):
         return Composite(tuple(part.build(folder) for part in self.parts), _si(self.pause, "s", "pause"))
 
 
-class ScenarioTable(Table, frozen=True):
+class ScenarioTable(TomlTable, frozen=True):
     """A whole scenario file.
 
     ``truth``: true values by coefficient name, with ``beta`` (or ``tan_beta``) and ``alpha0``; ``twin``:
@@ -275,7 +275,7 @@ class ScenarioTable(Table, frozen=True):
     go into the run file as they are.
     """
 
-    instrument: InstrumentTable
+    instrument: SpecimenTable
     electronics: ElectronicsTable
     stand: SimpleStand | CompositeTable
     run: RunTable = RunTable()

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform.model.geometry import nulled_attitude, small_angles
-from piga.platform.model.scenario import Compensation, Gyro, Harmonic, Model, Place, Rotation, Scenario
+from piga.platform.model.scenario import Compensation, Gyro, Harmonic, Model, Place, PlatformScenario, Rotation
 from piga.platform.model.simulate import simulate
 from piga.platform.navigation.analysis import channels, line_amplitudes
-from piga.platform.runs.chain import Comparison, compare
+from piga.platform.runs.chain import ModelComparisonRun, compare
 from piga.reports.platform.figures import lines_figure, published_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.studies.case import Case, Chapter
@@ -228,7 +228,7 @@ def _triad(h1: Array, h2: Array) -> tuple[Array, float]:
 
 
 def _simulated_rate(eta: float, drift: dict[str, float]) -> float:
-    scenario = Scenario(
+    scenario = PlatformScenario(
         Place(math.radians(40.0)),
         duration=3600.0,
         step=4.0,
@@ -289,14 +289,14 @@ CHANNELS = (
 )
 
 
-def scenario(*, wobble: bool) -> Scenario:
+def scenario(*, wobble: bool) -> PlatformScenario:
     """L = 40 deg, m1 = m2 = 4', period 8 min, eta' = 0.01 deg/h; ten days.
 
     Case angles count from where the publication's sines and cosines begin (no phases). The wobble is ours:
     its size is not published.
     """
     models: tuple[Model, ...] = ("A", "B", "C") if wobble else ("A", "B")
-    return Scenario(
+    return PlatformScenario(
         Place(LATITUDE, math.radians(116.0)),
         duration=_DAYS * DAY,
         step=STEP,
@@ -320,12 +320,12 @@ def _gyro(phase: float, waves: tuple[float, float], *, wobble: bool) -> Gyro:
 
 
 @cache
-def compared(*, wobble: bool) -> Comparison:
+def compared(*, wobble: bool) -> ModelComparisonRun:
     """The run with every model."""
     return compare(scenario(wobble=wobble))
 
 
-def last_lines(comparison: Comparison, model: Model) -> dict[str, float]:
+def last_lines(comparison: ModelComparisonRun, model: Model) -> dict[str, float]:
     """Amplitude at the case-rotation period over the last two hours, by channel (SI)."""
     errors = comparison.models[model].errors
     named = channels(errors)
@@ -402,7 +402,7 @@ def _channel_cases(c: Published, left: float, followed: float) -> list[Case]:
     return cases
 
 
-def _first_day(comparison: Comparison) -> Case:
+def _first_day(comparison: ModelComparisonRun) -> Case:
     day = [float(comparison.models[m].lines.amplitude["east_velocity"][0]) for m in ("A", "B")]
     return Case(
         "ten-days.first-day",

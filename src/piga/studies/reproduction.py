@@ -9,7 +9,18 @@ from piga._version import __version__
 from piga.errors import ArgumentError
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import pretty_unit, printed, significant
-from piga.reports.render.page import Block, Cell, Column, FigureBlock, Page, Section, Table, Text, Tile, Tone
+from piga.reports.render.page import (
+    Block,
+    Cell,
+    FigureBlock,
+    Page,
+    Section,
+    Table,
+    TableColumn,
+    Text,
+    Tile,
+    Tone,
+)
 from piga.studies import constant, errata, five, platform, recursion, varying
 from piga.studies.case import Case, Chapter, Verdict
 
@@ -155,14 +166,14 @@ def _section(chapter: Chapter) -> Section:
 
 def _numbers(chapter: Chapter) -> Table:
     columns = (
-        Column("case", align="text"),
-        Column("quantity", align="text"),
-        Column("published"),
-        Column("computed"),
-        Column("difference"),
-        Column("tolerance"),
-        Column("unit", align="text"),
-        Column("verdict", align="text"),
+        TableColumn("case", align="text"),
+        TableColumn("quantity", align="text"),
+        TableColumn("published"),
+        TableColumn("computed"),
+        TableColumn("difference"),
+        TableColumn("tolerance"),
+        TableColumn("unit", align="text"),
+        TableColumn("verdict", align="text"),
     )
     rows = tuple(
         (
@@ -182,9 +193,9 @@ def _numbers(chapter: Chapter) -> Table:
 
 def _notes(chapter: Chapter) -> Table:
     columns = (
-        Column("case", align="text"),
-        Column("source", align="text"),
-        Column("why this tolerance, or none", align="text"),
+        TableColumn("case", align="text"),
+        TableColumn("source", align="text"),
+        TableColumn("why this tolerance, or none", align="text"),
     )
     rows = tuple((short_id(case), case.source, case.note) for case in chapter.cases)
     return Table(columns, rows, "Sources and tolerances.")
@@ -192,7 +203,7 @@ def _notes(chapter: Chapter) -> Table:
 
 def _sources() -> Section:
     rows = tuple((f"[{key}]", text) for key, text in SOURCES.items())
-    table = Table((Column("key", align="text"), Column("publication", align="text")), rows)
+    table = Table((TableColumn("key", align="text"), TableColumn("publication", align="text")), rows)
     return Section("Sources", "sources", (table,))
 
 

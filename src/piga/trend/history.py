@@ -28,7 +28,7 @@ from piga.trend.trend_line import (
     LEAST_DAYS,
     LIMIT,
     Forecast,
-    Model,
+    TrendModel,
     day_starts,
     lines_so_far,
     merge_by_day,
@@ -97,7 +97,7 @@ class CoefficientTrend:
     unit: str
     points: tuple[Point, ...]
     chart: Chart
-    model: Model
+    model: TrendModel
     last_shared: Array
 
     @property
@@ -264,12 +264,12 @@ class _Records:
         chart = Chart(times, day_scores[: times.size], *moving_average(day_scores[: times.size]))
         return CoefficientTrend(key, held[0].unit, points, chart, model, last)
 
-    def _model(self, values: Array, variances: Array, shared: Array) -> Model:
+    def _model(self, values: Array, variances: Array, shared: Array) -> TrendModel:
         """The lines so far; without a line where there are too few days."""
         if self.days[-1] + 1 >= LEAST_DAYS:
             return lines_so_far(self.years, values, variances, self.days, shared)
         merged = merge_by_day(self.years, values, variances, self.days)
-        return Model(None, merged.within, merged.freedom, float(np.median(merged.variances)))
+        return TrendModel(None, merged.within, merged.freedom, float(np.median(merged.variances)))
 
     def _own_half_widths(self, key: str, held: Sequence[Coefficient], own: Array) -> Array:
         """Half-width for 95 % of each record's own part: k for its own effective degrees of freedom, times ``own``.
@@ -291,7 +291,7 @@ class _Records:
         return np.asarray(coverage_factor(degrees)) * own
 
     def _expected(
-        self, model: Model, values: Array, own: Array, shared: Array
+        self, model: TrendModel, values: Array, own: Array, shared: Array
     ) -> tuple[list[Forecast | None], Array, Array]:
         """What the days before let expect of each record; scores of the records and of the days (nan: too few days)."""
         late = np.flatnonzero(self.days >= LEAST_DAYS)

@@ -115,7 +115,7 @@ class Forecast:
 
 
 @dataclass(frozen=True)
-class Model:
+class TrendModel:
     """Records merged by day, and the line through the days; times in years.
 
     Attributes
@@ -133,12 +133,12 @@ class Model:
     freedom: Values
     day_variance: Values
 
-    def take(self, index: int | NDArray[np.int64]) -> Model:
+    def take(self, index: int | NDArray[np.int64]) -> TrendModel:
         """One of many, or several."""
         line = self.line
         if line is not None:
             line = Line(*(getattr(line, field.name)[index] for field in fields(line)))
-        return Model(line, self.within[index], self.freedom[index], self.day_variance[index])
+        return TrendModel(line, self.within[index], self.freedom[index], self.day_variance[index])
 
     @property
     def drift(self) -> Forecast | None:
@@ -239,7 +239,9 @@ def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.searchsorted(days, np.arange(int(days[-1]) + 2)).astype(np.int64)
 
 
-def lines_so_far(time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array) -> Model:
+def lines_so_far(
+    time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array
+) -> TrendModel:
     """The lines through the days before each day from the fourth on, and last the one through all days.
 
     Parameters
@@ -271,7 +273,7 @@ def lines_so_far(time: Array, values: Array, variances: Array, days: NDArray[np.
     y, v = np.asarray(values, dtype=float), _not_exact(values, variances)
     days_so_far(t, y, v, first, np.ascontiguousarray(shared), LEAST_DAYS, figures, known)
     repeats = (first - np.arange(count + 1))[LEAST_DAYS:]
-    return Model(_line(figures, known), figures[:, 0], repeats, figures[:, 10])
+    return TrendModel(_line(figures, known), figures[:, 0], repeats, figures[:, 10])
 
 
 def _line(figures: Array, known: Array) -> Line:

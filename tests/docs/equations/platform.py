@@ -25,7 +25,7 @@ from piga.platform.model.geometry import (
     small_angles,
     specific_force_at_rest,
 )
-from piga.platform.model.scenario import Gyro, Harmonic, Place, Rotation, Scenario
+from piga.platform.model.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation
 from piga.platform.navigation.navigator import damping_gains
 from piga.platform.runs.capstone import passage_velocity
 from tests.platform.conftest import published
@@ -130,7 +130,7 @@ def _step() -> Iterator[Pair]:
     yield v_next, velocities[0], 1e-12
 
 
-def line_amplitudes(model: str, eta: float, eta0: float) -> tuple[dict[str, float], Scenario]:
+def line_amplitudes(model: str, eta: float, eta0: float) -> tuple[dict[str, float], PlatformScenario]:
     """The library's lines of a day at whose middle the redundancy angle is ``eta``, ``eta0`` at the start."""
     scenario = published(redundancy=eta0)
     known = true_knowledge(scenario)

@@ -37,7 +37,7 @@ class Samples(NamedTuple):
     temperature: Array
 
 
-class Instrument(NamedTuple):
+class InstrumentArrays(NamedTuple):
     """Coefficients of an instrument, as :class:`piga.compensation.model.Model` holds them."""
 
     parameters: Array
@@ -58,7 +58,7 @@ class Settings(NamedTuple):
     typical: float
 
 
-class Rows(NamedTuple):
+class RowArrays(NamedTuple):
     """Results (n,): ``ax`` [m/s^2], ``dv`` [m/s], ``u`` [m/s^2] and flags; the last two may be empty."""
 
     ax: Array
@@ -72,11 +72,11 @@ def compensate_record(
     samples: Samples,
     psi: Array | None,
     rate: Array | None,
-    instrument: Instrument,
+    instrument: InstrumentArrays,
     settings: Settings,
     state: Array,
     w: Array,
-    rows: Rows,
+    rows: RowArrays,
 ) -> None:
     """Compensate angles ``psi`` [rad], or rates [rad/s] with or without recorded angles, (n,).
 
@@ -262,7 +262,7 @@ def describe_intervals(n: int, K: float, full: bool, w: Array) -> None:
 
 
 @exact
-def write_intervals(start: int, n: int, w: Array, rows: Rows) -> None:
+def write_intervals(start: int, n: int, w: Array, rows: RowArrays) -> None:
     """Results of a block; rows without an increment hold no force, no uncertainty and no velocity."""
     stop = start + n
     ax, dv, u, flags = rows.ax[start:stop], rows.dv[start:stop], rows.u[start:stop], rows.flags[start:stop]
@@ -277,7 +277,7 @@ def write_intervals(start: int, n: int, w: Array, rows: Rows) -> None:
 
 
 @exact
-def write_samples(start: int, n: int, w: Array, rows: Rows) -> None:
+def write_samples(start: int, n: int, w: Array, rows: RowArrays) -> None:
     """Results of a block of samples."""
     stop = start + n
     ax, dv, u, flags = rows.ax[start:stop], rows.dv[start:stop], rows.u[start:stop], rows.flags[start:stop]

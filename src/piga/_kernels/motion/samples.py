@@ -28,7 +28,7 @@ from piga._kernels.motion.transfer import (
 Array = NDArray[np.float64]
 
 
-class Samples(NamedTuple):
+class MotionSamples(NamedTuple):
     """A record of specific force, linear between samples, and the instrument's constants.
 
     Times ``t`` (n,) [s], ``f`` (n, 3) [m/s^2], ``base_rate`` (n, 3) or (0, 3) [rad/s]; ``extra`` (n,) or (0,) [rad/s] is
@@ -48,7 +48,7 @@ class Samples(NamedTuple):
 
 
 @kernel
-def load_rates(samples: Samples, start: int, stop: int, w: Array) -> None:
+def load_rates(samples: MotionSamples, start: int, stop: int, w: Array) -> None:
     """Effective rates ``a, y, z`` [rad/s] at the samples ``start`` to ``stop - 1``, a block."""
     f, K, tan_beta = samples.f[start:stop], samples.K, samples.tan_beta
     base_rate, extra = samples.base_rate[start:stop], samples.extra[start:stop]
@@ -87,7 +87,7 @@ def steps_from_samples(t: Array, extra_mean: Array, w: Array, m: int) -> int:
 
 
 @kernel
-def propagate_samples(state: Array, alpha: Array, rate: Array, samples: Samples) -> int:
+def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSamples) -> int:
     """Unwrapped angle [rad] and rate [rad/s] at each sample; input linear between samples.
 
     ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated (the turns only if

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga._kernels.arithmetic.trig import double_arctangent
 from piga._kernels.jit import inline, kernel
 from piga._kernels.motion.blocks import GOOD
-from piga._kernels.motion.samples import Samples
+from piga._kernels.motion.samples import MotionSamples
 from piga._kernels.motion.step import advance, unwrapped
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ def advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Arr
 
 @kernel
 def propagate_sensitivities(
-    samples: Samples, state: Array, alpha: Array, rate: Array, d_alpha: Array, d_rate: Array
+    samples: MotionSamples, state: Array, alpha: Array, rate: Array, d_alpha: Array, d_rate: Array
 ) -> int:
     """Angle, rate (n,) and their derivatives (n, PARAMETERS) at the samples; ``state``: turns, P, Q.
 

@@ -13,7 +13,7 @@ from piga._kernels.jit import inline, kernel
 Array = NDArray[np.float64]
 
 
-class ErrorModel(NamedTuple):
+class ErrorDynamics(NamedTuple):
     """A navigator at rest and what is wrong with it.
 
     ``r0, f0`` position [m] and specific force [m/s^2] of the base and ``axes`` its ``C_n^e``, all in Earth axes at time
@@ -35,7 +35,7 @@ class ErrorModel(NamedTuple):
 
 
 @inline
-def error_rates(t: float, state: Array, model: ErrorModel, rate: Array) -> None:
+def error_rates(t: float, state: Array, model: ErrorDynamics, rate: Array) -> None:
     """Time derivative of the error (6,) in inertial axes at ``t``; see :mod:`piga.platform.navigation.navigator`."""
     r0, f0, axes, earth_rate = model.r0, model.f0, model.axes, model.earth_rate
     attitude, drift, bias, gains = model.attitude, model.drift, model.bias, model.gains
@@ -63,7 +63,7 @@ def error_rates(t: float, state: Array, model: ErrorModel, rate: Array) -> None:
 
 
 @kernel
-def propagate_errors(start: Array, model: ErrorModel, h: float, out: Array) -> None:
+def propagate_errors(start: Array, model: ErrorDynamics, h: float, out: Array) -> None:
     """Errors (m, 6) in local axes (position n, e, d; velocity n, e, d over the Earth) every ``h`` seconds.
 
     ``start`` (6,) in inertial axes.

@@ -29,7 +29,7 @@ DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
-class Prediction:
+class HeldOutPrediction:
     """What was predicted of parts that were left out.
 
     Attributes
@@ -50,7 +50,7 @@ class Prediction:
     above_best: float = 0.0
     standard_error: float = 0.0
 
-    def against(self, best: Prediction) -> Prediction:
+    def against(self, best: HeldOutPrediction) -> HeldOutPrediction:
         """The same with its distance from the best one."""
         excess = self.per_fold - best.per_fold
         error = math.sqrt(excess.size) * float(np.std(excess, ddof=1)) if excess.size > 1 else 0.0
@@ -90,7 +90,7 @@ def predict(
     columns: list[int],
     probe: tuple[int, float],
     fixed: tuple[int, float] | None,
-) -> Prediction | None:
+) -> HeldOutPrediction | None:
     """Predict every part from the others.
 
     Parameters
@@ -126,7 +126,7 @@ def predict(
             constant = factors[part, :, probe[0]]
             squares[fold] += float(missed @ missed)
             forces.append(float(constant @ missed) / float(constant @ constant) / probe[1])
-    return Prediction(float(squares.sum()), float(np.sqrt(np.mean(np.square(forces)))), squares)
+    return HeldOutPrediction(float(squares.sum()), float(np.sqrt(np.mean(np.square(forces)))), squares)
 
 
 def _least_squares(rows: Array) -> Array | None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation.whitening import innovation_weights
-from piga.calibration.choice.cross_validation import Prediction, fold_of, predict, row_edges
+from piga.calibration.choice.cross_validation import HeldOutPrediction, fold_of, predict, row_edges
 from piga.calibration.fit.one_run import Fit, refine_counted
 from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
 from piga.calibration.joint.summary import prepare, run_name
@@ -65,7 +65,7 @@ class TermSet:
     bic: float | None = None
     aic: float | None = None
     weight: float | None = None
-    prediction: Prediction | None = None
+    prediction: HeldOutPrediction | None = None
     coefficients: tuple[Coefficient, ...] = ()
     changes: tuple[tuple[str, float], ...] = ()
 
@@ -353,7 +353,7 @@ class _Weighed:
 
     def _predicted(
         self, local: tuple[str, ...], shared: tuple[str, ...], state: ServoState | None
-    ) -> Prediction | None:
+    ) -> HeldOutPrediction | None:
         names, parts = self.design.names, self.parts
         if state is not None:
             known = {name: size for name, size in self.design.known_servo.items() if name not in shared}

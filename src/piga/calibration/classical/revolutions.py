@@ -55,7 +55,7 @@ RATIOS = 41
 
 
 @dataclass(frozen=True)
-class Scatter:
+class TurnScatter:
     """Scatter of single turns: the variance of a turn is ``shape @ levels`` [rad^2], cautious in its mean.
 
     ``shape`` (positions, 2): a random walk adds up over a turn, amplified by pulling; reading noise enters at both ends,
@@ -87,7 +87,7 @@ class Positions:
     turns: Array
     rows: NDArray[np.int64]
     duration: Array
-    scatter: Scatter
+    scatter: TurnScatter
     freedom: int
     short: tuple[str, ...]
     unsteady: tuple[str, ...]
@@ -189,7 +189,7 @@ def _amplification(x: Array, t: Array, count: int) -> tuple[float, float]:
     return float(np.mean(slowness**3)), float(0.5 * (slowness[0] + slowness[-1])) ** 2
 
 
-def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> Scatter:
+def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> TurnScatter:
     """Levels of walk and reading noise from the sums of squares of the turns of each position.
 
     Each sum over its variance is chi-square with ``freedom``: maximum likelihood with no level below zero, on a grid
@@ -210,7 +210,7 @@ def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> Scatter:
     information = (relative * (0.5 * degrees)[:, None]).T @ relative
     covariance = np.linalg.pinv(information, rcond=1e-9) * np.outer(scale, scale)
     pooled = float(np.sqrt(squares.sum() / degrees.sum()))
-    return Scatter(shape, levels, covariance, pooled)
+    return TurnScatter(shape, levels, covariance, pooled)
 
 
 def _longest_stretch(run: Run, segment: int) -> slice:

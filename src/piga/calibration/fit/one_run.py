@@ -28,7 +28,7 @@ from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.counted import Counted, fit_counted
 from piga.calibration.noise.levels import Information, Noise, find_noise, natural_spline, starting_noise
-from piga.calibration.noise.slow_bases import Columns
+from piga.calibration.noise.slow_bases import NoiseColumns
 from piga.calibration.noise.weighting import (
     reduce_segments,
     residual_increments,
@@ -289,7 +289,7 @@ def refine_counted(fit: Fit) -> Fit:
     )
 
 
-def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: Columns) -> Iterator[tuple[int, Array]]:
+def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: NoiseColumns) -> Iterator[tuple[int, Array]]:
     """Segment and whitened columns (m + size + 1, n) of model, slow noise and observation, piece by piece.
 
     ``noise`` is what increments are whitened with; coarse counts have the covariance that was found for them.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from piga.calibration.fit.one_run import Fit, whitened_rows
 from piga.calibration.model.design import Design
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import BesideStated, Columns, DriftBasis, SegmentBasis, SlowBasis
+from piga.calibration.noise.slow_bases import BesideStated, DriftBasis, NoiseColumns, SegmentBasis, SlowBasis
 from piga.calibration.noise.weighting import reduce_segments
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
     Where the weights know of a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
     """
     m, stated = len(design.names), fit.weights.stated if fit.counted is None else ()
-    wide: Columns = BesideStated(SegmentBasis.of(design.run), basis) if stated else basis
+    wide: NoiseColumns = BesideStated(SegmentBasis.of(design.run), basis) if stated else basis
     products = [np.zeros((m + wide.size, wide.size)) for _ in design.run.labels]
     for segment, columns in whitened_rows(fit, design, fit.weights, wide):
         products[segment] += columns[:-1] @ columns[m:-1].T

@@ -26,8 +26,8 @@ from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
 from piga.calibration.noise.slow_bases import (
     MOST_SEGMENTS,
     BesideStated,
-    Columns,
     DriftBasis,
+    NoiseColumns,
     SegmentBasis,
     SlowBasis,
     slow_bases,
@@ -176,7 +176,7 @@ def _factor_and_size(fit: Fit, noise: Noise, basis: SlowBasis) -> tuple[Array, f
     """The factor, and the logarithm of the determinant of what a stated scatter adds to the covariance of its rows."""
     solution, m = fit.solution, len(fit.design.names)
     segments = SegmentBasis.of(fit.design.run)
-    wide: Columns = BesideStated(segments, basis) if noise.stated else basis
+    wide: NoiseColumns = BesideStated(segments, basis) if noise.stated else basis
     parts = []
     for segment, columns in whitened_rows(fit, fit.design, noise, wide):
         model, slow = columns[:m], columns[m:-1]

@@ -27,7 +27,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import Columns
+from piga.calibration.noise.slow_bases import NoiseColumns
 from piga.calibration.noise.stretches import (
     HARMONICS,
     LOOKED,
@@ -177,7 +177,7 @@ class Counted:
             summaries[segment].absorb(columns)
         return summaries
 
-    def whitened(self, design: Design, basis: Columns | None = None) -> Iterator[tuple[int, Array]]:
+    def whitened(self, design: Design, basis: NoiseColumns | None = None) -> Iterator[tuple[int, Array]]:
         """Segment and whitened columns (m + 1, K) of every stretch; those of a slow noise come before the last."""
         held = self.stretches
         parts, rows = held.parts, held.rows

@@ -22,7 +22,7 @@ FEWEST, MOST_SEGMENTS = 4, 128
 """Segments from which on and up to which a scatter of their rates is looked for."""
 
 
-class Columns(Protocol):
+class NoiseColumns(Protocol):
     """Columns of slow noises: independent numbers move the rate."""
 
     @property
@@ -43,7 +43,7 @@ class Columns(Protocol):
         """A segment's factor ``[noise | rest]`` of ``size`` columns and more, with ``count`` columns in place of them."""
 
 
-class SlowBasis(Columns, Protocol):
+class SlowBasis(NoiseColumns, Protocol):
     """Columns of a slow noise: its numbers are of one variance."""
 
     def noise(self, other: Noise, variance: float) -> Noise:

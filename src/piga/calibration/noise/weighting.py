@@ -17,8 +17,8 @@ from piga.calibration.model.workers import workers
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.slow_bases import (
     BesideStated,
-    Columns,
     DriftBasis,
+    NoiseColumns,
     SegmentBasis,
 )
 from piga.records.spool import arrays_like
@@ -68,7 +68,7 @@ def weighting_mode(design: Design, method: str) -> str:
 
 
 def weighted_blocks(
-    design: Design, mode: str, noise: Noise, basis: Columns | None = None
+    design: Design, mode: str, noise: Noise, basis: NoiseColumns | None = None
 ) -> Iterator[tuple[Block, Array]]:
     """Blocks with their weighted columns, in order; those of a slow noise come before the last."""
     whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else basis.size) + 1)
@@ -76,7 +76,7 @@ def weighted_blocks(
         yield block, whitener.apply_columns(_with_slow(design, block, basis), block.h)
 
 
-def _with_slow(design: Design, block: Block, basis: Columns | None) -> Array:
+def _with_slow(design: Design, block: Block, basis: NoiseColumns | None) -> Array:
     """Columns of the model, of a slow noise if there is one, and of the observation."""
     if basis is None:
         return block.columns

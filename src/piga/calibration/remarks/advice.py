@@ -97,7 +97,7 @@ FACTORS = (
 
 
 @dataclass(frozen=True)
-class Reading:
+class AdviceReading:
     """Another reading of the data: axis of the record behind each base axis, signs, divisor of the output."""
 
     axes: tuple[int, int, int] = (0, 1, 2)
@@ -157,7 +157,7 @@ def factor_near(ratio: float) -> Factor | None:
     return near if abs(ratio / near.value - 1.0) < ADVICE.snap else None
 
 
-def better_words(ratio: float, reading: Reading, alike: list[Reading], run: Run) -> str:
+def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading], run: Run) -> str:
     """The data fit far better with a reading; ``alike`` are those that the record cannot tell from it."""
     others = "; ".join(other.words() for other in alike)
     equal = f" (this record cannot tell it from: {others})" if others else ""
@@ -220,7 +220,7 @@ Array = NDArray[np.float64]
 class Trial:
     """A reading with the residual of its fit and its scale factor over the nominal one."""
 
-    reading: Reading
+    reading: AdviceReading
     residual: float
     scale: float
 
@@ -251,7 +251,7 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
         At most one sentence on axes, signs and the output, and one on a unit.
     """
     trials = [t for t in _trials(run, request, sample_of(run, request)) if math.isfinite(t.residual)]
-    plain = next((t for t in trials if t.reading == Reading()), None)
+    plain = next((t for t in trials if t.reading == AdviceReading()), None)
     if plain is None:
         return ()
     likely = [t for t in trials if t is plain or 1.0 / ADVICE.off < abs(t.scale) < ADVICE.off]
@@ -286,11 +286,11 @@ def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]
 
 def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:
     """Fits of all permutations and of what their scale factors suggest."""
-    base = Reading()
+    base = AdviceReading()
     plain = _fit(run, request, sample, base)
     for x, y, z in permutations(range(3)):
         for second, third in product((1, -1), repeat=2):
-            reading = Reading((x, y, z), (1, second, third))
+            reading = AdviceReading((x, y, z), (1, second, third))
             trial = plain if reading == base else _fit(run, request, sample, reading)
             if trial.scale < 0.0 and reading != base:
                 turned = replace(reading, signs=(-1, second, third))
@@ -303,7 +303,7 @@ def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:
                 yield _fit(run, request, sample, replace(base, output=known))
 
 
-def _fit(run: Run, request: Request, sample: Sample, reading: Reading) -> Trial:
+def _fit(run: Run, request: Request, sample: Sample, reading: AdviceReading) -> Trial:
     """Residual of a reading: whitened root mean square, the phase of each segment free where it is so.
 
     A tenth of a per cent of the coupling is lost to the trapezoid, in all readings alike.
@@ -326,7 +326,7 @@ def _fit(run: Run, request: Request, sample: Sample, reading: Reading) -> Trial:
     )
 
 
-def _whitened(run: Run, sample: Sample, reading: Reading, names: list[str]) -> Array:
+def _whitened(run: Run, sample: Sample, reading: AdviceReading, names: list[str]) -> Array:
     """Columns of a reading and its observation (names + 1, n), whitened for angle noise."""
     a = (sample.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float)).T
     turning = a - sample.base.T / run.scale_factor

@@ -277,7 +277,7 @@ LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the model
 
 
 @dataclass(frozen=True)
-class Rows:
+class LeftOutRows:
     """The runs with the columns of ``EXTRA``, weighted without a slow noise.
 
     ``pieces`` are, for each run, phase group within the run and reduction of each segment; of a run that takes part by
@@ -343,7 +343,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     return tuple(doubts)
 
 
-def _clear(rows: Rows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:
+def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:
     """The runs with these terms as well; None where they cannot tell them apart, or as much comes more often by chance."""
     after = rows.refit((*base.wish.terms, *names))
     if after is None:
@@ -358,7 +358,7 @@ def _values(fit: JointFit) -> dict[str, float]:
     return {c.key: c.value for c in fit.coefficients}
 
 
-def _rows(fit: JointFit) -> Rows:
+def _rows(fit: JointFit) -> LeftOutRows:
     """The runs with the columns of all terms that are tried."""
     summaries, pieces = [], []
     for index, (summary, live) in enumerate(zip(fit.summaries, fit.live, strict=True)):
@@ -369,7 +369,7 @@ def _rows(fit: JointFit) -> Rows:
         wider, own = _with_columns(fit, index, summary, live)
         summaries.append(wider)
         pieces.append(own)
-    return Rows(fit, tuple(summaries), tuple(pieces))
+    return LeftOutRows(fit, tuple(summaries), tuple(pieces))
 
 
 def _with_columns(
@@ -387,7 +387,7 @@ def _with_columns(
     return wider, tuple(zip(design.groups, alone, strict=True))
 
 
-def _pieces(rows: Rows, fit: JointFit, names: Names) -> list[Array]:
+def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
     """Factors ``[parameters | names | residual without them]`` of the segments of all runs, linear about a fit with them."""
     layout, shared = layout_and_columns(fit.wish, rows.summaries)
     local = layout.columns[: layout.local]
@@ -423,7 +423,7 @@ def _both_meanings_of_runs(
     return cubic_doubt(coefficients, change, under, after["k3"])
 
 
-def _asked(rows: Rows, base: JointFit) -> tuple[LeftOut, ...]:
+def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     """The other meaning of a ``k3`` that is asked for, where the runs cannot tell it from the servo."""
     terms, coefficients = base.wish.terms, rows.fit.coefficients
     named = {c.key: c for c in coefficients}
@@ -436,7 +436,7 @@ def _asked(rows: Rows, base: JointFit) -> tuple[LeftOut, ...]:
     return (LeftOut(CUBIC_SOURCE, change, asked_words(scale, shift)),)
 
 
-def _lacking(rows: Rows, base: JointFit) -> tuple[LeftOut, ...]:
+def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
     """The terms that runs which tell them apart ask for: those of the servo, or ``k3``."""
     servo = tuple(name for name in SERVO_TERMS if name not in base.wish.terms)
     tried = [_clear(rows, base, names) for names in dict.fromkeys((servo, ("servo",), ("k3",)))]

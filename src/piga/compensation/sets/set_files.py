@@ -116,7 +116,7 @@ READINGS = 1 << 15
 
 
 @dataclass(frozen=True)
-class Rows:
+class SetRows:
     """Rows that all files have: ``t`` (n,), ``output`` (N, n), ``begins`` (n,), base rates and temperatures or None."""
 
     t: Array
@@ -126,7 +126,7 @@ class Rows:
     temperature: list[Array] | None
 
 
-Watch = Callable[[str, Rows, CompensatedSet], None]
+Watch = Callable[[str, SetRows, CompensatedSet], None]
 """Sees the label of the first instrument's segment, what was read, and what became of it."""
 
 
@@ -196,7 +196,7 @@ def _solved(
     max_age: float | None,
     method: str,
     details: bool,
-) -> Iterator[tuple[str, Rows, CompensatedSet]]:
+) -> Iterator[tuple[str, SetRows, CompensatedSet]]:
     """Pieces of the records, and what becomes of them."""
     sampled, label = records[0].kind == "rate", records[0].labels[0]
     stream = set_stream(
@@ -204,7 +204,7 @@ def _solved(
         details=details,
     )  # fmt: skip
     followers = [RateAngle() for _ in records]
-    waiting: Rows | None = None
+    waiting: SetRows | None = None
     for rows in _together(records):
         if not sampled:
             part = stream.push(
@@ -220,7 +220,7 @@ def _solved(
         yield label, waiting, _push_sampled(stream, waiting, [f.finish() for f in followers])
 
 
-def _push_sampled(stream: SetCompensator | PublishedSet, rows: Rows, psi: list[Array]) -> CompensatedSet:
+def _push_sampled(stream: SetCompensator | PublishedSet, rows: SetRows, psi: list[Array]) -> CompensatedSet:
     return stream.push(
         rows.t, np.array(psi), rate=rows.output, base_rate=rows.base_rate, temperature=rows.temperature,
         begins=rows.begins,
@@ -235,7 +235,7 @@ def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
     return replace(record, f=nothing, segment=record.segment[:0])
 
 
-def _together(records: Sequence[Run]) -> Iterator[Rows]:
+def _together(records: Sequence[Run]) -> Iterator[SetRows]:
     """Rows of all records together; the fewer at a time, the more records there are."""
     first, step = records[0], max(READINGS // len(records), 1)
     base = any(record.base_rate is not None for record in records)
@@ -244,7 +244,7 @@ def _together(records: Sequence[Run]) -> Iterator[Rows]:
         part = slice(start, min(start + step, first.size))
         trim()
         still = np.zeros((part.stop - part.start, 3))
-        yield Rows(
+        yield SetRows(
             np.ascontiguousarray(first.t[part]),
             np.array([record.output[part] for record in records]),
             np.logical_or.reduce([record.begins[part] for record in records]),
@@ -255,10 +255,10 @@ def _together(records: Sequence[Run]) -> Iterator[Rows]:
         )  # fmt: skip
 
 
-def _split(rows: Rows, count: int) -> tuple[Rows, Rows | None]:
+def _split(rows: SetRows, count: int) -> tuple[SetRows, SetRows | None]:
     """The first ``count`` rows, and what is left (None: nothing)."""
     head, tail = (
-        Rows(
+        SetRows(
             rows.t[cut], np.ascontiguousarray(rows.output[:, cut]), rows.begins[cut],
             None if rows.base_rate is None else [values[cut] for values in rows.base_rate],
             None if rows.temperature is None else [values[cut] for values in rows.temperature],
@@ -268,11 +268,11 @@ def _split(rows: Rows, count: int) -> tuple[Rows, Rows | None]:
     return head, tail if tail.t.size else None
 
 
-def _joined(a: Rows, b: Rows) -> Rows:
+def _joined(a: SetRows, b: SetRows) -> SetRows:
     def both(x: list[Array] | None, y: list[Array] | None) -> list[Array] | None:
         return None if x is None or y is None else [np.concatenate(pair) for pair in zip(x, y, strict=True)]
 
-    return Rows(
+    return SetRows(
         np.concatenate((a.t, b.t)), np.concatenate((a.output, b.output), axis=1),
         np.concatenate((a.begins, b.begins)), both(a.base_rate, b.base_rate), both(a.temperature, b.temperature),
     )  # fmt: skip

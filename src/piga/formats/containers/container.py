@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from piga.errors import DataError
-from piga.formats.columns import CHUNK_ROWS, Chunk, RawTable
+from piga.formats.columns import CHUNK_ROWS, FileChunk, RawTable
 from piga.formats.containers.hdf5_reader import read_hdf5
 from piga.formats.containers.mat_reader import read_mat
 from piga.formats.containers.parquet_reader import read_labels
@@ -45,14 +45,14 @@ class ContainerStream:
         self.units, self.expected_rows = self._table.units, self._table.rows
         self.label_names = list(self._table.labels[label][1]) if label else []
 
-    def chunks(self) -> Iterator[Chunk]:
+    def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
         table = self._table
         codes = table.labels[self._label][0] if self._label else None
         for start in range(0, table.rows, self._chunk_rows):
             part = slice(start, min(start + self._chunk_rows, table.rows))
             numbers = {name: np.array(column[part], dtype=float) for name, column in table.numbers.items()}
-            yield Chunk(numbers, None if codes is None else np.array(codes[part]), table.file_rows(part))
+            yield FileChunk(numbers, None if codes is None else np.array(codes[part]), table.file_rows(part))
             trim()
 
     def events(self) -> list[Event]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import CHUNK_ROWS, Chunk, LabelCodes, MissingCount, RawTable, nulls_of, numbers_of
+from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes, MissingCount, RawTable, nulls_of, numbers_of
 from piga.records.calibration import Event
 from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_regular
 
@@ -38,7 +38,7 @@ class ParquetStream:
         self.label_names: list[str] = []
         self._missed = MissingCount()
 
-    def chunks(self) -> Iterator[Chunk]:
+    def chunks(self) -> Iterator[FileChunk]:
         """The rows in order."""
         if self.expected_rows == 0:
             raise DataError(f"{self._path}: no data row", remedy="check that the logger wrote data")
@@ -49,7 +49,9 @@ class ParquetStream:
                 rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
                 row += batch.num_rows
                 numbers = {name: self._column(batch.column(name), name, rows) for name in self._numeric}
-                yield Chunk(numbers, None if codes is None else np.array(codes[rows[0] - 1 : row - 1]), rows)
+                yield FileChunk(
+                    numbers, None if codes is None else np.array(codes[rows[0] - 1 : row - 1]), rows
+                )
 
     def _batches(self, source: Any) -> Iterator[Any]:
         """The number columns; where there are none, empty batches of the rows."""

@@ -59,7 +59,7 @@ class Faults:
 
 
 @dataclass(frozen=True)
-class Place:
+class FilePlace:
     """Where a piece of text begins: file row (1-based) and byte offset of its first line."""
 
     row: int
@@ -69,7 +69,7 @@ class Place:
 def find_faults(
     faults: Faults,
     raw: Bytes,
-    place: Place,
+    place: FilePlace,
     form: TextFormat,
     numeric: tuple[str, ...],
     missing: tuple[str, ...] = (),

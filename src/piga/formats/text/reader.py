@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError
-from piga.formats.columns import Chunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.columns import FileChunk, LabelCodes, MissingCount, nulls_of, numbers_of
 from piga.formats.text.convention import INFINITE, MISSING, TextFormat, find_format
-from piga.formats.text.faults import Faults, Place, find_faults, split_cells
+from piga.formats.text.faults import Faults, FilePlace, find_faults, split_cells
 from piga.formats.text.source import Bytes, TextSource
 from piga.records.calibration import Event
 
@@ -89,7 +89,7 @@ class TextStream:
             return 0
         return int(1.02 * self._piece_rows * self._path.stat().st_size / self._piece_bytes)
 
-    def chunks(self) -> Iterator[Chunk]:
+    def chunks(self) -> Iterator[FileChunk]:
         """The rows in order; in a damaged file those before the first damage, then the error that lists all."""
         for raw, ends in self._source.pieces(self._form.skip):
             piece, table = self._parse_or_mask(raw, ends)
@@ -132,7 +132,7 @@ class TextStream:
         self._read += read
         return rows
 
-    def _convert(self, table: Any, rows: NDArray[np.int64]) -> Iterator[Chunk]:
+    def _convert(self, table: Any, rows: NDArray[np.int64]) -> Iterator[FileChunk]:
         start = 0
         for batch in table.to_batches():
             part = rows[start : start + batch.num_rows]
@@ -144,7 +144,7 @@ class TextStream:
                 if column.null_count:
                     self._missed.add(name, nulls_of(column), part)
             codes = self._codes.of(batch.column(self._label)) if self._label is not None else None
-            yield Chunk(numbers, codes, part)
+            yield FileChunk(numbers, codes, part)
 
     def _parse_or_mask(self, raw: Bytes, ends: int) -> tuple[Bytes, Any]:
         """The table; when rows are damaged they are listed, and the table without them is given."""
@@ -159,7 +159,7 @@ class TextStream:
             table, complaint = self._parse(raw)
         if table is not None:
             return raw, table
-        place = Place(self._row, self._byte)
+        place = FilePlace(self._row, self._byte)
         damaged = find_faults(self._faults, raw, place, self._form, self._numeric, self._missing)
         if damaged:
             raw = _blanked(raw, damaged)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.motion.blocks import GOOD
 from piga._kernels.motion.increments import propagate_increments as run_increments
-from piga._kernels.motion.samples import Samples, propagate_samples
+from piga._kernels.motion.samples import MotionSamples, propagate_samples
 from piga._kernels.motion.sensitivity import PARAMETERS, propagate_sensitivities
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
@@ -33,7 +33,7 @@ _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
 
 
-def _require(samples: Samples, status: int) -> None:
+def _require(samples: MotionSamples, status: int) -> None:
     """Raise an ArgumentError that names the fault unless a kernel returned GOOD."""
     if status != GOOD:
         explain(samples.t, status, f=samples.f, base_rate=samples.base_rate)
@@ -68,7 +68,7 @@ def sampled_input(
     base_rate: ArrayLike | None = None,
     error_model: ErrorModel | None = None,
     temperature: ArrayLike | None = None,
-) -> Samples:
+) -> MotionSamples:
     """Check shapes and prepare the input of :func:`propagate`; nothing is copied that is float64, C-order.
 
     Raises
@@ -93,7 +93,7 @@ def sampled_input(
     if times.size == 1:
         for name, array in (("t", times), ("f", force), ("base_rate", omega)):
             require_finite(name, array)
-    return Samples(
+    return MotionSamples(
         t=times,
         f=force,
         base_rate=omega,
@@ -112,7 +112,7 @@ def initial_state(alpha0: float) -> Array:
     return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
 
 
-def run_samples(record: Samples, alpha0: float, alpha: Array, rate: Array) -> None:
+def run_samples(record: MotionSamples, alpha0: float, alpha: Array, rate: Array) -> None:
     """Fill ``alpha`` and ``rate`` (each (n,) or empty).
 
     Raises

@@ -36,7 +36,15 @@ from piga.ledger.store.documents import (
 from piga.ledger.store.export import Export, is_export, write_members
 from piga.ledger.store.rows import ENTRY, insert_blob
 from piga.ledger.store.store import Store
-from piga.ledger.store.verify import Advance, Source, StoreSource, Verification, check_chain, silent, verify
+from piga.ledger.store.verify import (
+    Advance,
+    StoreSource,
+    Verification,
+    VerifiedSource,
+    check_chain,
+    silent,
+    verify,
+)
 from piga.output import write_whole
 
 
@@ -160,7 +168,7 @@ def restore(source: Path, target: str | Path) -> Verification:
     """
     with ExitStack() as stack:
         if is_export(source):
-            origin: Source = stack.enter_context(Export(source))
+            origin: VerifiedSource = stack.enter_context(Export(source))
         else:
             old = stack.enter_context(Store(open_database(source)))
             origin = StoreSource(stack.enter_context(old.database.reading()))
@@ -179,13 +187,13 @@ def restore(source: Path, target: str | Path) -> Verification:
     return restored
 
 
-def _restore_sqlite(origin: Source, part: Path) -> None:
+def _restore_sqlite(origin: VerifiedSource, part: Path) -> None:
     part.write_bytes(new_sqlite(origin.identity()))
     with Store(open_database(part)) as store, store.database.writing() as connection:
         _copy_chain(store, connection, origin)
 
 
-def _restore_postgresql(origin: Source, url: str) -> None:
+def _restore_postgresql(origin: VerifiedSource, url: str) -> None:
     with Store(postgresql_database(url)) as store, store.database.writing() as connection:
         if schema_version(connection) != 0:
             raise StoreError(f"{store.name}: holds a store already", remedy="restore into an empty database")
@@ -194,7 +202,7 @@ def _restore_postgresql(origin: Source, url: str) -> None:
         _copy_chain(store, connection, origin)
 
 
-def _copy_chain(store: Store, connection: sa.Connection, origin: Source) -> None:
+def _copy_chain(store: Store, connection: sa.Connection, origin: VerifiedSource) -> None:
     for entry in origin.entries():
         document = _whole(entry)
         _copy_files(store, connection, origin, document)
@@ -210,7 +218,7 @@ def _whole(entry: Entry) -> bytes:
     return entry.document
 
 
-def _copy_files(store: Store, connection: sa.Connection, origin: Source, raw: bytes) -> RecordDocument:
+def _copy_files(store: Store, connection: sa.Connection, origin: VerifiedSource, raw: bytes) -> RecordDocument:
     document = decode(raw, RecordDocument, RECORD, "record")
     for file in document.files:
         parts: Iterator[bytes] = origin.file(file.sha256)
@@ -231,7 +239,7 @@ def _has(connection: sa.Connection, raw: bytes) -> bool:
     return there is not None
 
 
-def _checked(source: Source) -> Verification:
+def _checked(source: VerifiedSource) -> Verification:
     result = Verification("the source")
     check_chain(result, source)
     return result

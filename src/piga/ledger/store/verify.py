@@ -53,7 +53,7 @@ def silent(_count: int, _total: int) -> None:
     """Nobody watches."""
 
 
-class Source(Protocol):
+class VerifiedSource(Protocol):
     """What a chain is read from: a store or an export."""
 
     def identity(self) -> bytes:
@@ -160,7 +160,7 @@ def _verify_store(result: Verification, where: str | Path, heads: Iterable[str],
 
 
 def check_chain(
-    result: Verification, source: Source, heads: Iterable[str] = (), advance: Advance = silent
+    result: Verification, source: VerifiedSource, heads: Iterable[str] = (), advance: Advance = silent
 ) -> None:
     """Check links, records and files of a chain; problems are added to ``result``."""
     identity = source.identity()
@@ -220,7 +220,9 @@ def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]
     return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
 
 
-def _check_files(result: Verification, source: Source, wanted: dict[str, int], advance: Advance) -> None:
+def _check_files(
+    result: Verification, source: VerifiedSource, wanted: dict[str, int], advance: Advance
+) -> None:
     there = source.file_names()
     for name in sorted(wanted.keys() - there):
         result.problem(f"file {name[:12]}: is missing")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.identification.estimate import Group, solve_with_noise
+from piga.platform.identification.estimate import UnknownGroup, solve_with_noise
 from piga.platform.identification.observation import (
     Tip,
     Unknowns,
@@ -129,13 +129,13 @@ def align(
     )
 
 
-def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[Group]:
+def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[UnknownGroup]:
     slow = len(names(len(x.polar.cosines))) - 8
     angle, by_angle = gimbal_rows(x, readouts)
     felt, by_force = force_rows(x, readouts, force)
     return [
-        Group("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
-        Group("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
+        UnknownGroup("gimbals", angle.ravel(), _with_third(by_angle[:, :, slow:], x)),
+        UnknownGroup("force", felt.ravel(), np.pad(by_force[:, :, slow:].reshape(-1, 8), ((0, 0), (0, 1)))),
     ]
 
 

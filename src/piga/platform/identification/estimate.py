@@ -17,7 +17,7 @@ _SMALLEST_SIGMA = 1e-12
 
 
 @dataclass(frozen=True)
-class Group:
+class UnknownGroup:
     """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p).
 
     ``rows`` counts independent rows: fewer than n where something was taken out of them; 0 stands for n.
@@ -50,7 +50,7 @@ class Reduced:
 
 
 @dataclass(frozen=True)
-class Solution:
+class LeastSquares:
     """A least-squares step (p,), its covariance (p, p), the condition of the scaled problem, noise levels."""
 
     step: Array
@@ -59,7 +59,7 @@ class Solution:
     levels: tuple[float, ...]
 
 
-def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str]) -> Solution:
+def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str]) -> LeastSquares:
     """Weighted least squares with the noise ``levels`` (standard deviations) of the groups.
 
     Raises
@@ -80,10 +80,10 @@ def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str
         )
     inverse = (right.T / values) @ left.T / norms[:, None]
     condition = float(values[0] / values[-1])
-    return Solution(inverse @ factor[:p, p], inverse @ inverse.T, condition, tuple(levels))
+    return LeastSquares(inverse @ factor[:p, p], inverse @ inverse.T, condition, tuple(levels))
 
 
-def noise_levels(parts: Sequence[Reduced], solution: Solution) -> list[float]:
+def noise_levels(parts: Sequence[Reduced], solution: LeastSquares) -> list[float]:
     """Standard deviation of each group from its residuals after the step of ``solution``.
 
     Each group loses the degrees of freedom that its own rows gave to the estimate: the sum of their
@@ -98,7 +98,7 @@ def noise_levels(parts: Sequence[Reduced], solution: Solution) -> list[float]:
     return levels
 
 
-def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> Solution:
+def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
     """Weighted least squares with noise levels found from the residuals of the same rows."""
     levels = [max(float(np.linalg.norm(p.factor[:, -1]) / np.sqrt(p.rows)), _SMALLEST_SIGMA) for p in parts]
     solution = solve(parts, levels, names)

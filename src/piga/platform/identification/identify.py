@@ -15,10 +15,16 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.platform.recursion import sequential_factor
-from piga.platform.identification.estimate import Reduced, Solution, in_words, noise_levels, solve_with_noise
+from piga.platform.identification.estimate import (
+    LeastSquares,
+    Reduced,
+    in_words,
+    noise_levels,
+    solve_with_noise,
+)
 from piga.platform.identification.observation import (
     STATIC_SOURCES,
-    Record,
+    ObservedRecord,
     Tip,
     Unknowns,
     coarse_unknowns,
@@ -84,7 +90,9 @@ class Identification:
         raise KeyError(f"no parameter '{name}'; there are: {', '.join(p.name for p in self.parameters)}")
 
 
-def result(record: Record, x: Unknowns, parts: Sequence[Reduced], solution: Solution) -> Identification:
+def result(
+    record: ObservedRecord, x: Unknowns, parts: Sequence[Reduced], solution: LeastSquares
+) -> Identification:
     """The result at the unknowns ``x``, from the last rows and the last solution about them."""
     orders, tips = record.orders, 4 + 4 * record.orders
     known = tips + (2 if "pick-off" in record.sources else 0)
@@ -202,11 +210,13 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         If a source is not known, the record is shorter than two case turns, or (for ``force``) has fewer than
         20 samples a turn.
     """
-    record = Record.checked(readouts, sources, orders)
+    record = ObservedRecord.checked(readouts, sources, orders)
     return result(record, *gauss_newton(record, place, iterations))
 
 
-def gauss_newton(record: Record, place: Place, iterations: int = 6) -> tuple[Unknowns, list[Reduced], Solution]:
+def gauss_newton(
+    record: ObservedRecord, place: Place, iterations: int = 6
+) -> tuple[Unknowns, list[Reduced], LeastSquares]:
     """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""
     force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
     x = coarse_unknowns(record.readouts, force, record.orders)
@@ -237,9 +247,9 @@ def identify_recursively(
     turns), which also gives the noise levels, and taken in one by one by square-root (Givens) updates; the end
     agrees with the batch estimate to the second order of what the start was wrong by. ``points`` are kept.
     """
-    record = Record.checked(readouts, sources, orders)
+    record = ObservedRecord.checked(readouts, sources, orders)
     span = float(readouts.times[-1] - readouts.times[0])
-    early = Record.checked(readouts.first(max(4.0 * record.periods[1], 0.25 * span)), sources, orders)
+    early = ObservedRecord.checked(readouts.first(max(4.0 * record.periods[1], 0.25 * span)), sources, orders)
     x, parts, start = gauss_newton(early, place)
     levels = {part.name: level for part, level in zip(parts, start.levels, strict=True)}
     times, ends = _taken_in(list(record.in_time(x, levels)), len(record.names) + 1, points)
@@ -249,7 +259,7 @@ def identify_recursively(
         values[k], stds[k] = inverse @ factor[:-1, -1], np.sqrt(np.sum(inverse**2, axis=1))
     end = record.moved(x, values[-1])
     parts = [group.reduced() for group in record.groups(end)]
-    last = Solution(
+    last = LeastSquares(
         0.0 * values[-1], inverse @ inverse.T, start.condition, tuple(levels[p.name] for p in parts)
     )
     identification = result(record, end, parts, replace(last, levels=tuple(noise_levels(parts, last))))

@@ -28,7 +28,7 @@ from piga import earth
 from piga._kernels.platform.geometry import Misalignment, exact_geometry_series
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.platform.identification.estimate import Group
+from piga.platform.identification.estimate import UnknownGroup
 from piga.platform.model.geometry import gimbal_attitude, turns_to_gimbals, wrapped
 from piga.platform.model.scenario import Gyro, Harmonic
 from piga.platform.model.simulate import Readouts
@@ -275,7 +275,7 @@ FORCE_FILTER = ForceFilter()
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ObservedStretch:
     """Part of a record, with what smoothing, whitening and the slow force need; nothing of the unknowns.
 
     ``readouts`` of the stretch alone; ``window`` weights over samples, a row every ``stride`` samples;
@@ -375,7 +375,7 @@ class Stretch:
         return (flat - self.slow @ (self.slow.T @ flat)).reshape(white.shape)
 
 
-def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[Stretch, ...]:
+def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[ObservedStretch, ...]:
     """Cut a record; ``turns`` (2,) are the periods [s] of the faster and the slower case."""
     fast, slow = turns
     samples = fast / readouts.step
@@ -387,7 +387,8 @@ def stretches(readouts: Readouts, turns: tuple[float, float]) -> tuple[Stretch, 
     count = max(1, round(n * readouts.step / slow / FORCE_FILTER.turns))
     edges = np.linspace(0, n, count + 1).astype(np.int64)
     return tuple(
-        Stretch(readouts.between(int(a), int(b)), window, stride, every, slow) for a, b in pairwise(edges)
+        ObservedStretch(readouts.between(int(a), int(b)), window, stride, every, slow)
+        for a, b in pairwise(edges)
     )
 
 
@@ -443,7 +444,7 @@ MOVING_SOURCES = ("force", "pick-off")
 
 
 @dataclass(frozen=True)
-class Record:
+class ObservedRecord:
     """A record, the sources taken from it, and the highest harmonic looked for."""
 
     readouts: Readouts
@@ -451,7 +452,7 @@ class Record:
     orders: int
 
     @classmethod
-    def checked(cls, readouts: Readouts, sources: Sequence[str], orders: int) -> Record:
+    def checked(cls, readouts: Readouts, sources: Sequence[str], orders: int) -> ObservedRecord:
         """The record, refused when a source is not known or the cases turn too little or too fast for it."""
         unknown = [s for s in sources if s not in {"gimbals", "pick-off", "force"}]
         if unknown or not sources:
@@ -502,7 +503,7 @@ class Record:
         return tuple(every[k] for k in self.seen)
 
     @cached_property
-    def stretches(self) -> tuple[Stretch, ...]:
+    def stretches(self) -> tuple[ObservedStretch, ...]:
         """Parts of the record for the specific force; none where it is not used."""
         return stretches(self.readouts, self.periods) if "force" in self.sources else ()
 
@@ -521,7 +522,7 @@ class Record:
         rate, start = np.polyfit(r.times, r.pickoff - ring, 1)
         return replace(x, eta0=x.eta0 + float(start), eta_rate=x.eta_rate + float(rate))
 
-    def groups(self, x: Unknowns) -> list[Group]:
+    def groups(self, x: Unknowns) -> list[UnknownGroup]:
         """Rows of every source about ``x``; the force without what a slow force could have caused."""
         groups = []
         if self.stretches:
@@ -529,19 +530,19 @@ class Record:
             residual = np.concatenate([s.without_slow(r).ravel() for s, r, _ in parts])
             columns = np.concatenate([self._cut(s.without_slow(c)) for s, _, c in parts])
             rows = 3.0 * sum(len(s.times) - s.slow.shape[1] for s in self.stretches)
-            groups.append(Group("force", residual, columns, rows))
+            groups.append(UnknownGroup("force", residual, columns, rows))
         return [*self._angles(x), *groups]
 
-    def _angles(self, x: Unknowns) -> Iterator[Group]:
+    def _angles(self, x: Unknowns) -> Iterator[UnknownGroup]:
         """Rows of the gimbal angles and of the pick-off."""
         r = self.readouts
         if "gimbals" in self.sources:
             residual, regressors = gimbal_rows(x, r)
-            yield Group("gimbals", residual.ravel(), self._cut(regressors))
+            yield UnknownGroup("gimbals", residual.ravel(), self._cut(regressors))
         if "pick-off" in self.sources:
             _, ring = exact_platform(x, r.times, r.encoder1, r.encoder2)
             _, pick = misalignment_regressors(x, r.times, r.encoder1, r.encoder2)
-            yield Group("pick-off", r.pickoff - ring, self._cut(pick))
+            yield UnknownGroup("pick-off", r.pickoff - ring, self._cut(pick))
 
     def _cut(self, columns: Array) -> Array:
         """Columns (n, p) of the unknowns seen, zero where the source has none of them."""
@@ -575,7 +576,7 @@ class Record:
         if not self.stretches:
             yield _sorted(time, table)
 
-    def _force_in_time(self, stretch: Stretch, x: Unknowns) -> Array:
+    def _force_in_time(self, stretch: ObservedStretch, x: Unknowns) -> Array:
         residual, columns = stretch.rows(x)
         slow = np.kron(stretch.slow, np.eye(3))
         return np.column_stack([slow, self._cut(columns), residual.ravel()])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.platform.redundancy import follow
-from piga.platform.model.scenario import Gyro, Model, Scenario
+from piga.platform.model.scenario import Gyro, Model, PlatformScenario
 from piga.platform.model.simulate import Readouts
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Knowledge:
     eta_rate: float
 
 
-def true_knowledge(scenario: Scenario) -> Knowledge:
+def true_knowledge(scenario: PlatformScenario) -> Knowledge:
     """The numbers that were put into the simulation."""
     rate = scenario.equatorial.drift[0] - scenario.polar.drift[1]
     return Knowledge(scenario.polar, scenario.equatorial, scenario.redundancy, rate)
@@ -50,7 +50,7 @@ def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Compensator:
+class CaseCompensator:
     """One model made ready for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
 
     model: Model
@@ -64,7 +64,7 @@ class Compensator:
         return tangent, np.sqrt(1.0 + tangent * tangent)
 
 
-def modelled_angles(made: Compensator, readouts: Readouts) -> Array:
+def modelled_angles(made: CaseCompensator, readouts: Readouts) -> Array:
     """Small angles e (n + 1, 3) [rad] of the platform against the triad at the nodes, as the model has them."""
     (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
     m1 = made.tips[4] + _series(made.harmonics[0], made.harmonics[1], c1, s1)
@@ -78,7 +78,7 @@ def modelled_angles(made: Compensator, readouts: Readouts) -> Array:
 
 def compensator(
     model: Model, known: Knowledge, readouts: Readouts, *, redundancy: str = "pick-off"
-) -> Compensator:
+) -> CaseCompensator:
     """Prepare a model.
 
     Parameters
@@ -95,7 +95,7 @@ def compensator(
     """
     nothing = np.zeros(0)
     if model == "none":
-        return Compensator(model, np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (nothing,) * 4, np.zeros(1))
+        return CaseCompensator(model, np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (nothing,) * 4, np.zeros(1))
     p, e = known.polar, known.equatorial
     tips = np.array(
         [np.cos(p.phase), np.sin(p.phase), np.cos(e.phase), np.sin(e.phase), p.misalignment, e.misalignment]
@@ -108,7 +108,7 @@ def compensator(
         eta = known.eta0 + known.eta_rate * readouts.times
     else:
         eta = follow_redundancy(readouts, tips, harmonics, known)
-    return Compensator(model, tips, harmonics, eta)
+    return CaseCompensator(model, tips, harmonics, eta)
 
 
 def follow_redundancy(

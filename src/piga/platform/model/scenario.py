@@ -28,7 +28,7 @@ class SiteFile(Struct, forbid_unknown_fields=True, frozen=True):
     height: Quantity = "0 m"
 
 
-class RunTable(Struct, forbid_unknown_fields=True, frozen=True):
+class PlatformRunTable(Struct, forbid_unknown_fields=True, frozen=True):
     """``[run]``: length, interval between readouts, seed of all noise."""
 
     duration: Quantity
@@ -77,7 +77,7 @@ class RedundancyFile(Struct, forbid_unknown_fields=True, frozen=True):
     initial: Quantity = "0 deg"
 
 
-class TriadFile(Struct, forbid_unknown_fields=True, frozen=True):
+class TriadTable(Struct, forbid_unknown_fields=True, frozen=True):
     """``[triad]``: rotation vector from inertial axes to the gyro triad at the start."""
 
     attitude: tuple[Quantity, Quantity, Quantity] = ("0 deg", "0 deg", "0 deg")
@@ -138,13 +138,13 @@ class ScenarioFile(Struct, forbid_unknown_fields=True, frozen=True):
     """The whole file."""
 
     site: SiteFile
-    run: RunTable
+    run: PlatformRunTable
     motion: MotionFile = table_field(default_factory=MotionFile)
     case_rotation: CaseRotationFile = table_field(default_factory=CaseRotationFile)
     polar: GyroFile = table_field(default_factory=GyroFile)
     equatorial: GyroFile = table_field(default_factory=GyroFile)
     redundancy: RedundancyFile = table_field(default_factory=RedundancyFile)
-    triad: TriadFile = table_field(default_factory=TriadFile)
+    triad: TriadTable = table_field(default_factory=TriadTable)
     sensors: SensorsFile = table_field(default_factory=SensorsFile)
     compensation: CompensationFile = table_field(default_factory=CompensationFile)
     identification: IdentificationFile = table_field(default_factory=IdentificationFile)
@@ -265,7 +265,7 @@ class Compensation:
 
 
 @dataclass(frozen=True)
-class Scenario:
+class PlatformScenario:
     """A whole platform run in SI units; ``duration`` and ``step`` [s], ``redundancy`` eta at the start [rad].
 
     ``triad``: rotation vector [rad] that carries inertial axes into the triad G at the start (what
@@ -294,12 +294,12 @@ class Scenario:
         """Number of steps of the run."""
         return round(self.duration / self.step)
 
-    def without_errors(self) -> Scenario:
+    def without_errors(self) -> PlatformScenario:
         """The scenario with perfect gyros and sensors: what the navigator alone does."""
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
 
 
-def load_scenario(path: Path) -> Scenario:
+def load_scenario(path: Path) -> PlatformScenario:
     """Read a scenario file (TOML).
 
     Raises
@@ -327,9 +327,9 @@ class _Reader:
             raise RunFileError(f"{self.path}: {key} = {value!r} must be positive")
         return number
 
-    def scenario(self, f: ScenarioFile) -> Scenario:
+    def scenario(self, f: ScenarioFile) -> PlatformScenario:
         polar, equatorial = self.rotations(f)
-        scenario = Scenario(
+        scenario = PlatformScenario(
             place=self.place(f),
             duration=self.positive(f.run.duration, "s", "[run] duration"),
             step=self.positive(f.run.step, "s", "[run] step"),
@@ -350,7 +350,7 @@ class _Reader:
         self.check(scenario)
         return scenario
 
-    def check(self, s: Scenario) -> None:
+    def check(self, s: PlatformScenario) -> None:
         if s.steps < 8:
             raise RunFileError(f"{self.path}: [run] duration holds {s.steps} steps; at least 8 are needed")
         if abs(s.steps * s.step - s.duration) > 1e-6 * s.step * s.steps:

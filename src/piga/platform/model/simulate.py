@@ -28,7 +28,7 @@ from piga.platform.model.geometry import (
     over_case_angle,
     specific_force_at_rest,
 )
-from piga.platform.model.scenario import MotionPlan, Oscillation, PigaSensors, Place, Scenario, Sensors
+from piga.platform.model.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
 from piga.records.limits import read_whole
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class BaseMotion:
         return position, local_axes(lat, lon) @ self.velocity[0] + np.cross(spin, position)
 
 
-def base_motion(scenario: Scenario) -> BaseMotion:
+def base_motion(scenario: PlatformScenario) -> BaseMotion:
     """Motion of the base for the scenario's time grid.
 
     Raises
@@ -90,7 +90,7 @@ def base_motion(scenario: Scenario) -> BaseMotion:
     return BaseMotion(force, _attitude(plan, times), place, velocity)
 
 
-def _rest(scenario: Scenario) -> tuple[Array, Array, Array]:
+def _rest(scenario: PlatformScenario) -> tuple[Array, Array, Array]:
     at = scenario.place
     position = geodetic_to_earth(at.latitude, at.longitude, at.height)
     place = np.array([[at.latitude, at.longitude, at.height]])
@@ -111,7 +111,7 @@ def _attitude(plan: MotionPlan, times: Array) -> Array:
     return start
 
 
-def _around(at: Place, sway: tuple[Oscillation, ...], scenario: Scenario) -> tuple[Array, Array, Array]:
+def _around(at: Place, sway: tuple[Oscillation, ...], scenario: PlatformScenario) -> tuple[Array, Array, Array]:
     """Place, force and velocity of a point that swings about a fixed one along north, east, down."""
     half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
     rate = np.array([2.0 * np.pi / o.period for o in sway])
@@ -132,7 +132,7 @@ def _felt(position: Array, velocity: Array, acceleration: Array) -> tuple[Array,
     return np.stack([lat, lon, height], axis=1), acceleration + coriolis - gravitation(position), level
 
 
-def _track(plan: MotionPlan, scenario: Scenario) -> BaseMotion:
+def _track(plan: MotionPlan, scenario: PlatformScenario) -> BaseMotion:
     from scipy.interpolate import CubicSpline
 
     assert plan.file is not None  # noqa: S101 - the reader of the scenario saw to it
@@ -354,15 +354,15 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Run:
+class PlatformRun:
     """A simulated run: its scenario, what the sensors show, and the truth."""
 
-    scenario: Scenario
+    scenario: PlatformScenario
     readouts: Readouts
     truth: Truth
 
 
-def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
+def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) -> PlatformRun:
     """Simulate the platform of ``scenario``: exact geometry, drift, base motion, readout errors.
 
     ``motion`` may be handed in to share it between runs. The noise depends on ``scenario.seed`` only.
@@ -387,10 +387,10 @@ def simulate(scenario: Scenario, *, motion: BaseMotion | None = None) -> Run:
     if scenario.sensors.piga is not None:
         increments = through_pigas(scenario.sensors.piga, times, force, spin)
     readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
-    return Run(scenario, readouts, Truth(motion, force, eta, start, triad))
+    return PlatformRun(scenario, readouts, Truth(motion, force, eta, start, triad))
 
 
-def _gyros(s: Scenario) -> Gyros:
+def _gyros(s: PlatformScenario) -> Gyros:
     """Both gyros as the kernel takes them."""
     turning = (s.polar_rotation, s.equatorial_rotation)
     return Gyros(
@@ -403,7 +403,9 @@ def _gyros(s: Scenario) -> Gyros:
     )
 
 
-def _read(s: Scenario, times: Array, increments: Array, gimbals: Array, ring: Array, height: Array) -> Readouts:
+def _read(
+    s: PlatformScenario, times: Array, increments: Array, gimbals: Array, ring: Array, height: Array
+) -> Readouts:
     """Add noise and quantisation to the true readings, each channel from its own random stream."""
     sensors, h = s.sensors, s.step
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(s.seed).spawn(4)]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga.platform.model.geometry import gravity, misalignment
-from piga.platform.model.models import Compensator, Knowledge
-from piga.platform.model.scenario import Gyro, Scenario
+from piga.platform.model.models import CaseCompensator, Knowledge
+from piga.platform.model.scenario import Gyro, PlatformScenario
 from piga.platform.navigation.navigator import Errors
 from piga.units import DAY
 
@@ -137,7 +137,7 @@ def day_slices(times: Array) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 24]
 
 
-def case_rates(scenario: Scenario) -> tuple[float, ...]:
+def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
     """Angular rates [rad/s] at which lines are followed: one where both cases turn alike, else polar and equatorial.
 
     Cases that both rest are looked at as if they turned in eight minutes, for comparison with cases that turn.
@@ -148,7 +148,7 @@ def case_rates(scenario: Scenario) -> tuple[float, ...]:
     return polar, equatorial
 
 
-def lines_note(scenario: Scenario) -> str:
+def lines_note(scenario: PlatformScenario) -> str:
     """Why a day gives no amplitudes although both cases turn, in words; empty where it gives them."""
     rates, stretch = case_rates(scenario), min(scenario.duration, DAY)
     if separable(rates, stretch):
@@ -181,7 +181,7 @@ def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: floa
 
 
 def theory_lines(
-    scenario: Scenario, compensator: Compensator, known: Knowledge, days: list[slice], times: Array
+    scenario: PlatformScenario, compensator: CaseCompensator, known: Knowledge, days: list[slice], times: Array
 ) -> Lines:
     """Closed-form line amplitudes of a static base, day by day (redundancy angle at mid-day) [He2014].
 
@@ -201,7 +201,7 @@ def theory_lines(
     return Lines(np.arange(1, len(days) + 1), lines[0], nothing, lines[1] if len(lines) > 1 else {})
 
 
-def _channels_of_turn(scenario: Scenario, turn: Array, rate: float) -> dict[str, Array]:
+def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> dict[str, Array]:
     """Amplitudes of every channel from that of the turn about the polar axis [rad] at ``rate`` [rad/s]; NaN at rest."""
     if rate == 0.0:
         return {name: np.full(len(turn), np.nan) for name in CHANNELS}
@@ -219,7 +219,11 @@ def _channels_of_turn(scenario: Scenario, turn: Array, rate: float) -> dict[str,
 
 
 def _left_about_pole(
-    scenario: Scenario, compensator: Compensator, known: Knowledge, time: float, rates: tuple[float, ...]
+    scenario: PlatformScenario,
+    compensator: CaseCompensator,
+    known: Knowledge,
+    time: float,
+    rates: tuple[float, ...],
 ) -> list[float]:
     """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``."""
     drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.errors import ErrorModel, propagate_errors
+from piga._kernels.platform.errors import ErrorDynamics, propagate_errors
 from piga._kernels.platform.navigation import Correction, States, Stepping, Triad, local_level, navigate_chunk
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix
@@ -35,7 +35,7 @@ from piga.platform.model.geometry import (
     specific_force_at_rest,
     wrapped,
 )
-from piga.platform.model.models import Compensator, modelled_angles
+from piga.platform.model.models import CaseCompensator, modelled_angles
 from piga.platform.model.scenario import Place
 from piga.platform.model.simulate import Readouts, Truth
 
@@ -66,7 +66,7 @@ class Navigator:
     """
 
     def __init__(
-        self, compensator: Compensator, start: Start, step: float, damping_time: float = 100.0
+        self, compensator: CaseCompensator, start: Start, step: float, damping_time: float = 100.0
     ) -> None:
         if step <= 0.0:
             raise ArgumentError(f"step = {step!r} s must be positive")
@@ -178,7 +178,7 @@ class Errors:
         return np.hypot(self.north, self.east)
 
 
-def navigate(readouts: Readouts, compensator: Compensator, start: Start, *, damping_time: float = 100.0,
+def navigate(readouts: Readouts, compensator: CaseCompensator, start: Start, *, damping_time: float = 100.0,
              every: int = 1) -> Navigation:  # fmt: skip
     """Navigate a whole record of readouts; a row for every ``every``-th step (the rest at the end is left out).
 
@@ -302,7 +302,7 @@ def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, 
     start[:3] = axes @ np.array(perturbation.position)
     start[3:] = axes @ np.array(perturbation.velocity) + np.cross(spin, start[:3])
     out = np.empty((count + 1, 6))
-    model = ErrorModel(
+    model = ErrorDynamics(
         position, specific_force_at_rest(position), axes, np.array(perturbation.attitude),
         np.array(perturbation.drift), np.array(perturbation.bias), perturbation.height,
         damping_gains(damping_time), KERNEL_EARTH[0], KERNEL_EARTH[1], earth.EARTH_RATE,

@@ -15,8 +15,8 @@ from piga.platform.identification.alignment import Alignment
 from piga.platform.identification.identify import Identification
 from piga.platform.model.geometry import local_axes
 from piga.platform.model.models import compensator, true_knowledge
-from piga.platform.model.scenario import Gyro, Model, MotionPlan, Scenario
-from piga.platform.model.simulate import Run, simulate
+from piga.platform.model.scenario import Gyro, Model, MotionPlan, PlatformScenario
+from piga.platform.model.simulate import PlatformRun, simulate
 from piga.platform.navigation.analysis import Lines, case_rates, daily_lines, day_slices, theory_lines
 from piga.platform.navigation.navigator import (
     Errors,
@@ -73,7 +73,7 @@ def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbati
     }
 
 
-def error_budget(scenario: Scenario, sources: Mapping[str, Perturbation]) -> tuple[BudgetRow, ...]:
+def error_budget(scenario: PlatformScenario, sources: Mapping[str, Perturbation]) -> tuple[BudgetRow, ...]:
     """Each source alone, then all together, over the scenario's run at rest with perfect gyros and sensors."""
     run = simulate(scenario.without_errors())
     quiet = perturbed_errors(run, Perturbation())
@@ -85,7 +85,7 @@ def error_budget(scenario: Scenario, sources: Mapping[str, Perturbation]) -> tup
         return tuple(pool.map(lambda item: _row(run, quiet, *item), named.items()))
 
 
-def perturbed_errors(run: Run, perturbation: Perturbation) -> Errors:
+def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:
     """Errors of a full navigation run whose navigator or sensors are off by ``perturbation``."""
     from piga.frames import rotation_vector_to_matrix
 
@@ -108,7 +108,7 @@ def perturbed_errors(run: Run, perturbation: Perturbation) -> Errors:
     return errors(navigation, run.truth, readouts)
 
 
-def _row(run: Run, quiet: Errors, source: str, perturbation: Perturbation) -> BudgetRow:
+def _row(run: PlatformRun, quiet: Errors, source: str, perturbation: Perturbation) -> BudgetRow:
     full = perturbed_errors(run, perturbation)
     step = float(full.times[1] - full.times[0])
     linear = linear_errors(
@@ -143,7 +143,9 @@ class LineRow:
     full: Mapping[str, float]
 
 
-def line_budget(scenario: Scenario, identification: Identification | None = None) -> tuple[LineRow, ...]:
+def line_budget(
+    scenario: PlatformScenario, identification: Identification | None = None
+) -> tuple[LineRow, ...]:
     """Lines that an error of each misalignment alone, then of both, leaves on a base at rest; perfect sensors.
 
     The errors are the standard uncertainties of the identification, or one arc-second. The redundancy angle grows as
@@ -172,7 +174,7 @@ def line_budget(scenario: Scenario, identification: Identification | None = None
     return tuple(rows)
 
 
-def _line_rows(scenario: Scenario, source: str) -> Iterator[LineRow]:
+def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
     run, known = simulate(scenario), true_knowledge(scenario)
     made = compensator("none", known, run.readouts)
     every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(case_rates(scenario))) / scenario.step))
@@ -194,7 +196,7 @@ def _cores() -> int:
 
 
 @dataclass(frozen=True)
-class Scatter:
+class MonteCarloScatter:
     """Monte Carlo over seeds: largest horizontal error [m] and last day's lines [m/s] per model, (seeds,).
 
     ``equatorial_line`` is empty where both cases turn at one speed.
@@ -206,7 +208,7 @@ class Scatter:
     equatorial_line: Mapping[Model, Array]
 
 
-def monte_carlo(scenario: Scenario, seeds: int, *, workers: int | None = None) -> Scatter:
+def monte_carlo(scenario: PlatformScenario, seeds: int, *, workers: int | None = None) -> MonteCarloScatter:
     """Repeat the whole chain with ``seeds`` seeds on all cores (threads over kernels that free the lock)."""
     numbers = tuple(scenario.seed + k for k in range(seeds))
 
@@ -217,7 +219,7 @@ def monte_carlo(scenario: Scenario, seeds: int, *, workers: int | None = None) -
     with ThreadPoolExecutor(workers or _cores()) as pool:
         results = list(pool.map(once, numbers))
     drawn = {m: np.array([r[m] for r in results]).T for m in scenario.compensation.models}
-    return Scatter(
+    return MonteCarloScatter(
         numbers,
         {m: rows[0] for m, rows in drawn.items()},
         {m: rows[1] for m, rows in drawn.items()},

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.platform.model.models import compensator
-from piga.platform.model.scenario import PigaSensors, Scenario
+from piga.platform.model.scenario import PigaSensors, PlatformScenario
 from piga.platform.model.simulate import (
     TRIPOD,
-    Run,
+    PlatformRun,
     base_motion,
     gimbal_angles,
     locked,
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Reading:
+class TriadReading:
     """One way to mount and read the instruments: ``sensors`` None is the ideal accelerometer."""
 
     name: str
@@ -52,7 +52,7 @@ class Reading:
 class Outcome:
     """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
 
-    reading: Reading
+    reading: TriadReading
     errors: Errors
     position: float
     velocity: float
@@ -84,13 +84,13 @@ class Passage:
 class Capstone:
     """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
 
-    scenario: Scenario
+    scenario: PlatformScenario
     outcomes: Mapping[str, Outcome]
     passage: Passage | None
     day: tuple[Array, Array]
 
 
-def readings(sensors: PigaSensors) -> tuple[Reading, ...]:
+def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:
     """The readings compared: from the ideal instrument to the locked one, and back."""
     tripod = replace(sensors, mounting="skewed", cone=TRIPOD, tan_beta_error=0.0, phase_error=0.0)
     skewed = replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
@@ -99,18 +99,20 @@ def readings(sensors: PigaSensors) -> tuple[Reading, ...]:
         tan_beta_error, phase_error = sensors.tan_beta_error, sensors.phase_error
     cone = np.degrees(sensors.cone)
     return (
-        Reading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
-        Reading(
+        TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
+        TriadReading(
             "raw tripod", replace(tripod, output="raw"), "three axes at right angles, output taken as alpha'/K"
         ),
-        Reading(
+        TriadReading(
             "raw skewed",
             replace(skewed, output="raw"),
             f"axes within {cone:.0f} deg of the pole: never locked, still pulled",
         ),
-        Reading("triad", replace(tripod, output="triad"), "right angles, effective axes solved per sample"),
-        Reading("triad skewed", replace(skewed, output="triad"), "skewed and solved per sample"),
-        Reading(
+        TriadReading(
+            "triad", replace(tripod, output="triad"), "right angles, effective axes solved per sample"
+        ),
+        TriadReading("triad skewed", replace(skewed, output="triad"), "skewed and solved per sample"),
+        TriadReading(
             "triad, calibrated",
             replace(tripod, output="triad", tan_beta_error=tan_beta_error, phase_error=phase_error),
             "solved with tan(beta) and phase off by a calibration's error",
@@ -118,7 +120,7 @@ def readings(sensors: PigaSensors) -> tuple[Reading, ...]:
     )
 
 
-def capstone(scenario: Scenario) -> Capstone:
+def capstone(scenario: PlatformScenario) -> Capstone:
     """Navigate the scenario with every reading of its gyro accelerometers (model B).
 
     Raises
@@ -143,13 +145,13 @@ def capstone(scenario: Scenario) -> Capstone:
     return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
 
 
-def _reread(scenario: Scenario, sensors: PigaSensors) -> Run:
+def _reread(scenario: PlatformScenario, sensors: PigaSensors) -> PlatformRun:
     return simulate(
         replace(scenario, sensors=replace(scenario.sensors, piga=sensors)), motion=base_motion(scenario)
     )
 
 
-def _outcome(run: Run, reading: Reading, preparation: Preparation) -> Outcome:
+def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) -> Outcome:
     s = run.scenario
     made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
     every = max(1, round(10.0 / s.step))
@@ -181,7 +183,7 @@ def passage_velocity(half_width: float, scale_factor: float, slope: float) -> fl
     return half_width * math.sqrt(2.0 * math.pi / (scale_factor * slope))
 
 
-def _passage(run: Run, sensors: PigaSensors) -> Passage | None:
+def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
     """The first passage of any instrument through its locked zone, with half an hour either side."""
     inside = locked(sensors, run.truth.force)
     if not inside.any():

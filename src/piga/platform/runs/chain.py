@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from piga.platform.identification.alignment import Alignment, align
 from piga.platform.identification.identify import Identification, identify
 from piga.platform.identification.observation import MOVING_SOURCES, STATIC_SOURCES
-from piga.platform.model.models import Compensator, Knowledge, compensator, true_knowledge
-from piga.platform.model.scenario import Model, Scenario
-from piga.platform.model.simulate import Run, simulate
+from piga.platform.model.models import CaseCompensator, Knowledge, compensator, true_knowledge
+from piga.platform.model.scenario import Model, PlatformScenario
+from piga.platform.model.simulate import PlatformRun, simulate
 from piga.platform.navigation.analysis import (
     Lines,
     case_rates,
@@ -44,7 +44,7 @@ class Preparation:
 class ModelRun:
     """One compensation model over the run: navigation, errors, lines per day and what the theory gives."""
 
-    compensator: Compensator
+    compensator: CaseCompensator
     navigation: Navigation
     errors: Errors
     lines: Lines
@@ -52,10 +52,10 @@ class ModelRun:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ModelComparisonRun:
     """All models over one run."""
 
-    run: Run
+    run: PlatformRun
     preparation: Preparation
     models: Mapping[Model, ModelRun]
 
@@ -69,7 +69,7 @@ class Comparison:
         }
 
 
-def identified(run: Run) -> Identification:
+def identified(run: PlatformRun) -> Identification:
     """Identification from the calibration stretch of a run, from the sources that its base allows."""
     s = run.scenario
     sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
@@ -77,7 +77,7 @@ def identified(run: Run) -> Identification:
     return identify(stretch, s.place, sources=sources, orders=s.compensation.orders)
 
 
-def prepare(run: Run) -> Preparation:
+def prepare(run: PlatformRun) -> Preparation:
     """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
     s, c = run.scenario, run.scenario.compensation
     identification = None
@@ -102,7 +102,7 @@ def prepare(run: Run) -> Preparation:
     )
 
 
-def _drift(s: Scenario, aligned: Alignment | None) -> Array:
+def _drift(s: PlatformScenario, aligned: Alignment | None) -> Array:
     if s.compensation.drift == "aligned" and aligned is not None:
         return aligned.drift
     if s.compensation.drift == "true":
@@ -112,7 +112,7 @@ def _drift(s: Scenario, aligned: Alignment | None) -> Array:
     return np.zeros(3)
 
 
-def run_model(run: Run, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
+def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
     """Navigate the run with one model; lines per day, and theory where the base is at rest."""
     s = run.scenario
     made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
@@ -126,7 +126,7 @@ def run_model(run: Run, preparation: Preparation, model: Model, *, every: int = 
     return ModelRun(made, navigation, error, lines, theory)
 
 
-def compare(scenario: Scenario) -> Comparison:
+def compare(scenario: PlatformScenario) -> ModelComparisonRun:
     """Simulate the scenario and navigate it with every model it names.
 
     Raises
@@ -138,7 +138,7 @@ def compare(scenario: Scenario) -> Comparison:
     preparation = prepare(run)
     every = max(1, round(1.0 / scenario.step))
     models = {m: run_model(run, preparation, m, every=every) for m in scenario.compensation.models}
-    return Comparison(run, preparation, models)
+    return ModelComparisonRun(run, preparation, models)
 
 
 def _lines_document(lines: Lines) -> dict[str, Any]:

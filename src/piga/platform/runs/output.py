@@ -12,8 +12,8 @@ from piga.formats.parquet_writer import number_column
 from piga.platform.identification.alignment import UNKNOWNS, Alignment
 from piga.platform.identification.identify import UNKNOWNS as MISALIGNMENTS
 from piga.platform.identification.identify import Identification, Observability
-from piga.platform.model.simulate import Readouts, Run
-from piga.platform.runs.budget import BudgetRow, LineRow, Scatter
+from piga.platform.model.simulate import PlatformRun, Readouts
+from piga.platform.runs.budget import BudgetRow, LineRow, MonteCarloScatter
 from piga.platform.runs.chain import ModelRun, finite
 from piga.units import ARCMIN
 
@@ -50,7 +50,7 @@ def readouts_table(r: Readouts) -> pa.Table:
     return _table(columns)
 
 
-def truth_table(run: Run) -> pa.Table:
+def truth_table(run: PlatformRun) -> pa.Table:
     """True specific force in platform axes, redundancy angle, place, velocity and attitude."""
     n, motion = len(run.readouts.times), run.truth.motion
 
@@ -159,7 +159,7 @@ def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
     return document
 
 
-def scatter_document(scatter: Scatter) -> dict[str, Any]:
+def scatter_document(scatter: MonteCarloScatter) -> dict[str, Any]:
     """Monte Carlo as JSON; a line that no day gave is null."""
     models: dict[str, dict[str, Any]] = {}
     for m, position in scatter.position.items():

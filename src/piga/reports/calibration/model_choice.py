@@ -10,7 +10,7 @@ from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import count, printed, rounded, short, signed
-from piga.reports.render.page import Cell, Column, FigureBlock, Section, Table, Text
+from piga.reports.render.page import Cell, FigureBlock, Section, Table, TableColumn, Text
 from piga.units import MICRO_G
 
 _PLAIN = str.maketrans("−–⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "---0123456789")
@@ -138,7 +138,7 @@ def comparison_table(document: dict[str, Any]) -> Table:
     heads, rows = comparison_rows(document)
     textual = {"terms", "remark"}
     columns = tuple(
-        Column(
+        TableColumn(
             head.removesuffix(" [µg]"),
             "µg" if head.endswith("[µg]") else "",
             "text" if head in textual else "number",
@@ -226,9 +226,9 @@ def shift_table(document: dict[str, Any]) -> Table | None:
             cells.append(printed(rounded(value, std).concise) + change)
         rows.append(tuple(cells))
     columns = (
-        Column("coefficient", "", "text"),
-        Column("unit", "", "text"),
-        *(Column(f"set {n}") for n, _ in sets),
+        TableColumn("coefficient", "", "text"),
+        TableColumn("unit", "", "text"),
+        *(TableColumn(f"set {n}") for n, _ in sets),
     )
     note = "Type A. In brackets behind: distance from the set of least BIC, in standard uncertainties of that."
     return Table(columns, tuple(rows), caption="Coefficients in every set", notes=(note,))

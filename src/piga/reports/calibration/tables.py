@@ -13,7 +13,7 @@ from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.terms import shown_unit
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
-from piga.reports.render.page import Cell, Column, Judgement, Table
+from piga.reports.render.page import Cell, Judgement, Table, TableColumn
 from piga.units import ARCSEC, G0
 
 _SHOWN_SEGMENTS = 60
@@ -48,14 +48,14 @@ def coefficient_table(cal: Calibration) -> Table:
     """Coefficients with standard and expanded uncertainty."""
     rows = [_coefficient_row(coefficient) for coefficient in common_coefficients(cal)]
     columns = (
-        Column("Coefficient", align="text"),
-        Column("Value"),
-        Column("Standard uncertainty u"),
-        Column("k u for 95 %, Type A only" if cal.type_a_only else "Expanded uncertainty U"),
-        Column("Unit", align="text"),
-        Column("u / value"),
-        Column("ν"),
-        Column("k"),
+        TableColumn("Coefficient", align="text"),
+        TableColumn("Value"),
+        TableColumn("Standard uncertainty u"),
+        TableColumn("k u for 95 %, Type A only" if cal.type_a_only else "Expanded uncertainty U"),
+        TableColumn("Unit", align="text"),
+        TableColumn("u / value"),
+        TableColumn("ν"),
+        TableColumn("k"),
     )
     return Table(columns, tuple(rows), notes=_coefficient_notes(cal))
 
@@ -143,7 +143,7 @@ def correlation_table(cal: Calibration) -> Table | None:
     rows: list[tuple[str | Cell, ...]] = []
     for i, name in enumerate(names):
         rows.append((name, *(_correlation(matrix[i, j], i == j) for j in range(len(names)))))
-    columns = (Column("", align="text"), *(Column(name) for name in names))
+    columns = (TableColumn("", align="text"), *(TableColumn(name) for name in names))
     return Table(columns, tuple(rows), upright=True)
 
 
@@ -171,14 +171,14 @@ def segment_table(cal: Calibration) -> Table:
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
     columns = [
-        Column("Segment", align="text"),
-        Column("Samples"),
-        Column("Duration", "s"),
-        Column("Mean a_x", "g"),
-        Column("Turns", "rev"),
-        Column("rms before", unit),
-        Column("rms after", unit),
-        Column("Largest after", unit),
+        TableColumn("Segment", align="text"),
+        TableColumn("Samples"),
+        TableColumn("Duration", "s"),
+        TableColumn("Mean a_x", "g"),
+        TableColumn("Turns", "rev"),
+        TableColumn("rms before", unit),
+        TableColumn("rms after", unit),
+        TableColumn("Largest after", unit),
     ]
     rows: list[tuple[str | Cell, ...]] = []
     for segment in shown:
@@ -197,7 +197,7 @@ def segment_table(cal: Calibration) -> Table:
             row.append(phase_shown(phase) if phase else "–")
         rows.append(tuple(row))
     if phases:
-        columns.append(Column("Phase φ", "rad"))
+        columns.append(TableColumn("Phase φ", "rad"))
     return Table(tuple(columns), tuple(rows), notes=notes)
 
 
@@ -210,14 +210,14 @@ def runs_table(cal: Calibration) -> Table:
     """One row per run of a joint calibration."""
     unit = residual_quantity(cal)[1]
     columns = (
-        Column("Run", align="text"),
-        Column("Stand", align="text"),
-        Column("Increments"),
-        Column("White noise", "arcsec"),
-        Column("Random walk", "arcsec/√s"),
-        Column("rms before", unit),
-        Column("rms after", unit),
-        Column("Alone it cannot separate", align="text"),
+        TableColumn("Run", align="text"),
+        TableColumn("Stand", align="text"),
+        TableColumn("Increments"),
+        TableColumn("White noise", "arcsec"),
+        TableColumn("Random walk", "arcsec/√s"),
+        TableColumn("rms before", unit),
+        TableColumn("rms after", unit),
+        TableColumn("Alone it cannot separate", align="text"),
     )
     rows = tuple(
         (
@@ -241,11 +241,11 @@ def outlier_table(cal: Calibration) -> Table:
     unit = "arcsec/s" if cal.diagnostics.residual_kind == "rate" else "arcsec"
     named = any(outlier.run for outlier in cal.outliers)
     columns = [
-        Column("Kind", align="text"),
-        Column("Time", "s"),
-        Column("Row"),
-        Column("Samples left out"),
-        Column("Miss", unit),
+        TableColumn("Kind", align="text"),
+        TableColumn("Time", "s"),
+        TableColumn("Row"),
+        TableColumn("Samples left out"),
+        TableColumn("Miss", unit),
     ]
     rows = []
     for outlier in listed[:_SHOWN_OUTLIERS]:
@@ -258,7 +258,7 @@ def outlier_table(cal: Calibration) -> Table:
         ]
         rows.append(tuple([outlier.run or "–", *row] if named else row))
     if named:
-        columns.insert(0, Column("Run", align="text"))
+        columns.insert(0, TableColumn("Run", align="text"))
     more = len(cal.outliers) - _SHOWN_OUTLIERS
     notes = (f"The first {_SHOWN_OUTLIERS} of {count(len(cal.outliers))} findings.",) if more > 0 else ()
     return Table(tuple(columns), tuple(rows), notes=notes)
@@ -267,10 +267,10 @@ def outlier_table(cal: Calibration) -> Table:
 def quality_table(cal: Calibration) -> Table:
     """What was found in the data."""
     columns = (
-        Column("Finding", align="text"),
-        Column("Count"),
-        Column("First row"),
-        Column("Detail", align="text"),
+        TableColumn("Finding", align="text"),
+        TableColumn("Count"),
+        TableColumn("First row"),
+        TableColumn("Detail", align="text"),
     )
     rows = tuple(
         (
@@ -286,7 +286,9 @@ def quality_table(cal: Calibration) -> Table:
 
 def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
     """Two columns: what, and which."""
-    return Table((Column("Item", align="text"), Column("Value", align="text")), tuple(rows), code=code)
+    return Table(
+        (TableColumn("Item", align="text"), TableColumn("Value", align="text")), tuple(rows), code=code
+    )
 
 
 LABELS = {
@@ -364,12 +366,12 @@ def budget_table(cal: Calibration) -> Table:
         sources.insert(0, BudgetEntry(source="Fit to the record", type="A", distribution="", contributions=fit))
     names = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
-        Column("Source", align="text"),
-        Column("Type", align="text"),
-        Column("Distribution", align="text"),
-        Column("Standard uncertainty", align="text"),
-        Column("Degrees of freedom"),
-        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
+        TableColumn("Source", align="text"),
+        TableColumn("Type", align="text"),
+        TableColumn("Distribution", align="text"),
+        TableColumn("Standard uncertainty", align="text"),
+        TableColumn("Degrees of freedom"),
+        *(TableColumn(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, names, strict=True)),
     )
     total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
     rows = [_budget_row(source, coefficients, total) for source in sources]
@@ -468,9 +470,9 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     coefficients = common_coefficients(cal)[:SHOWN_NAMES]
     units = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
-        Column("Source", align="text"),
-        Column("Change for", align="text"),
-        *(Column(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, units, strict=True)),
+        TableColumn("Source", align="text"),
+        TableColumn("Change for", align="text"),
+        *(TableColumn(c.key, pretty_unit(unit)) for c, (unit, _) in zip(coefficients, units, strict=True)),
     )
     cells = tuple(
         (
@@ -552,7 +554,11 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
         return ()
     most = sorted(leverage, key=lambda label: -leverage[label].leverage)[:_SHOWN]
     names = [c.name for c in common_coefficients(cal)]
-    columns = (Column("Segment", align="text"), Column("Leverage"), *(Column(name) for name in names))
+    columns = (
+        TableColumn("Segment", align="text"),
+        TableColumn("Leverage"),
+        *(TableColumn(name) for name in names),
+    )
     rows: tuple[tuple[str | Cell, ...], ...] = tuple(
         (
             label,
@@ -583,15 +589,15 @@ def propagation_table(cal: Calibration) -> Table | None:
     if monte_carlo is None:
         return None
     columns = (
-        Column("Coefficient", align="text"),
-        Column("Unit", align="text"),
-        Column("u, first order"),
-        Column("u, Monte Carlo"),
-        Column("95 %, first order"),
-        Column("95 %, symmetric"),
-        Column("95 %, shortest"),
-        Column("Tolerance"),
-        Column("Agreement", align="text"),
+        TableColumn("Coefficient", align="text"),
+        TableColumn("Unit", align="text"),
+        TableColumn("u, first order"),
+        TableColumn("u, Monte Carlo"),
+        TableColumn("95 %, first order"),
+        TableColumn("95 %, symmetric"),
+        TableColumn("95 %, shortest"),
+        TableColumn("Tolerance"),
+        TableColumn("Agreement", align="text"),
     )
     rows: list[tuple[str | Cell, ...]] = []
     for c in cal.coefficients:

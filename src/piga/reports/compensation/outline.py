@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.compensator import NO_RATES, NONE, Chunk
-from piga.compensation.sets.set_files import Rows
+from piga.compensation.sets.set_files import SetRows
 from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
 from piga.records.spool import Arrays
@@ -277,7 +277,7 @@ class SetOutline(Watch):
         """True when the set can contradict itself."""
         return len(self.mounted) > 3
 
-    def piece(self, label: str, rows: Rows, result: CompensatedSet) -> None:
+    def piece(self, label: str, rows: SetRows, result: CompensatedSet) -> None:
         """Take what was read, and what became of it."""
         along = []
         for i, single in enumerate(self.instruments):

@@ -32,13 +32,13 @@ from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, pretty_unit, printed, rounded, short
 from piga.reports.render.page import (
     Block,
-    Column,
     FigureBlock,
     Judgement,
     Notice,
     Page,
     Section,
     Table,
+    TableColumn,
     Text,
     Tile,
     Tone,
@@ -180,13 +180,13 @@ def _flags(outline: CompensationOutline) -> Section:
         for name, marks in outline.marks.items()
         if marks.count
     }
-    columns = (Column("bit"), Column("rows"), Column("share", "%"))
+    columns = (TableColumn("bit"), TableColumn("rows"), TableColumn("share", "%"))
     return _flag_section(outline, columns, counted, "Flags that were raised; times since the first row.")
 
 
 def _flag_section(
     outline: CompensationOutline | SetOutline,
-    columns: tuple[Column, ...],
+    columns: tuple[TableColumn, ...],
     counted: Mapping[str, tuple[str, ...]],
     caption: str,
     notes: tuple[str, ...] = (),
@@ -196,8 +196,8 @@ def _flag_section(
     if figure is None:
         return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
     heads = (
-        Column("flag", align="text"), *columns, Column("first at", "s"), Column("last at", "s"),
-        Column("meaning", align="text"),
+        TableColumn("flag", align="text"), *columns, TableColumn("first at", "s"), TableColumn("last at", "s"),
+        TableColumn("meaning", align="text"),
     )  # fmt: skip
     rows = tuple(
         (
@@ -212,7 +212,7 @@ def _flag_section(
 def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
     if not facts.repairs:
         return ()
-    columns = (Column("finding", align="text"), Column("count"))
+    columns = (TableColumn("finding", align="text"), TableColumn("count"))
     rows = tuple((name, count(number)) for name, number in facts.repairs.items())
     return (Section("Found while reading", "repairs", (Table(columns, rows, "Repairs of the record."),)),)
 
@@ -225,15 +225,15 @@ def _provenance(facts: CompensationFacts, scale_factor: float) -> Section:
         "scale factor of the indication": f"{printed(short(scale_factor, 8))} (rad/s)/(m/s²)",
         **facts.options,
     }
-    heads = (Column("coefficient", align="text"), Column("value"), Column("unit", align="text"))
+    heads = (TableColumn("coefficient", align="text"), TableColumn("value"), TableColumn("unit", align="text"))
     values = tuple((c.key, *coefficient_words(c)) for c in cal.coefficients)
     coefficients = Table(heads, values, "Coefficients of the calibration, standard uncertainty in brackets.")
     return _provenance_section(options, facts.files, coefficients)
 
 
 def _provenance_section(options: dict[str, str], files: Inputs, *tables: Table) -> Section:
-    heads = (Column("file", align="text"), Column("SHA-256", align="text"))
-    how = Table((Column("", align="text"),) * 2, tuple(options.items()), "How it was compensated.")
+    heads = (TableColumn("file", align="text"), TableColumn("SHA-256", align="text"))
+    how = Table((TableColumn("", align="text"),) * 2, tuple(options.items()), "How it was compensated.")
     read = Table(heads, tuple(files), "Files as they were read.", code=True)
     return Section("Provenance", "provenance", (how, *tables, read))
 
@@ -332,18 +332,18 @@ def _set_flags(outline: SetOutline, facts: SetFacts) -> Section:
         for name, marks in outline.marks.items()
         if marks.count
     }
-    columns = (Column("set"), *(Column(name) for name in facts.names))
+    columns = (TableColumn("set"), *(TableColumn(name) for name in facts.names))
     notes = ("Rows; a row of the set carries the flags of all its instruments. A fault is one of the set.",)
     return _flag_section(outline, columns, counted, "Flags that were raised.", notes)
 
 
 def _instruments(outline: SetOutline, facts: SetFacts) -> Section:
     mounting = (
-        Column("instrument", align="text"), *(Column(f"X0 along {axis}") for axis in AXES),
-        Column("correction, rms", "µg"), Column("misfit, rms", "µg"),
+        TableColumn("instrument", align="text"), *(TableColumn(f"X0 along {axis}") for axis in AXES),
+        TableColumn("correction, rms", "µg"), TableColumn("misfit, rms", "µg"),
     )  # fmt: skip
     names = ("scale_factor", "tan_beta", "phi")
-    coefficients = (Column("instrument", align="text"), *(Column(name) for name in names))
+    coefficients = (TableColumn("instrument", align="text"), *(TableColumn(name) for name in names))
     placed, known = [], []
     for name, item, single, misfit in zip(
         facts.names, outline.mounted, outline.instruments, outline.misfits, strict=True

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from piga.platform.identification.alignment import Alignment
 from piga.platform.identification.identify import Identification
 from piga.platform.model.scenario import Model
-from piga.platform.model.simulate import Run
+from piga.platform.model.simulate import PlatformRun
 from piga.platform.navigation.analysis import case_rates, spectrum
 from piga.platform.runs.capstone import Capstone
-from piga.platform.runs.chain import Comparison, ModelRun
+from piga.platform.runs.chain import ModelComparisonRun, ModelRun
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.units import ARCMIN, ARCSEC, DAY
 
@@ -50,7 +50,7 @@ def averaged(values: Array, over: int) -> Array:
     return start + (total[over:] - total[:-over]) / over
 
 
-def readouts_figure(run: Run) -> Figure:
+def readouts_figure(run: PlatformRun) -> Figure:
     """What is read: specific force, gimbal angles, pick-off, over the run and its first minutes."""
     r = run.readouts
     axis, unit = time_axis(float(r.times[-1]))
@@ -143,7 +143,7 @@ def convergence_figure(identification: Identification) -> Figure:
     )
 
 
-def cone_figure(run: Run, aligned: Alignment) -> Figure:
+def cone_figure(run: PlatformRun, aligned: Alignment) -> Figure:
     """Gravity in platform axes over the alignment, and the cone it runs on."""
     r = run.readouts.first(run.scenario.calibration_time)
     force = r.increments / r.step
@@ -197,7 +197,7 @@ REFERENCE_MODEL: dict[Case, Model] = {"amplitude": "A", "equatorial": "none"}
 """Model whose theory stands beside the lines: what A leaves grows at the polar rate, at the equatorial one it is nothing."""
 
 
-def lines_figure(comparison: Comparison, which: Case = "amplitude") -> Figure:
+def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> Figure:
     """Amplitude at a case-rotation period against the day, each model, with the theory dashed."""
     panels = []
     for name in ("east_velocity", "heading", "roll", "north_velocity"):
@@ -234,7 +234,7 @@ def lines_figure(comparison: Comparison, which: Case = "amplitude") -> Figure:
     )
 
 
-def histories_figure(comparison: Comparison) -> Figure:
+def histories_figure(comparison: ModelComparisonRun) -> Figure:
     """Errors over the whole run: east velocity, heading, roll, horizontal position."""
     times = next(iter(comparison.models.values())).errors.times
     axis, unit = time_axis(float(times[-1]))
@@ -251,7 +251,7 @@ def histories_figure(comparison: Comparison) -> Figure:
     )
 
 
-def published_figure(comparison: Comparison) -> Figure:
+def published_figure(comparison: ModelComparisonRun) -> Figure:
     """The last forty minutes, as the publication shows day ten: the oscillation left at the case period."""
     times = next(iter(comparison.models.values())).errors.times
     begin = max(0.0, float(times[-1]) - 40.0 * MINUTE)
@@ -273,7 +273,7 @@ _CORRECTED: Sequence[str] = ("A", "B", "C")
 
 
 def _channels(
-    comparison: Comparison,
+    comparison: ModelComparisonRun,
     part: slice,
     axis: Axis,
     unit: float,
@@ -304,7 +304,7 @@ def _channels(
     return Figure(key, title, tuple(panels), caption, height=2.2)
 
 
-def _quiet(comparison: Comparison) -> int:
+def _quiet(comparison: ModelComparisonRun) -> int:
     """Rows of half a minute where the gimbals are read with noise, else one."""
     if comparison.run.scenario.sensors.gimbal_noise == 0.0:
         return 1
@@ -312,7 +312,7 @@ def _quiet(comparison: Comparison) -> int:
     return max(1, round(0.5 * MINUTE / float(times[1] - times[0])))
 
 
-def position_figure(comparison: Comparison) -> Figure:
+def position_figure(comparison: ModelComparisonRun) -> Figure:
     """Horizontal position error against time."""
     times = next(iter(comparison.models.values())).errors.times
     axis, unit = time_axis(float(times[-1]))
@@ -333,7 +333,7 @@ def position_figure(comparison: Comparison) -> Figure:
     )
 
 
-def spectrum_figure(comparison: Comparison) -> Figure:
+def spectrum_figure(comparison: ModelComparisonRun) -> Figure:
     """Amplitude spectrum of the east velocity over the last day, with the lines to expect."""
     s = comparison.run.scenario
     series, low, high = [], np.inf, 0.0

@@ -15,12 +15,12 @@ from piga.platform.identification.identify import (
     Parameter,
 )
 from piga.platform.model.geometry import apparent_gyro, averaged_drift, wrapped
-from piga.platform.model.scenario import Gyro, Scenario
-from piga.platform.model.simulate import Run
+from piga.platform.model.scenario import Gyro, PlatformScenario
+from piga.platform.model.simulate import PlatformRun
 from piga.platform.navigation.analysis import case_rates
-from piga.platform.runs.budget import BudgetRow, LineRow, Scatter, last_east_lines
+from piga.platform.runs.budget import BudgetRow, LineRow, MonteCarloScatter, last_east_lines
 from piga.platform.runs.capstone import Capstone
-from piga.platform.runs.chain import Comparison, Preparation
+from piga.platform.runs.chain import ModelComparisonRun, Preparation
 from piga.reports.platform.figures import (
     REFERENCE_MODEL,
     Case,
@@ -39,7 +39,18 @@ from piga.reports.platform.figures import (
     spectrum_figure,
 )
 from piga.reports.render.numbers import fixed, short
-from piga.reports.render.page import Block, Cell, Column, FigureBlock, Notice, Page, Section, Table, Text, Tile
+from piga.reports.render.page import (
+    Block,
+    Cell,
+    FigureBlock,
+    Notice,
+    Page,
+    Section,
+    Table,
+    TableColumn,
+    Text,
+    Tile,
+)
 from piga.units import ARCMIN, ARCSEC, DAY
 
 _FOOTER = (
@@ -47,25 +58,25 @@ _FOOTER = (
 )
 
 
-def page(title: str, s: Scenario, tiles: tuple[Tile, ...], sections: tuple[Section, ...]) -> Page:
+def page(title: str, s: PlatformScenario, tiles: tuple[Tile, ...], sections: tuple[Section, ...]) -> Page:
     """A page with the run in its subtitle."""
     length = f"{s.duration / DAY:.4g} d at {s.step:g} s"
     where = f"{np.degrees(s.place.latitude):.3f} deg latitude, {length}, base {s.motion.kind}"
     return Page(title, where, tiles, sections, "piga platform", _FOOTER)
 
 
-def parameter_table(identification: Identification, s: Scenario) -> Table:
+def parameter_table(identification: Identification, s: PlatformScenario) -> Table:
     """Identified amplitudes and phases with their uncertainties, beside the truth."""
     truth = _truth_by_name(
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
     )
     rows = [_parameter_row(p, truth.get(p.name)) for p in identification.parameters]
     columns = (
-        Column("quantity", align="text"),
-        Column("value"),
-        Column("standard uncertainty"),
-        Column("unit", align="text"),
-        Column("off truth, in uncertainties"),
+        TableColumn("quantity", align="text"),
+        TableColumn("value"),
+        TableColumn("standard uncertainty"),
+        TableColumn("unit", align="text"),
+        TableColumn("off truth, in uncertainties"),
     )
     noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in identification.noise.items())
     return Table(
@@ -104,7 +115,7 @@ def _truth_by_name(polar: Gyro, equatorial: Gyro) -> dict[str, float]:
     return truth
 
 
-def simulation_page(run: Run) -> Page:
+def simulation_page(run: PlatformRun) -> Page:
     """Page of ``piga platform simulate``."""
     s = run.scenario
     drift = abs(float(run.truth.eta[-1] - run.truth.eta[0]))
@@ -126,7 +137,10 @@ def simulation_page(run: Run) -> Page:
 
 
 def identification_page(
-    run: Run, identification: Identification, recursive: Identification | None, sources: Sequence[Observability]
+    run: PlatformRun,
+    identification: Identification,
+    recursive: Identification | None,
+    sources: Sequence[Observability],
 ) -> Page:
     """Page of ``piga platform identify``."""
     s = run.scenario
@@ -150,7 +164,7 @@ def identification_page(
     return page("Platform identification", s, tiles, tuple(sections))
 
 
-def alignment_page(run: Run, aligned: Alignment) -> Page:
+def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
     """Page of ``piga platform align``."""
     std = aligned.std / ARCSEC
     tiles = (
@@ -175,7 +189,7 @@ def alignment_page(run: Run, aligned: Alignment) -> Page:
     return page("Platform alignment", run.scenario, tiles, sections)
 
 
-def _truth_table(s: Scenario) -> Table:
+def _truth_table(s: PlatformScenario) -> Table:
     rows = []
     for name, gyro, axes in (("polar", s.polar, "w1x, w1y"), ("equatorial", s.equatorial, "w2y, w2z")):
         rows.append((f"{name} misalignment", f"{gyro.misalignment / ARCMIN:.4f}", "arcmin"))
@@ -190,14 +204,17 @@ def _truth_table(s: Scenario) -> Table:
         ]
         rows.append((f"{name} drift {axes}", _pair(gyro.drift), "deg/h"))
         rows.append((f"{name} case-fixed drift", _pair(gyro.case_drift), "deg/h"))
-    return Table((Column("quantity", align="text"), Column("value"), Column("unit", align="text")), tuple(rows))
+    return Table(
+        (TableColumn("quantity", align="text"), TableColumn("value"), TableColumn("unit", align="text")),
+        tuple(rows),
+    )
 
 
 def _pair(drift: tuple[float, float]) -> str:
     return ", ".join(f"{np.degrees(w) * 3600.0:.4g}" for w in drift)
 
 
-def _case_rotation_text(s: Scenario) -> Text:
+def _case_rotation_text(s: PlatformScenario) -> Text:
     at_rest = type(s.polar_rotation)(0.0)
     parts = []
     for name, gyro, rotation in (
@@ -217,10 +234,10 @@ def _case_rotation_text(s: Scenario) -> Text:
 
 def _observability_table(sources: Sequence[Observability]) -> Table:
     columns = (
-        Column("source", align="text"),
-        Column("condition"),
-        *(Column(n, "arcsec") for n in UNKNOWNS),
-        Column("verdict", align="text"),
+        TableColumn("source", align="text"),
+        TableColumn("condition"),
+        *(TableColumn(n, "arcsec") for n in UNKNOWNS),
+        TableColumn("verdict", align="text"),
     )
     rows: tuple[tuple[str | Cell, ...], ...] = tuple(
         (
@@ -242,14 +259,14 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
     )
 
 
-def _alignment_table(run: Run, aligned: Alignment) -> Table:
+def _alignment_table(run: PlatformRun, aligned: Alignment) -> Table:
     rows = (*_triad_attitude_rows(run, aligned), *_triad_drift_rows(aligned), *_base_rows(run, aligned))
     columns = (
-        Column("quantity", align="text"),
-        Column("value"),
-        Column("standard uncertainty"),
-        Column("unit", align="text"),
-        Column("off truth"),
+        TableColumn("quantity", align="text"),
+        TableColumn("value"),
+        TableColumn("standard uncertainty"),
+        TableColumn("unit", align="text"),
+        TableColumn("off truth"),
     )
     return Table(
         columns,
@@ -258,7 +275,7 @@ def _alignment_table(run: Run, aligned: Alignment) -> Table:
     )
 
 
-def _triad_attitude_rows(run: Run, aligned: Alignment) -> Iterator[tuple[str, ...]]:
+def _triad_attitude_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
     from piga.frames import matrix_to_rotation_vector
 
     true = matrix_to_rotation_vector(run.truth.triad_start.T)
@@ -275,7 +292,7 @@ def _triad_drift_rows(aligned: Alignment) -> Iterator[tuple[str, ...]]:
         yield f"triad drift {axis}", f"{value:.2e}", f"{std:.1e}", "deg/h", "–"
 
 
-def _base_rows(run: Run, aligned: Alignment) -> Iterator[tuple[str, ...]]:
+def _base_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
     motion = run.scenario.motion
     put_in = {"roll": motion.roll, "pitch": motion.pitch, "heading": motion.heading}
     for k, (name, true) in enumerate(put_in.items()):
@@ -284,7 +301,7 @@ def _base_rows(run: Run, aligned: Alignment) -> Iterator[tuple[str, ...]]:
         yield f"base {name}", fixed(value, 5), f"{std:.1e}", "deg", f"{off:+.1e}"
 
 
-def navigation_page(comparison: Comparison) -> Page:
+def navigation_page(comparison: ModelComparisonRun) -> Page:
     """Page of ``piga platform navigate``."""
     tiles = tuple(
         Tile(model_name(m), short(float(r.lines.position.max())), "m", "largest horizontal position error")
@@ -303,10 +320,10 @@ def navigation_page(comparison: Comparison) -> Page:
 
 
 def comparison_page(
-    comparison: Comparison,
+    comparison: ModelComparisonRun,
     budget: Sequence[BudgetRow] = (),
     lines: Sequence[LineRow] = (),
-    scatter: Scatter | None = None,
+    scatter: MonteCarloScatter | None = None,
 ) -> Page:
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario
@@ -332,7 +349,7 @@ def comparison_page(
     return page("Compensation models compared", s, _comparison_tiles(comparison), tuple(sections))
 
 
-def _line_sections(c: Comparison) -> list[Section]:
+def _line_sections(c: ModelComparisonRun) -> list[Section]:
     """Lines at the polar case's rate and, at another speed, at the equatorial one's."""
     if not _unequal(c):
         return [Section("Lines at the case-rotation period", "lines", _line_blocks(c, "amplitude"))]
@@ -347,11 +364,11 @@ def _line_sections(c: Comparison) -> list[Section]:
     ]
 
 
-def _unequal(c: Comparison) -> bool:
+def _unequal(c: ModelComparisonRun) -> bool:
     return any(r.lines.equatorial for r in c.models.values())
 
 
-def _line_blocks(c: Comparison, which: Case) -> tuple[Block, ...]:
+def _line_blocks(c: ModelComparisonRun, which: Case) -> tuple[Block, ...]:
     tables = (
         _line_table(c, which, "east_velocity", "East velocity line", "mm/s", 1e3),
         _line_table(c, which, "north_velocity", "North velocity line", "mm/s", 1e3),
@@ -362,7 +379,7 @@ def _line_blocks(c: Comparison, which: Case) -> tuple[Block, ...]:
     return (Text(_lines_sentence(c, which), lead=True), *figure, *tables)
 
 
-def _preparation_section(s: Scenario, p: Preparation) -> Section:
+def _preparation_section(s: PlatformScenario, p: Preparation) -> Section:
     blocks: list[Block] = [Notice("info", note) for note in p.notes]
     if p.identification is not None:
         blocks.append(parameter_table(p.identification, s))
@@ -371,7 +388,7 @@ def _preparation_section(s: Scenario, p: Preparation) -> Section:
     return Section("What the models were given", "given", tuple(blocks))
 
 
-def _comparison_tiles(c: Comparison) -> tuple[Tile, ...]:
+def _comparison_tiles(c: ModelComparisonRun) -> tuple[Tile, ...]:
     whose = " (polar, equatorial case)" if _unequal(c) else ""
     return tuple(
         Tile(
@@ -384,11 +401,11 @@ def _comparison_tiles(c: Comparison) -> tuple[Tile, ...]:
     )
 
 
-def _days(c: Comparison) -> int:
+def _days(c: ModelComparisonRun) -> int:
     return int(next(iter(c.models.values())).lines.day[-1])
 
 
-def _lines_sentence(c: Comparison, which: Case) -> str:
+def _lines_sentence(c: ModelComparisonRun, which: Case) -> str:
     day, shown = _days(c), REFERENCE_MODEL[which]
     east = {m: float(getattr(r.lines, which)["east_velocity"][-1]) for m, r in c.models.items()}
     left = east.get(shown, np.nan)
@@ -406,14 +423,16 @@ def _lines_sentence(c: Comparison, which: Case) -> str:
     return " ".join(parts)
 
 
-def _line_table(c: Comparison, which: Case, channel: str, heading: str, unit: str, scale: float) -> Table:
+def _line_table(
+    c: ModelComparisonRun, which: Case, channel: str, heading: str, unit: str, scale: float
+) -> Table:
     """One channel day by day: every model, and the theory of one of them beside it."""
-    columns, values = [Column("day", align="text")], []
+    columns, values = [TableColumn("day", align="text")], []
     for m, r in c.models.items():
-        columns.append(Column(model_name(m), unit))
+        columns.append(TableColumn(model_name(m), unit))
         values.append(getattr(r.lines, which)[channel] * scale)
         if r.theory is not None and m == REFERENCE_MODEL[which]:
-            columns.append(Column(f"theory, {model_name(m)}", unit))
+            columns.append(TableColumn(f"theory, {model_name(m)}", unit))
             values.append(getattr(r.theory, which)[channel] * scale)
     days = next(iter(c.models.values())).lines.day
     rows = tuple((str(int(day)), *(short(float(v[k])) for v in values)) for k, day in enumerate(days))
@@ -422,12 +441,12 @@ def _line_table(c: Comparison, which: Case, channel: str, heading: str, unit: st
 
 def _budget_table(budget: Sequence[BudgetRow]) -> Table:
     columns = (
-        Column("source", align="text"),
-        Column("position, linear", "m"),
-        Column("position, full run", "m"),
-        Column("velocity, linear", "mm/s"),
-        Column("velocity, full run", "mm/s"),
-        Column("largest difference", "m"),
+        TableColumn("source", align="text"),
+        TableColumn("position, linear", "m"),
+        TableColumn("position, full run", "m"),
+        TableColumn("velocity, linear", "mm/s"),
+        TableColumn("velocity, full run", "mm/s"),
+        TableColumn("largest difference", "m"),
     )
     rows = tuple(
         (
@@ -451,9 +470,9 @@ def _line_budget_table(budget: Sequence[LineRow]) -> Table:
     """Lines of each misalignment alone: closed form and full run."""
     shown = (("east_velocity", "mm/s", 1e3), ("north_velocity", "mm/s", 1e3), ("heading", "arcsec", 1.0 / ARCSEC),
              ("roll", "arcsec", 1.0 / ARCSEC))  # fmt: skip
-    columns = [Column("source", align="text"), Column("period", "s")]
+    columns = [TableColumn("source", align="text"), TableColumn("period", "s")]
     for name, unit, _ in shown:
-        columns += [Column(f"{name.replace('_', ' ')}, {how}", unit) for how in ("linear", "full run")]
+        columns += [TableColumn(f"{name.replace('_', ' ')}, {how}", unit) for how in ("linear", "full run")]
     rows = []
     for b in budget:
         numbers = [short(scale * v[name]) for name, _, scale in shown for v in (b.theory, b.full)]
@@ -468,17 +487,17 @@ def _line_budget_table(budget: Sequence[LineRow]) -> Table:
     )
 
 
-def _scatter_table(scatter: Scatter) -> Table:
+def _scatter_table(scatter: MonteCarloScatter) -> Table:
     lines = [("east line", scatter.east_line)]
     if scatter.equatorial_line:
         lines.append(("east line, equatorial case", scatter.equatorial_line))
     columns = [
-        Column("model", align="text"),
-        Column("position, median", "m"),
-        Column("position, largest", "m"),
+        TableColumn("model", align="text"),
+        TableColumn("position, median", "m"),
+        TableColumn("position, largest", "m"),
     ]
     for name, _ in lines:
-        columns += [Column(f"{name}, {what}", "mm/s") for what in ("mean", "scatter")]
+        columns += [TableColumn(f"{name}, {what}", "mm/s") for what in ("mean", "scatter")]
     rows = []
     for m, p in scatter.position.items():
         numbers = [f(1e3 * drawn[m]) for _, drawn in lines for f in (np.mean, np.std)]
@@ -542,12 +561,12 @@ def _passage_words(capstone: Capstone) -> str:
 
 def _capstone_table(capstone: Capstone) -> Table:
     columns = (
-        Column("reading", align="text"),
-        Column("position error", "m"),
-        Column("velocity error", "mm/s"),
-        Column("locked", "s/day"),
-        Column("noise gain"),
-        Column("what it is", align="text"),
+        TableColumn("reading", align="text"),
+        TableColumn("position error", "m"),
+        TableColumn("velocity error", "mm/s"),
+        TableColumn("locked", "s/day"),
+        TableColumn("noise gain"),
+        TableColumn("what it is", align="text"),
     )
     rows = tuple(
         (

@@ -52,7 +52,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """Heading of a table column, its unit, and whether it holds numbers (set to the right)."""
 
     heading: str
@@ -85,7 +85,7 @@ class Table:
     of number columns: a matrix with long names then fits the page.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[TableColumn, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
     caption: str = ""
     notes: tuple[str, ...] = ()
