@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from piga.errors import CalibrationError
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 GAP = 1e-6
 """Largest directional derivative, less its value at the optimum, that ends the search."""
@@ -169,8 +170,6 @@ def _solve(matrices: Array, criterion: Criterion, start: Array) -> Array:
     weights = weights / weights.sum()
     return weights if value(weights) <= value(start) else start
 
-
-Index = NDArray[np.int64]
 
 IMPROVEMENT = 1e-7
 """Smallest improvement of the criterion that counts."""

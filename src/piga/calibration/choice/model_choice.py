@@ -33,6 +33,8 @@ from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class TermSet:
@@ -142,8 +144,6 @@ def _set_document(row: TermSet, best: float | None, observations: int) -> dict[s
         document |= row.prediction.document()
     return document
 
-
-Array = NDArray[np.float64]
 
 PROBE = "k0"
 """Column that turns what a prediction misses into a mean specific force: it is reduced with every union."""

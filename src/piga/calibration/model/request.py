@@ -19,6 +19,8 @@ from piga.records.spool import arrays_like, exact_median, means, spans, steps
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 from piga.units import to_si
 
+Array = NDArray[np.float64]
+
 PUBLISHED_TERMS = (("tan_beta",), ("tan_beta", "k0", "k1", "k2"))
 
 
@@ -178,8 +180,6 @@ def check_servo(request: Request) -> None:
             remedy="use method 'information', 'rate' or 'recursive', or leave the term out",
         )
 
-
-Array = NDArray[np.float64]
 
 PLAUSIBLE = 0.3
 """Part of ``K |a|`` by which the rate of a sound instrument may differ from ``K a_x - Omega_x``."""

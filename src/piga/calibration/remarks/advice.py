@@ -30,6 +30,8 @@ from piga.records.terms import SERVO_TERMS
 from piga.records.verdict import COUNTED
 from piga.units import G0
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class AdviceSettings:
@@ -211,9 +213,6 @@ def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> st
     """``[data] key`` with one of two units where it says the other."""
     right, wrong = (f"'{unit}/s'" if rate else f"'{unit}'" for unit in (units if larger else units[::-1]))
     return f"[data] {key} unit = {right} where it says {wrong}"
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ from piga.records.calibration import Calibration, Coefficient, MissingTerm, Segm
 from piga.records.spool import extent
 from piga.records.terms import si_factor
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Remarks:
@@ -95,9 +97,6 @@ def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, .
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
         for c, noisy, quiet in zip(coefficients, *named, strict=True)
     )
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ from piga.records.calibration import BudgetEntry, Coefficient
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 
 Array = NDArray[np.float64]
+Names = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -267,8 +268,6 @@ def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ..
     )
     return (words,)
 
-
-Names = tuple[str, ...]
 
 EXTRA = ("k3", *SERVO_TERMS)
 """Terms that are tried."""

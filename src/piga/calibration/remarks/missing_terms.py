@@ -27,6 +27,9 @@ from piga.records.run import Run
 from piga.records.spool import extent, gathered
 from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
 
+Array = NDArray[np.float64]
+Names = tuple[str, ...]
+
 
 @dataclass(frozen=True)
 class CandidateSettings:
@@ -119,8 +122,6 @@ def _step(run: Run, window: slice, turn: float) -> int:
         step //= 2
     return max(step, 1)
 
-
-Array = NDArray[np.float64]
 
 SINGLE = (
     "k0", "k1", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t", "k0_T", "k1_T",
@@ -247,9 +248,6 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
     for factor in factors:
         result = result * factor
     return result
-
-
-Names = tuple[str, ...]
 
 
 @dataclass(frozen=True)
