@@ -212,7 +212,7 @@ def runs_table(cal: Calibration) -> Table:
     columns = (
         TableColumn("Run", align="text"),
         TableColumn("Stand", align="text"),
-        TableColumn("Increments"),
+        TableColumn("Equations"),
         TableColumn("White noise", "arcsec"),
         TableColumn("Random walk", "arcsec/√s"),
         TableColumn("rms before", unit),
