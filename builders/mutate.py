@@ -159,15 +159,15 @@ KERNELS = {
     "_kernels/estimation/square_root "
     "_kernels/estimation/whitening": SUMS,
     "_kernels/motion/function_motion": SAMPLES,
-    "_kernels/motion/step _kernels/motion/blocks _kernels/motion/increments "
-    "_kernels/motion/sensitivity _kernels/motion/transfer _kernels/arithmetic/trig": SAMPLES,
+    "_kernels/motion/step _kernels/motion/step _kernels/motion/samples "
+    "_kernels/motion/samples _kernels/motion/step _kernels/arithmetic/sine_cosine": SAMPLES,
     "_kernels/motion/samples": [*SAMPLES, *tests_of("instrument", "fleet")],
     "_kernels/estimation/outliers": [
         *tests_of("kernels", "outlier_scan"),
         *tests_of("calibration", "outliers"),
     ],
-    "_kernels/platform/errors _kernels/platform/motion _kernels/platform/navigation": [*PLATFORM, *ERRORS],
-    "_kernels/platform/geometry": [*GEOMETRY, *EQUATIONS],
+    "_kernels/platform/navigation _kernels/platform/motion _kernels/platform/navigation": [*PLATFORM, *ERRORS],
+    "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS],
     "_kernels/platform/triad": TRIADS,
     "_kernels/arithmetic/resample": [*PHASES, *tests_of("compensation", "files")],
     "_kernels/motion/servo": TWIN,

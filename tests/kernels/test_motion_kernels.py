@@ -11,9 +11,9 @@ import pytest
 
 from piga._kernels.arithmetic import double_double as dd
 from piga._kernels.arithmetic.trig import double_arctangent
-from piga._kernels.motion import increments
-from piga._kernels.motion import transfer as block
-from piga._kernels.motion.sensitivity import unimodular_functions
+from piga._kernels.motion import samples as increments
+from piga._kernels.motion import step as block
+from piga._kernels.motion.samples import unimodular_functions
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, advance, split_turns, step_functions, unwrapped
 
 pytestmark = pytest.mark.compiled

@@ -9,7 +9,7 @@ from scipy.linalg import expm, expm_frechet
 
 import piga
 from piga._kernels.motion.function_motion import magnus_six
-from piga._kernels.motion.sensitivity import unimodular_functions
+from piga._kernels.motion.samples import unimodular_functions
 from piga._kernels.motion.step import magnus_increments
 from piga.instrument import sensitivities
 from tests.compensation.twin_data import TAN_BETA, instrument

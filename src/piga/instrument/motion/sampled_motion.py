@@ -18,11 +18,9 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.motion.blocks import GOOD
-from piga._kernels.motion.increments import propagate_increments as run_increments
-from piga._kernels.motion.samples import MotionSamples, propagate_samples
-from piga._kernels.motion.sensitivity import PARAMETERS, propagate_sensitivities
-from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
+from piga._kernels.motion.samples import PARAMETERS, MotionSamples, propagate_samples, propagate_sensitivities
+from piga._kernels.motion.samples import propagate_increments as run_increments
+from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument

@@ -25,7 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.geometry import Misalignment, exact_geometry_series
+from piga._kernels.platform.motion import Misalignment, exact_geometry_series
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.platform.identification.estimate import UnknownGroup

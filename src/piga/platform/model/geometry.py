@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga import earth
-from piga._kernels.platform.geometry import Misalignment, exact_geometry_series
+from piga._kernels.platform.motion import Misalignment, exact_geometry_series
 from piga.frames import axis_turn, skew
 from piga.platform.model.scenario import Gyro, Rotation
 

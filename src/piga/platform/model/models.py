@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.platform.redundancy import follow
+from piga._kernels.platform.motion import follow
 from piga.platform.model.scenario import Gyro, Model, PlatformScenario
 from piga.platform.model.simulate import Readouts
 

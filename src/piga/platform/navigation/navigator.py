@@ -23,8 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.errors import ErrorDynamics, propagate_errors
-from piga._kernels.platform.navigation import Correction, States, Stepping, Triad, local_level, navigate_chunk
+from piga._kernels.platform.navigation import (
+    Correction,
+    ErrorDynamics,
+    States,
+    Stepping,
+    Triad,
+    local_level,
+    navigate_chunk,
+    propagate_errors,
+)
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix
 from piga.platform.model.geometry import (
