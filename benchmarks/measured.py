@@ -126,9 +126,14 @@ def grid(table: dict[str, Any], figures: list[Figure]) -> list[str]:
     rows = [line(head), line(["---"] + ["---:"] * len(columns) + ["---"] * varied)]
     for row in dict.fromkeys(figure["row"] for figure in figures):
         own = [figure for figure in figures if figure["row"] == row]
-        cells = [", ".join(measured(f) for f in own if f["column"] == column) for column in columns]
+        cells = [", ".join(cell(f) for f in own if f["column"] == column) for column in columns]
         rows.append(line([row, *cells, *[stamp(own)] * varied]))
     return rows
+
+
+def cell(figure: Figure) -> str:
+    """A figure of a grid, with what was asked where that was not met."""
+    return measured(figure) if met(figure) else f"{measured(figure)} ({bar(figure)})"
 
 
 def line(cells: list[str]) -> str:

@@ -140,9 +140,7 @@ def put_down(tables: dict[str, dict[str, dict[str, float]]], tests: int) -> None
         k = table["scale_factor"]
         held: dict[str, list[float]] = {}
         for coefficient, found in table.items():
-            held.setdefault(own.get(coefficient, "other coefficients"), []).append(
-                round(100.0 * found["coverage"], 1)
-            )
+            held.setdefault(own.get(coefficient, "others"), []).append(round(100.0 * found["coverage"], 1))
         ppm = 1e6 / 0.85  # K was drawn from 0.8 to 0.9 rad/s/g
         values: dict[str, measured.Value] = {
             "records": tests,

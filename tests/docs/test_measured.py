@@ -92,6 +92,8 @@ def test_what_is_recorded_is_shown(tmp_path: Path) -> None:
     assert [figure["conditions"] for figure in figures] == ["idle", "x", "idle"]
     assert figures[0]["commit"].startswith(measured.commit()[:7])
     assert figures[1]["version"] == "0.1.0"
+    measured.record("small", {"aq": {"value": 9.0, "at_most": 5}}, tmp_path)
+    assert "| **not met**: 9 s (at most 5 s) |" in measured.filled(page, tmp_path)
 
 
 def test_an_unknown_figure_is_refused(tmp_path: Path) -> None:
