@@ -54,7 +54,10 @@ class _SoundCacheFile(IndexDataCacheFile):
             return {}
         if version != self._version:
             return {}
-        stamp, overloads = pickle.loads(packed)  # noqa: S301 - as in _load_data
+        try:
+            stamp, overloads = pickle.loads(packed)  # noqa: S301 - as in _load_data
+        except (AttributeError, ImportError):  # of an older version, with a class that has another name now
+            return {}
         return overloads if stamp == self._source_stamp else {}
 
     def _save_index(self, overloads: dict[Any, str]) -> None:
