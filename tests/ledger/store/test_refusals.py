@@ -372,6 +372,17 @@ def test_an_export_made_by_hand(sound: Path, change: dict[str, bytes | None], me
     assert re.search(message, problem), problem
 
 
+def test_the_sums_of_many_records_may_be_longer_than_a_document(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of 100 000 records have 30 MB; here the limit of documents is below the sums of twenty."""
+    with filled(tmp_path / "a.sqlite", 20) as store:
+        monkeypatch.setattr("piga.ledger.store.export.MAX_DOCUMENT", 3000)
+        export_records(store, tmp_path / "a.zip")
+    assert len(members_of(tmp_path / "a.zip")["SHA256SUMS"]) > 3000
+    assert not verify(tmp_path / "a.zip").problems
+
+
 def test_what_is_no_export(tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite", 1) as store:
         with pytest.raises(StoreError, match="no such file"):

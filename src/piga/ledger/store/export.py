@@ -33,6 +33,8 @@ SEAL = b"piga.export sha256:"
 MAX_MEMBERS = 1_000_000
 MAX_DOCUMENT = 16 << 20
 """Bytes of a link or record document."""
+MAX_SUMS = 160 * MAX_MEMBERS
+"""Bytes of ``SHA256SUMS``: a line of at most 137 for each member."""
 MAX_FILE = 16 << 30
 """Bytes of one file."""
 MAX_RATIO = 200
@@ -253,7 +255,9 @@ class Export:
             name = member.filename
             if not _MEMBER.fullmatch(name) or name in members or len(members) >= MAX_MEMBERS:
                 raise self._damaged(f"member '{name[:80]}' does not belong into an export")
-            limit = MAX_FILE if name.startswith("files/") else MAX_DOCUMENT
+            limit = (
+                MAX_FILE if name.startswith("files/") else MAX_SUMS if name == "SHA256SUMS" else MAX_DOCUMENT
+            )
             dense = member.file_size > (1 << 20) + MAX_RATIO * member.compress_size
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise self._damaged(f"member '{name}' is packed in a way that exports do not use")
