@@ -341,7 +341,7 @@ def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
     return "\n".join([head, "", *(line.rstrip() for line in body), "", *alarms, *remarks])
 
 
-_ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−–µ", "-0123456789--u")
+_ASCII = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−–µ×", "-0123456789--ux")
 
 
 def _ascii(text: str) -> str:
