@@ -65,6 +65,7 @@ def record(name: str, values: Mapping[str, Value | Figure], folder: Path = FOLDE
         new = (
             value if isinstance(value, dict) else {"value": list(value) if isinstance(value, tuple) else value}
         )
+        figures[key].pop("least", None)
         figures[key].update(new | now | shared)
     path.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     print(f"recorded in {path.relative_to(ROOT) if path.is_relative_to(ROOT) else path}")

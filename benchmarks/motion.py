@@ -58,7 +58,7 @@ def timed(work: Callable[[], Any], per: int, repeats: int = 11) -> tuple[float, 
 def show(name: str, value: tuple[float, float] | float, unit: str, note: str = "") -> None:
     pair = value if isinstance(value, tuple) else (value, value)
     best = {} if pair[0] == pair[1] else {"least": rounded(pair[1])}
-    RESULTS[name] = {"value": rounded(pair[0]), **best, "unit": unit, "note": note}
+    RESULTS[name] = {"value": rounded(pair[0]), **best, "unit": unit} | ({"note": note} if note else {})
     print(f"| {name} | {pair[0]:.4g} | {pair[1]:.4g} | {unit} | {note} |", flush=True)
 
 
@@ -298,6 +298,8 @@ def main() -> None:
     parser.add_argument("--record", action="store_true", help="put the figures into docs/measured/motion.json")
     parser.add_argument("--quick", action="store_true", help="a tenth of the samples")
     options = parser.parse_args()
+    if options.quick and options.record:
+        parser.error("--quick is a trial: its figures are not recorded")
     scale = 10 if options.quick else 1
     versions = f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
     print(f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}\n")

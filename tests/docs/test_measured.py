@@ -92,7 +92,8 @@ def test_what_is_recorded_is_shown(tmp_path: Path) -> None:
     assert [figure["conditions"] for figure in figures] == ["idle", "x", "idle"]
     assert figures[0]["commit"].startswith(measured.commit()[:7])
     assert figures[1]["version"] == "0.1.0"
-    measured.record("small", {"aq": {"value": 9.0, "at_most": 5}}, tmp_path)
+    measured.record("small", {"aq": {"value": 9.0, "at_most": 5}, "bp": 2.0}, tmp_path)
+    assert "| b | 2 s |" in measured.filled(page, tmp_path), "the least of another run is gone"
     assert "| **not met**: 9 s (at most 5 s) |" in measured.filled(page, tmp_path)
 
 
