@@ -337,7 +337,7 @@ def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:
         for line in lines
     ]
     alarms = [f"alarm: {alarm}" for alarm in drifts.alarms] or ["no alarm"]
-    remarks = [f"note: {remark}" for remark in drifts.remarks]
+    remarks = [_ascii(f"note: {remark}") for remark in drifts.remarks]
     return "\n".join([head, "", *(line.rstrip() for line in body), "", *alarms, *remarks])
 
 
