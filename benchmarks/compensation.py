@@ -1,4 +1,4 @@
-"""Speed of compensation against a plain copy of as many bytes: ``python benchmarks/compensation.py``.
+"""Speed of compensation against a plain copy of as many bytes: ``python benchmarks/compensation.py [--record]``.
 
 The copy is measured in the same rounds, one pass of each after the other, everything warm; only ratios compare
 between machines. In memory nothing is allocated inside the measured call. ``angle, rate`` are samples: columns t,
@@ -21,6 +21,7 @@ from pathlib import Path
 
 os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # as the command does
 
+import measured
 import numpy as np
 
 import piga
@@ -39,9 +40,12 @@ from piga.compensation.compensator import (
 from piga.compensation.files.file_to_file import HELD_ROWS, compensate_to_file
 from piga.compensation.model import Model, make_model
 from piga.records import Calibration, Coefficient, Provenance, Quality
+from piga.records.calibration import Diagnostics
 from piga.records.terms import unit_of
 
 ROWS = 2_000_000
+COPIES: dict[str, float] = {}
+FIGURES: dict[str, float] = {}
 FILE_ROWS = 25_000_000
 ROUNDS = 41
 
@@ -51,7 +55,7 @@ def calibration(values: dict[str, float], std: dict[str, float]) -> Calibration:
     return Calibration(
         "bench", 0.8884 / 9.80665, tuple(n for n in values if n != "phi"), "shared", "output", "information",
         found, np.diag([c.std**2 for c in found]), 1.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, Quality(1, 1, 0), 1.0,
-        (), (), {}, (),
+        (), (), Diagnostics(), (),
         Provenance({}, "bench", "2026-01-01T00:00:00Z"),
     )  # fmt: skip
 
@@ -130,6 +134,8 @@ def single(threads: int) -> None:
         print(
             f"  {title:52s} {np.median(each):6.2f} {each.min():6.2f}   {times(seconds, spent['copy'])}", end=""
         )
+        if threads == 1:
+            COPIES[title] = float(f"{np.median(seconds / spent['copy']):.2g}")
         print(f"; of 52 bytes {times(seconds, spent['copy of 52 bytes'])}" if "flags" in title else "")
 
 
@@ -151,6 +157,7 @@ def triad() -> None:
     ):  # fmt: skip
         works[title] = on_chunks(data["t"], psi, rate, mounted, sampled, flags)
     for title, seconds in rounds(works, 15).items():
+        FIGURES[f"triad, {title}, one core"] = round(rows / np.median(seconds) / 1e6, 1)
         print(
             f"triad of {title}: {rows / np.median(seconds) / 1e6:.1f} million rows per second on one core, "
             f"at best {rows / seconds.min() / 1e6:.1f}"
@@ -187,6 +194,8 @@ def latency() -> None:
         stream.push(sample)
         spent.append(time.perf_counter() - start)
     late = np.array(spent[1000:]) * 1e6
+    FIGURES["latency of one pushed sample, median"] = round(float(np.median(late)))
+    FIGURES["latency of one pushed sample, 99 %"] = round(float(np.quantile(late, 0.99)))
     print(
         f"latency of one sample: median {np.median(late):.1f}, 99 % {np.quantile(late, 0.99):.1f} microseconds"
     )
@@ -252,7 +261,7 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["write"]:
         write_data(Path(sys.argv[2]))
         sys.exit()
-    wanted = sys.argv[1:] or ["single", "triad", "latency", "file"]
+    wanted = [word for word in sys.argv[1:] if word != "--record"] or ["single", "triad", "latency", "file"]
     if "file" in wanted:
         file_to_file()
     if "single" in wanted:
@@ -262,3 +271,7 @@ if __name__ == "__main__":
         triad()
     if "latency" in wanted:
         latency()
+    if "--record" in sys.argv:
+        for table, found in (("compensation-copy", COPIES), ("compensation", FIGURES)):
+            known = {figure["name"] for figure in measured.load(table)[1]}
+            measured.record(table, {name: value for name, value in found.items() if name in known})
