@@ -1,4 +1,4 @@
-"""Compensate a whole record: a loop over the same step that the stream takes."""
+"""Compensate a whole record. It runs the same step as a live stream, piece by piece."""
 
 from __future__ import annotations
 
@@ -50,30 +50,30 @@ def compensate(
     max_age_days: float | None = None,
     force: bool = False,
 ) -> Compensated:
-    """Specific force and velocity increments of a record, the errors of the instrument taken out.
+    """Specific force and velocity increments of a record, corrected for the errors of the instrument.
 
-    An angle (or count) record gives, for every interval, the velocity increment that the exact motion needs
-    to turn the output as it was read (own derivation, docs/theory/compensation); a rate record gives the
-    specific force at each sample from the effective input axis (docs/theory/effective-axis).
+    An angle (or count) record gives one velocity increment per interval. It is the increment for which the exact
+    motion turns the output as recorded (own derivation, docs/theory/compensation). A rate record gives the
+    specific force at each sample, from the effective input axis (docs/theory/effective-axis).
 
     Parameters
     ----------
     record:
-        The record; its transverse reference is used, its reference along X0 is not.
+        The record. Its transverse reference is used; its reference along X0 is not.
     calibration:
         The coefficients.
     method:
         ``"exact"``, or ``"published"``: the output rate less the coupling at the phase ``int alpha' dt + phi``
-        [Wei2024]. None takes the one that fits the calibration's ``phase_source``.
+        [Wei2024]. None: the method that matches the calibration's ``phase_source``.
     phase:
-        Phase of the output zero when it is not the calibration's, see :func:`piga.compensation.identify_phase`.
+        Phase of the output zero. Needed if it differs from the calibration's; see :func:`piga.compensation.identify_phase`.
     uncertainty, flags:
         Whether ``u_ax`` and the flags are computed.
     limits, max_age_days:
-        Range and age in which the calibration holds; rows outside are flagged. None: the range that the
-        calibration itself states, any age.
+        Range and age in which the calibration is valid. Rows outside are flagged. None: the range that the
+        calibration states, and any age.
     force:
-        Use a calibration of another serial number.
+        Accept a calibration of another serial number.
 
     Raises
     ------
@@ -102,10 +102,11 @@ def compensate_in_pieces(
     state: Array | None = None,
     done: int = 0,
 ) -> Iterator[tuple[str, Chunk, Compensated]]:
-    """The same piece by piece, for records whose result is not held: label of the segment, samples, rows.
+    """Compensate a record piece by piece. Yields the label of the segment, the samples and the compensated rows.
 
-    Arguments and errors are those of :func:`compensate`; all rows together are what it gives, to the bit. ``state``
-    (:func:`init_state`) is moved on with every piece; to go on behind ``done`` pieces, give it as it was there.
+    Use it for records whose result does not fit in memory. Arguments and errors are those of :func:`compensate`. The
+    rows are identical to the bit. ``state`` (:func:`init_state`) is updated with every piece. To continue after ``done`` pieces,
+    pass the state as it was at that point.
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
 
@@ -135,14 +136,14 @@ def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
 
 
 def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None, *, alone: bool = True) -> None:
-    """Refuse a shared phase for a record that lost the zero of its output angle on the way.
+    """Refuse a shared phase for a record that lost the zero of its output angle.
 
-    One that is not ``alone`` but belongs to a set has one phase in any case.
+    A record of a set (``alone`` False) must always have one phase.
 
     Raises
     ------
     CalibrationError
-        Naming the segment from which on the phase does not hold.
+        Names the first segment for which the phase is not valid.
     """
     shared = not alone or phase is not None or None in phases(calibration)
     if not shared or not needs_phase(calibration) or len(set(record.phase_group)) < 2:
@@ -181,7 +182,7 @@ class _Plan:
     def run(
         self, room: Callable[[slice, int], Step], state: Array | None = None, done: int = 0
     ) -> Iterator[tuple[slice, Chunk, Step]]:
-        """Compensate piece by piece into what ``room`` gives for the rows, and how many they are."""
+        """Compensate piece by piece. ``room`` gives the output arrays for some rows and their number."""
         state, work = init_state() if state is None else state, work_array()
         typical = self.record.median_step if self.record.kind == "rate" else 0.0
         for rows, model in islice(self._pieces(), done, None):

@@ -1,4 +1,4 @@
-"""Compensation step by step: state in, chunk in; state out, result out. A live stream and a whole record are loops over it."""
+"""Compensation step by step: state and chunk in, state and result out. Live streams and whole records both use it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Chunk:
     """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
 
     ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may
-    be empty. ``angle`` is the output angle [rad] beside a recorded rate; empty: it follows from the rate.
+    be empty. ``angle`` is the output angle [rad] recorded with a rate. If empty, it is integrated from the rate.
     All arrays are contiguous float64.
     """
 
@@ -63,9 +63,9 @@ def init_state() -> Array:
 
 
 def find_begins(state: Array, t: Array) -> NDArray[np.bool_]:
-    """Which samples of a stream, at times ``t`` (n,) [s] behind ``state``, begin a stretch.
+    """Mark the samples of a stream that begin a stretch; ``t`` (n,) [s] are the times after ``state``.
 
-    Where ``state`` holds no nominal interval yet, the first one forward is taken and kept there.
+    If ``state`` holds no nominal interval yet, the first positive interval is stored in it.
     """
     steps = np.empty_like(t)
     steps[:1] = t[:1] - state[at.S_TIME] if state[at.S_VALID] else 0.0
@@ -82,7 +82,7 @@ def work_array() -> Array:
 
 
 def empty_step(n: int, uncertainty: bool, flags: bool) -> Step:
-    """Room for ``n`` rows."""
+    """Empty arrays for ``n`` rows."""
     marks = np.empty(n if flags else 0, dtype=np.int32)
     return Step(np.empty(n), np.empty(n), np.empty(n if uncertainty else 0), marks)
 
@@ -104,22 +104,22 @@ def step(
     model:
         The instrument, from :func:`piga.compensation.model.make_model`.
     state:
-        From :func:`init_state` or the step before; not changed.
+        From :func:`init_state` or from the previous step; not changed.
     chunk:
-        The samples, of the stretch that the state left, or beginning one.
+        The samples. They continue the stretch of the state or begin a new one.
     kind:
         ``"angle"`` or ``"rate"``.
     typical_step:
-        Interval [s] taken for the noise of a rate sample that begins a stretch.
+        Interval [s] that sets the noise of a rate sample at the beginning of a stretch.
     uncertainty:
         Whether ``u_ax`` is computed.
     work:
-        Scratch memory (:func:`work_array`) to be used again; None: its own.
+        Scratch memory (:func:`work_array`) to reuse; None: allocate it.
 
     Returns
     -------
     state, result:
-        The state behind the chunk, and one row per sample.
+        The state after the chunk, and one row per sample.
     """
     new = state.copy()
     result = empty_step(chunk.t.size, uncertainty, flags=True)
@@ -130,7 +130,7 @@ def step(
 def run_kernel(
     model: Model, state: Array, chunk: Chunk, kind: str, typical_step: float, work: Array, result: Step
 ) -> None:
-    """Fill ``result`` and move ``state`` on."""
+    """Fill ``result`` and update ``state`` in place."""
     rate = chunk.output if kind == "rate" else None
     angle = chunk.angle if chunk.angle.size else None
     compensate_record(
@@ -151,8 +151,8 @@ KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle")
 class Compensator:
     """Compensate a stream of one instrument with a transverse reference.
 
-    The result does not depend, to the bit, on how the stream is cut into chunks, and is that of
-    :func:`piga.compensate` on the whole record.
+    The result is that of :func:`piga.compensate` on the whole record. It is identical to the bit, however the
+    stream is cut into chunks.
 
     Parameters
     ----------
@@ -161,21 +161,21 @@ class Compensator:
     kind:
         What ``output`` is: ``"angle"`` psi [rad], unwrapped, or ``"rate"`` [rad/s].
     method:
-        ``"exact"`` or ``"published"``; None: what the calibration's phase asks for.
+        ``"exact"`` or ``"published"``; None: the method that matches the calibration's ``phase_source``.
     segment, phase:
         Segment whose phase is used (per-segment calibrations), or the phase itself.
     step:
-        Nominal interval [s], to tell gaps and for the noise of a rate sample that begins a stretch (nan
-        without); None: gaps are told by the median interval of a :class:`piga.Run`, or else by the first interval.
+        Nominal interval [s]. It is used to detect gaps and sets the noise of a rate sample that begins a stretch (nan
+        without). None: gaps are detected with the median interval of a :class:`piga.Run`, or else with the first interval.
     uncertainty, flags, limits, max_age_days:
-        As for :func:`piga.compensate`. ``ax`` and ``dv`` are the same to the bit with and without.
+        As for :func:`piga.compensate`. ``ax`` and ``dv`` do not depend on ``uncertainty`` and ``flags``, to the bit.
     state:
-        State of an earlier compensator, to go on where it stopped.
+        State of an earlier compensator, to continue from.
 
     Raises
     ------
     CalibrationError
-        If the calibration lacks the phase.
+        If the calibration does not hold the phase.
     """
 
     def __init__(
@@ -213,7 +213,7 @@ class Compensator:
 
     @property
     def state(self) -> Array:
-        """A copy of the state: with it another compensator goes on where this one stands."""
+        """A copy of the state. Another compensator can continue from it."""
         return self._state.copy()
 
     def push(self, chunk: Mapping[str, ArrayLike] | Run | Chunk) -> Compensated:
@@ -222,11 +222,11 @@ class Compensator:
         Parameters
         ----------
         chunk:
-            A mapping of columns in SI: ``t`` (n,) [s], ``output`` (n,), ``f`` (n, 3) [m/s^2] and, if there are,
-            ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] beside a rate,
-            ``begins`` (n,); single samples may be plain numbers. Or a :class:`piga.Run` that continues the one
-            before, or a checked :class:`Chunk`. Without ``begins``, time that jumps back or leaves a gap
-            (more than 1.5 nominal intervals) begins a new stretch, as in :func:`piga.read_run`.
+            A mapping of columns in SI: ``t`` (n,) [s], ``output`` (n,), ``f`` (n, 3) [m/s^2]. Optional:
+            ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] recorded with a rate,
+            ``begins`` (n,). Single samples may be plain numbers. Or a :class:`piga.Run` that continues the previous
+            one, or a checked :class:`Chunk`. Without ``begins``, a stretch begins where time goes back or leaves a
+            gap (more than 1.5 nominal intervals), as in :func:`piga.read_run`.
 
         Raises
         ------
@@ -250,7 +250,7 @@ class Compensator:
         )  # fmt: skip
 
     def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
-        """A record brings its stretches; only for its first sample it is asked whether the stream goes on there."""
+        """Columns of a chunk. A record has its own stretches; only its first sample is checked against the stream."""
         if not isinstance(chunk, Run):
             return chunk
         if self._state[at.S_NOMINAL] == 0.0:
@@ -306,7 +306,7 @@ def _rows(columns: Mapping[str, Any], name: str, n: int) -> Array:
 
 
 def _check_finite(samples: Chunk) -> None:
-    """Name the sample that is no number, or so large that a result would be none."""
+    """Refuse a sample that is not finite or so large that the result would not be finite; the message names it."""
     named = {
         "t": samples.t,
         "output": samples.output,

@@ -1,4 +1,4 @@
-"""What compensation needs of a calibration: coefficients in SI, the range they hold for, and the flags of rows."""
+"""Coefficients of a calibration for compensation (SI), their range of validity, and the flags of rows."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from piga.records.terms import harmonic, si_factor
 Array = NDArray[np.float64]
 
 MARGIN = 0.05
-"""Part of the calibrated span by which a value may lie outside before it is flagged."""
+"""Margin beyond the calibrated range before a value is flagged, as a share of the range."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Range in which the calibration holds; infinite where it is not known.
+    """Range in which the calibration is valid; infinite where it is not known.
 
     Attributes
     ----------
@@ -42,10 +42,10 @@ class Limits:
 
     @staticmethod
     def of(calibration: Calibration) -> Limits:
-        """Limits from a calibration record: its ``diagnostics.range``, else the means of its segments.
+        """Limits from a calibration record: its ``diagnostics.range``, else from the means of its segments.
 
-        The record's range has the keys ``a_x`` [low, high], ``a_t`` [low, high] in m/s^2 and
-        ``temperature`` [low, high] in K, each optional. Spans are widened by ``MARGIN``.
+        The range has the optional keys ``a_x`` [low, high] and ``a_t`` [low, high] in m/s^2, and
+        ``temperature`` [low, high] in K. Each range is widened by ``MARGIN``.
         """
         known = calibration.diagnostics.range
         means = [segment.mean_a_x for segment in calibration.segments]
@@ -58,7 +58,7 @@ class Limits:
         )
 
     def as_array(self, temperature_reference: float) -> Array:
-        """The limits as the kernels take them."""
+        """The limits as an array for the kernels."""
         low, high = self.temperature
         return np.array([*self.a_x, self.a_t, low - temperature_reference, high - temperature_reference])
 
@@ -70,7 +70,7 @@ def _widened(span: Any, least: float = 0.0) -> tuple[float, float]:
 
 
 def age_in_days(calibration: Calibration, now: dt.datetime | None = None) -> float | None:
-    """Days since the calibration was made; None when its date cannot be read."""
+    """Age of the calibration in days; None if its date cannot be read."""
     try:
         made = dt.datetime.fromisoformat(calibration.provenance.created)
     except ValueError:
@@ -81,7 +81,7 @@ def age_in_days(calibration: Calibration, now: dt.datetime | None = None) -> flo
 
 
 def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
-    """The ``age`` flag when the calibration is older than ``max_age_days`` (None: any age will do)."""
+    """The ``age`` flag if the calibration is older than ``max_age_days``; None: any age is accepted."""
     if max_age_days is None:
         return 0
     age = age_in_days(calibration)
@@ -103,8 +103,7 @@ class Phase:
 class Model:
     """One instrument for one phase: parameters by kernel index, harmonics, covariance factor, limits.
 
-    ``factor`` (rank, coefficients), upper triangular, times itself, transposed first, is the covariance of the
-    coefficients ``codes``.
+    ``factor`` F (rank, coefficients) is upper triangular. ``F' F`` is the covariance of the coefficients ``codes``.
     """
 
     parameters: Array
@@ -121,7 +120,7 @@ class Model:
 
     @property
     def instrument(self) -> InstrumentArrays:
-        """The arrays, as the kernels take them."""
+        """The arrays for the kernels."""
         return InstrumentArrays(
             self.parameters, self.orders, self.sines, self.cosines, self.codes, self.factor, self.limits
         )
@@ -151,7 +150,7 @@ def make_model(
     Raises
     ------
     CalibrationError
-        If the phase is needed and not there; says for which segment.
+        If the phase is needed but missing; names the segment.
     """
     used = _used_coefficients(calibration, segment, phase)
     values = {c.name: c.value * si_factor(c.name) for c in used}
@@ -192,7 +191,7 @@ def needs_phase(calibration: Calibration) -> bool:
 
 
 def phases(calibration: Calibration) -> dict[str | None, Coefficient]:
-    """The phases a calibration holds, by segment (None: shared); those of single runs by run and segment."""
+    """Phases of a calibration by segment (None: shared). Phases of single runs are named by run and segment."""
     return {
         c.segment if c.run is None else f"run {c.owner}": c for c in calibration.coefficients if c.name == "phi"
     }
@@ -242,7 +241,7 @@ def _code(name: str) -> int:
 def _covariance_factor(
     calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None
 ) -> tuple[NDArray[np.int64], Array]:
-    """Codes of the uncertain coefficients, falling, and a triangular factor of their covariance in SI."""
+    """Codes of the uncertain coefficients in falling order, and a triangular factor of their covariance in SI."""
     index = {c.key: i for i, c in enumerate(calibration.coefficients)}
     count = len(used)
     matrix = np.zeros((count, count))
@@ -270,7 +269,7 @@ def _covariance_factor(
 
 
 def check_method(method: str | None, calibration: Calibration) -> str:
-    """The method asked for, or the one that fits how the calibration found its phase.
+    """The requested method, or the one that matches the calibration's ``phase_source``.
 
     Raises
     ------
@@ -294,7 +293,7 @@ FLAGS = {
     "coarse": at.COARSE,
     "fault": at.FAULT,
 }
-"""Bit of each flag by name."""
+"""Bit of each flag."""
 
 MEANING = {
     "no_increment": "a stretch begins here: no increment is formed into this row, dv is 0 and not known",
@@ -306,7 +305,7 @@ MEANING = {
     "coarse": "the output turned by more than 1 rad since the row before",
     "fault": "the instruments of the set contradict each other",
 }
-"""Each flag in words."""
+"""Meaning of each flag."""
 
 
 def describe(mask: int) -> tuple[str, ...]:

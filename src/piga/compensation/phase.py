@@ -1,4 +1,4 @@
-"""The output angle: from a recorded rate, and the phase of its zero, found again at power-up from a few revolutions."""
+"""The output angle from a recorded rate, and the phase of its zero, identified from a few revolutions at power-up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-    """Angle from a rate [rad]: trapezoid with end correction, see :class:`RateAngle`."""
+    """Angle [rad] from a rate: trapezoid with end correction; see :class:`RateAngle`."""
     follower = RateAngle()
     return np.concatenate((follower.push(t, rate, begins), follower.finish()))
 
@@ -29,7 +29,7 @@ def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
 class RateAngle:
     """Angle from a rate, chunk by chunk: trapezoid with end correction, slopes by central differences.
 
-    A sample waits for the one behind it. The result does not depend on the chunks, to the bit.
+    The last sample is held back until the next one arrives. The result does not depend on the chunks, to the bit.
     """
 
     def __init__(self) -> None:
@@ -38,17 +38,17 @@ class RateAngle:
         self._given = False
 
     def push(self, t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-        """Angles [rad] of all samples but the last, and of the one that waited."""
+        """Angles [rad] of the held-back sample and of all new samples but the last."""
         self._t, self._rate = np.concatenate((self._t, t)), np.concatenate((self._rate, rate))
         self._begins = np.concatenate((self._begins, begins))
         return self._go(self._t.size - 1)
 
     def finish(self) -> Array:
-        """Angle of the sample that waits."""
+        """Angle of the held-back sample."""
         return self._go(self._t.size)
 
     def _go(self, stop: int) -> Array:
-        """Angles of the samples up to ``stop`` that are not given yet; the one before them is kept, too."""
+        """Angles of new samples up to ``stop``; the sample before ``stop`` is kept for the next slopes."""
         first = 1 if self._given else 0
         if stop <= first:
             return np.zeros(0)
@@ -82,25 +82,26 @@ class RateAngle:
 
 
 LEAST_TURN = 2.0 * math.pi
-"""The output must have turned by at least this much [rad]."""
+"""Least turn of the output [rad] before a phase is given."""
 SERVO_ROUNDS = 4
-"""Each leaves the part of the phase's error that the servo's stiffness is of the coupling, 1e-2 at most."""
+"""Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to coupling, 1e-2 at
+most."""
 USELESS = 0.5
-"""A phase with a larger standard uncertainty [rad] is not given."""
+"""Largest standard uncertainty [rad] of a phase that is given."""
 
 
 class PhaseFinder:
-    """Find the phase on line, chunk by chunk, while the instrument is at rest.
+    """Find the phase online, chunk by chunk, while the instrument is at rest.
 
-    The output angle is fitted by a constant rate (which takes up ``a_x``, bias and base rotation) and the two
-    columns of the coupling, linear in ``cos(phi)`` and ``sin(phi)``; increments are whitened with the noise
-    levels of the calibration, so that the uncertainty holds (docs/theory/compensation). What the servo adds is known but
-    for the phase: its damping belongs to the columns, its stiffness turns twice as fast and is taken off.
+    The fit to the output angle has a constant rate, which takes up ``a_x``, bias and base rotation, and the two
+    columns of the coupling, linear in ``cos(phi)`` and ``sin(phi)``. Increments are whitened with the noise levels of
+    the calibration, so that the uncertainty is valid (docs/theory/compensation). The effect of the servo is known except
+    for the phase: its damping is added to the columns of the coupling; its stiffness turns at twice the angle and is subtracted.
 
     Parameters
     ----------
     calibration:
-        Gives the coupling ``K tan_beta``, first harmonics, the terms of the servo and noise levels.
+        Provides the coupling ``K tan_beta``, first harmonics, servo terms and noise levels.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -122,7 +123,7 @@ class PhaseFinder:
         Returns
         -------
         phase:
-            The phase as known by now; None before a whole revolution.
+            The phase from all samples so far; None before one full revolution.
         """
         columns = [np.atleast_1d(np.asarray(c, dtype=float)) for c in (t, output, a_Y, a_Z)]
         if self._last is not None:
@@ -169,7 +170,7 @@ class PhaseFinder:
         self._normal += white @ white.T
 
     def phase(self) -> Phase | None:
-        """The phase as known by now; None before a whole revolution."""
+        """The phase from all samples so far; None before one full revolution."""
         if self._turned < LEAST_TURN:
             return None
         # The rate column is h itself; the coupling columns carry K tan_beta a_t, so p and q are cos and sin.
@@ -188,12 +189,12 @@ class PhaseFinder:
 
 
 def identify_phase(record: Run, calibration: Calibration, duration: float) -> Phase:
-    """Phase of a record from its first ``duration`` seconds, in which the instrument is at rest.
+    """Phase of a record from its first ``duration`` seconds; the instrument must be at rest.
 
     Raises
     ------
     CalibrationError
-        If the output does not turn once in that time, or the coupling is too weak to tell the phase.
+        If the output does not complete one turn in that time, or the coupling is too weak to determine the phase.
     """
     end = next((part.stop for part in spans(record.size) if record.t[part][-1] > record.t[0] + duration), 0)
     rows = slice(0, end + 1 if end else record.size)
@@ -205,7 +206,7 @@ def _phase_at_rest(
     t: Array, output: Array, y: Array, z: Array, begins: NDArray[np.bool_], kind: str, calibration: Calibration,
     duration: float, source: str,
 ) -> Phase:  # fmt: skip
-    """Phase from the samples of the first ``duration`` seconds [s], up to where a new stretch begins."""
+    """Phase from the first ``duration`` seconds [s], or until a new stretch begins."""
     rows = t <= t[0] + duration
     starts = np.flatnonzero(begins[1:]) + 1
     if starts.size:

@@ -1,4 +1,4 @@
-"""Velocity increments at another rate, no velocity lost."""
+"""Resample velocity increments to another rate without losing velocity."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 
 class Resampler:
-    """Bring velocity increments to the times ``start + k period``, chunk by chunk.
+    """Resample velocity increments to the times ``start + k period``, chunk by chunk.
 
-    The running velocity (the increments added one by one) is taken as linear inside each interval, whose mean
-    force is what is known. A new increment is what brings the sum of those given out, added one by one, to
-    the running velocity at the new time: rounding is not carried on, and nothing is lost. The result does
-    not depend on the chunks, to the bit.
+    The running velocity is the sum of the increments. It is linear within each interval, because only the mean force
+    is known there. A new increment is the running velocity at the new time less the sum of the increments already
+    given out. Rounding errors therefore do not accumulate, and no velocity is lost. The result does not depend on
+    the chunks, to the bit.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Resampler:
 
     @property
     def waiting(self) -> Array:
-        """Velocity taken in and not yet given out [m/s], per component."""
+        """Velocity received but not yet given out [m/s], per component."""
         if self._state is None:
             return np.zeros(0)
         velocity, given = np.split(self._state[kernels.VELOCITY :], 2)
@@ -53,19 +53,19 @@ class Resampler:
         }
 
     def go_on(self, carried: dict[str, Any]) -> None:
-        """Go on from a state."""
+        """Continue from a stored state."""
         self._state = None if carried["state"] is None else np.array(carried["state"])
         self._marks = np.array(carried["marks"], dtype=np.int32)
 
     def push(self, t: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
-        """Add increments ``dv`` (n,) or (n, 3) [m/s] since the sample before, at the times ``t`` (n,) [s].
+        """Add increments ``dv`` (n,) or (n, 3) [m/s] since the previous sample, at the times ``t`` (n,) [s].
 
-        The first sample only sets the start; its increment is kept waiting.
+        The first sample only sets the start. Its increment is held back.
 
         Returns
         -------
         t, dv:
-            New times and increments since the new time before.
+            New times, and the increments since the previous new time.
 
         Raises
         ------
@@ -78,8 +78,8 @@ class Resampler:
     def push_rows(self, part: Compensated) -> Compensated:
         """Compensated rows at the new rate.
 
-        ``ax`` is the mean force over the new interval; a row has the flags of all rows it touches, and no
-        ``ax`` where no increment was formed. There is no ``u_ax``: the noise of neighbouring rows is correlated.
+        ``ax`` is the mean force over the new interval. It is nan where no increment was formed. A row has the flags of
+        all rows that it overlaps. There is no ``u_ax``, because the noise of neighbouring rows is correlated.
         """
         flags = part.flags if part.flags.size == part.size else None
         times, dv, found = self._push(part.t, part.dv, flags)
@@ -87,7 +87,7 @@ class Resampler:
         return Compensated(times, ax, dv, np.zeros(0), found, part.serial, part.method)
 
     def push_set(self, part: CompensatedSet) -> dict[str, NDArray]:
-        """Columns ``t, fx, fy, fz, dvx, dvy, dvz, flags`` of a set at the new rate, as :meth:`push_rows`."""
+        """Columns ``t, fx, fy, fz, dvx, dvy, dvz, flags`` of a set at the new rate, as in :meth:`push_rows`."""
         times, dv, found = self._push(part.t, part.dv, part.flags)
         mean = np.where((found & FLAGS["no_increment"])[:, None], np.nan, dv / self._period)
         columns: dict[str, NDArray] = {"t": times}

@@ -24,18 +24,18 @@ class Compensated:
     t:
         Time [s].
     ax:
-        Specific force along the input axis [m/s^2]: for an angle (or count) record its mean over the interval
-        that ends at ``t``, for a rate record its value at ``t``; nan where no increment is formed.
+        Specific force along the input axis [m/s^2]. Angle (or count) record: mean over the interval that ends
+        at ``t``. Rate record: value at ``t``. nan where no increment is formed.
     dv:
-        Velocity increment since the row before [m/s]; 0 where no increment is formed.
+        Velocity increment since the previous row [m/s]; 0 where no increment is formed.
     u_ax:
-        Standard uncertainty of ``ax`` [m/s^2], coefficients and noise; empty when not asked for.
+        Standard uncertainty of ``ax`` [m/s^2] from coefficients and noise; empty if not requested.
     flags:
-        Bits, see :data:`piga.compensation.FLAGS`; empty when not asked for.
+        Bits, see :data:`piga.compensation.FLAGS`; empty if not requested.
     serial, method:
-        Instrument, and ``"exact"`` or ``"published"``.
+        Serial number of the instrument, and ``"exact"`` or ``"published"``.
     notes:
-        What is to be said of ``u_ax`` wherever it is shown, from :func:`notes_on`; files hold it, too.
+        Notes that every display of ``u_ax`` must show, from :func:`notes_on`; files hold them too.
     """
 
     t: Array
@@ -57,7 +57,7 @@ class Compensated:
         return (self.flags & FLAGS[name]) != 0
 
     def velocity(self) -> Array:
-        """Running sum of ``dv`` [m/s]; what happened between stretches is not in it."""
+        """Running sum of ``dv`` [m/s]; it does not include the time between stretches."""
         return np.cumsum(self.dv)
 
     def columns(self) -> dict[str, NDArray]:
@@ -68,20 +68,20 @@ class Compensated:
         return found | ({"flags": self.flags} if self.flags.size == self.size else {})
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write a Parquet file; units, flag names and notes stand in its metadata."""
+        """Write a Parquet file; its metadata hold units, flag names and notes."""
         from piga.compensation.writers import write_table
 
         write_table(Path(path), self.columns(), "parquet", self.notes)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV file with the units in its header; ``u_ax`` is called Type A only there where it is."""
+        """Write a CSV file with units in the header. If ``u_ax`` is Type A only, its heading says so."""
         from piga.compensation.writers import write_table
 
         write_table(Path(path), self.columns(), "csv", self.notes)
 
 
 def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
-    """What is to be said of uncertainties that come from these calibrations; several are named by their serial number."""
+    """Notes on the uncertainties from these calibrations. With several calibrations each note names the serial number."""
     alone = [c.serial or f"instrument {n}" for n, c in enumerate(calibrations, 1) if c.type_a_only]
     if not alone:
         return ()
@@ -92,9 +92,9 @@ def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
 class CompensatedSet:
     """Specific force and velocity increments in the common frame; arrays share their length n.
 
-    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)), ``residual``
-    [m/s^2]: the root of the summed squared misfits of the instruments (0 for three); ``flags`` as for one
-    instrument, set when they hold for any instrument.
+    ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)). ``residual``
+    [m/s^2] is the root of the summed squared misfits of the instruments (0 for three). ``flags`` are those of one
+    instrument; a flag is set if it is set for any instrument.
     """
 
     t: Array

@@ -1,4 +1,4 @@
-"""Files of compensated rows, written chunk by chunk in bounded memory."""
+"""Write files of compensated rows chunk by chunk in bounded memory."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from piga.formats.parquet_writer import number_column
 from piga.records.coverage import TYPE_A_ONLY
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
-"""Unit of each column that is no force and no increment."""
+"""Unit of each column that is neither a force nor an increment."""
 
 FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
 """Kind of file by suffix."""
 
 GROUP_ROWS = 1 << 16
-"""Rows of a row group, however they come."""
+"""Rows per row group of a Parquet file, whatever the size of the chunks."""
 
 
 Inputs = Sequence[tuple[str, str]]
-"""Files that a result was computed from: name, and SHA-256 of what was read."""
+"""Input files of a result: name, and SHA-256 of what was read."""
 
 
 def inputs_listed(inputs: Inputs) -> list[dict[str, str]]:
-    """Inputs as JSON holds them."""
+    """Inputs for JSON."""
     return [{"file": name, "sha256": digest} for name, digest in inputs]
 
 
@@ -67,7 +67,7 @@ def schema_of(
 ) -> Any:
     """Arrow schema: types, a unit per column, the meaning of the flag bits, notes and inputs.
 
-    ``empty_cells``: there may be some.
+    ``empty_cells``: True if cells may be empty.
     """
     import pyarrow as pa
 
@@ -90,9 +90,9 @@ def schema_of(
 class TableWriter:
     """Write rows to a Parquet or CSV file; a context manager.
 
-    CSV columns are named ``name [unit]``; a missing value is an empty cell there and nan in Parquet. ``notes`` are those of
-    :func:`piga.compensation.result.notes_on`: Parquet holds them as metadata, in CSV the uncertainties are named
-    ``u_ax (Type A only) [m/s^2]``. ``inputs`` are metadata of Parquet, too; CSV does not hold them.
+    CSV columns are named ``name [unit]``. A missing value is an empty cell in CSV and nan in Parquet. ``notes`` come
+    from :func:`piga.compensation.result.notes_on`. Parquet stores them as metadata; in CSV the uncertainties are named
+    ``u_ax (Type A only) [m/s^2]``. ``inputs`` are stored in the metadata of Parquet only.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class TableWriter:
         self.rows = 0
 
     def write(self, columns: Mapping[str, NDArray]) -> None:
-        """Append rows; the columns are the same in every call."""
+        """Append rows; every call must have the same columns."""
         import pyarrow as pa
 
         if self._writer is None:

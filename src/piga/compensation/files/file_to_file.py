@@ -1,4 +1,4 @@
-"""One record from file to file, in bounded memory; an interrupted run leaves parts that the next one takes up."""
+"""Compensate one record from file to file in bounded memory. An interrupted run can be resumed from its parts."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from piga.records.run import Run
 from piga.records.spool import give_back, spans
 
 FOLDER, GOING = ".parts", "-done-"
-"""End of the name of the folder, and what stands behind it while the folder is deleted."""
+"""Suffix of the folder of parts, and the mark added while the folder is being deleted."""
 LOCK = "lock"
-"""File in the folder that the process which works on the parts holds."""
+"""Lock file in the folder; the process that works on the parts holds it."""
 PART_ROWS = 1 << 22
-"""Rows of a part: at most so many are worked off again after a stop."""
+"""Rows of a part. After an interruption at most this many rows are computed again."""
 
 
 def key_of(options: Any, calibration: Calibration, record: Run) -> str:
-    """What a result depends on, as SHA-256: options, version, calibration, and every sample that was read.
+    """SHA-256 of everything that the result depends on: options, version, calibration, and every sample read.
 
-    The samples hold all inputs as they were parsed: data, run file, stand and the profile that it follows.
+    The samples include all inputs as parsed: data, run file, stand and the profile that it follows.
     """
     digest = hashlib.sha256(repr((__version__, options, record.serial, record.kind, record.labels)).encode())
     digest.update(repr((record.scale_factor, record.phase_group, record.resolution)).encode())
@@ -58,7 +58,7 @@ def key_of(options: Any, calibration: Calibration, record: Run) -> str:
 
 
 class Parts:
-    """The parts of one result, of this process alone until :meth:`remove` or its end.
+    """The parts of one result. They are locked for this process until :meth:`remove` or its end.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ class Parts:
     key:
         From :func:`key_of`.
     restart:
-        True: parts of another run are removed.
+        True: remove parts of another run.
 
     Raises
     ------
     ArgumentError
-        If another process works on them, if parts of another run lie there, or none can.
+        If another process works on the parts, if parts of another run exist, or if none can be written.
     """
 
     def __init__(self, out: Path, key: str, restart: bool = False) -> None:
@@ -103,7 +103,7 @@ class Parts:
             self.count += 1
 
     def _hold(self, out: Path) -> Callable[[], None]:
-        """Keep other processes off the parts."""
+        """Lock the parts against other processes."""
         try:
             return hold(self.folder / LOCK)
         except OSError as error:
@@ -114,12 +114,12 @@ class Parts:
             raise
 
     def close(self) -> None:
-        """Let other processes work on the parts."""
+        """Release the lock on the parts."""
         release, self._release = self._release, lambda: None
         release()
 
     def carried(self) -> dict[str, Any] | None:
-        """What the last whole part carries on; None when there is none."""
+        """State stored with the last complete part; None if there is none."""
         if self.count == 0:
             return None
         found: dict[str, Any] = _content(self.folder / f"{self.count - 1}.json")
@@ -130,7 +130,7 @@ class Parts:
         return TableWriter(self.folder / "part.new", "parquet")
 
     def keep(self, carried: Mapping[str, Any], rows: int) -> None:
-        """The next part, of so many rows, is complete: bring it to the disk, then what it carries on."""
+        """Complete the next part of ``rows`` rows: write it to disk, then its state."""
         if rows:  # at a slower rate there may be none
             put_in_place(self.folder / "part.new", self.folder / f"{self.count}.parquet")
         text = json.dumps(dict(carried)).encode()
@@ -150,7 +150,7 @@ class Parts:
                     yield {name: _numbers(table.column(name).chunk(0)) for name in table.column_names}
 
     def remove(self) -> None:
-        """The result stands: the parts may go, all at once."""
+        """Delete the parts in one step; the result is complete."""
         gone = self.folder.with_name(f"{self.folder.name}{GOING}{secrets.token_hex(4)}")
         self.folder.replace(gone)
         self.close()
@@ -158,18 +158,18 @@ class Parts:
 
 
 def was_begun(out: Path) -> bool:
-    """True when a run with ``--resume`` was stopped: before its result stood, or before its parts were gone."""
+    """True when a run with ``--resume`` was interrupted before its result was complete or its parts were deleted."""
     return out.with_name(f".{out.name}{FOLDER}").exists() or bool(_going(out))
 
 
 def _going(out: Path) -> list[Path]:
-    """Parts whose deletion was stopped."""
+    """Folders whose deletion was interrupted."""
     start = f".{out.name}{FOLDER}{GOING}"
     return [path for path in out.parent.iterdir() if path.name.startswith(start)] if out.parent.is_dir() else []
 
 
 def _content(path: Path) -> Any:
-    """What a small file says; None when it is not there."""
+    """Content of a small file; None if it does not exist."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
@@ -179,14 +179,15 @@ def _numbers(column: Any) -> NDArray:
 
 
 HELD_ROWS = 1 << 18
-"""Rows of all records together above which their columns lie on disk: so memory does not grow with them."""
+"""Rows of all records together above which their columns are kept on disk, to bound the memory."""
 BEHIND = 2
 """Pieces that wait to be written while the next one is computed."""
 HELD_BYTES = 270_000_000
-"""Resident memory above which what was freed is given back, after so many pieces; sooner when a page is filled, too."""
+"""Resident memory [bytes] above which freed memory is returned to the system. It is checked after so many pieces,
+and sooner if a page is filled as well."""
 GIVEN_BACK_AFTER, GIVEN_BACK_SOONER = 16, 2
 Watch = Callable[[str, Chunk, Compensated], object]
-"""Sees the label of a segment, its samples, and what became of them."""
+"""Called with the label of a segment, its samples, and their compensated rows."""
 
 
 @dataclass
@@ -198,7 +199,7 @@ class FileSummary:
     flags: dict[str, int] = field(default_factory=dict)
 
     def add(self, part: Compensated) -> None:
-        """Count a part."""
+        """Add a compensated part."""
         self.rows += part.size
         self.velocity += float(part.dv.sum())
         found = int(np.bitwise_or.reduce(part.flags))
@@ -208,16 +209,16 @@ class FileSummary:
                 self.flags[name] = self.flags.get(name, 0) + count
 
     def carried(self) -> dict[str, Any]:
-        """What has been counted, for :meth:`go_on`."""
+        """The totals so far, for :meth:`go_on`."""
         return {"rows": self.rows, "velocity": self.velocity, "flags": self.flags}
 
     def go_on(self, carried: dict[str, Any]) -> None:
-        """Count on from there."""
+        """Continue from stored totals."""
         self.rows, self.velocity, self.flags = carried["rows"], carried["velocity"], dict(carried["flags"])
 
 
 def found_while_reading(*records: Run) -> dict[str, int]:
-    """How often each kind of finding was met in the records, as ``piga check`` counts them."""
+    """Number of findings of each kind in the records, as ``piga check`` counts them."""
     counts: dict[str, int] = {}
     for record in records:
         for event in record.quality.events:
@@ -238,24 +239,25 @@ def compensate_to_file(
     inputs: Inputs = (),
     **options: Any,
 ) -> FileSummary:
-    """Compensate a record into ``out`` (``kind``: parquet or csv), piece by piece.
+    """Compensate a record piece by piece into the file ``out``.
 
     Parameters
     ----------
     record, calibration, **options:
-        As :func:`piga.compensate` takes them.
+        As for :func:`piga.compensate`.
     out, kind:
-        The file, and whether it is ``"parquet"`` or ``"csv"``.
+        The file, and its format: ``"parquet"`` or ``"csv"``.
     resampler:
-        Brings the rows to its rate.
+        Resamples the rows to its rate.
     advance:
-        Is told how many rows of the record are done.
+        Called with the number of rows of the record that are done.
     parts:
-        The rows go there first; those that lie there already are not computed again. The result is the same to the bit.
+        Intermediate parts. The rows are written there first, and complete parts are not computed again. The result is
+        identical to the bit.
     watch:
-        Is shown every piece, before it is brought to another rate; it does not go with ``parts``.
+        Called with every piece before resampling. Not allowed with ``parts``.
     inputs:
-        Files that the result is computed from, for the metadata of a Parquet file.
+        Input files of the result, for the metadata of a Parquet file.
 
     Raises
     ------
@@ -300,7 +302,7 @@ def _work_off(
     pieces: Iterator[tuple[str, Chunk, Compensated]], writer: TableWriter, summary: FileSummary,
     resampler: Resampler | None, advance: Callable[[int], None], most: float, watch: Watch | None = None,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write pieces until ``most`` rows of the record are done: how many pieces, and rows, were taken."""
+    """Write pieces until ``most`` rows of the record are done. Returns the number of pieces and of rows done."""
     pending: deque[Future[None]] = deque()
     number = rows = 0
     with ThreadPoolExecutor(1) as pen:

@@ -1,7 +1,7 @@
-"""A stream through a pipe: lines of text or Arrow record batches in, the same kind out.
+"""Compensate a stream through a pipe: lines of text or Arrow record batches in, the same kind out.
 
-Columns are in SI and named ``t, output, fx, fy, fz`` and, if there are, ``wx, wy, wz, temperature, angle``
-(see :meth:`piga.Compensator.push`); out come ``t, ax, dv, u_ax, flags``.
+Input columns are in SI: ``t, output, fx, fy, fz`` and optionally ``wx, wy, wz, temperature, angle``
+(see :meth:`piga.Compensator.push`). Output columns are ``t, ax, dv, u_ax, flags``.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ FORCE = ("fx", "fy", "fz")
 RATE = ("wx", "wy", "wz")
 NEEDED = ("t", "output", *FORCE)
 MAX_LINE = 1 << 16
-"""Longest line [characters]; a row of eleven numbers has some 250."""
+"""Longest line [characters]; a row of eleven numbers has about 250."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 KNOWN = (*NEEDED, *RATE, "temperature", "angle")
 
 
 def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns by name to a chunk for :meth:`piga.Compensator.push`."""
+    """Chunk for :meth:`piga.Compensator.push` from named columns."""
     chunk: dict[str, Any] = {"t": columns["t"], "output": columns["output"]}
     chunk["f"] = np.stack([np.asarray(columns[name]) for name in FORCE], axis=-1)
     if all(name in columns for name in RATE):
@@ -43,9 +43,9 @@ def chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int:
-    """Compensate comma-separated lines, each answered at once; the first line names the columns.
+    """Compensate comma-separated lines. The first line names the columns; every other line is answered at once.
 
-    Numbers are written with the digits 0 to 9, a point and an exponent; nothing else is taken for a number.
+    A number consists of the digits 0 to 9, a point and an exponent. Other notations are refused.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     Raises
     ------
     DataError
-        With the number of the line that is wrong, too long, or cut off.
+        Gives the number of the line that is wrong, too long, or cut off.
     """
     header = [name.strip() for name in _line(source, 1).split(",")]
     _check_names(header)
@@ -111,7 +111,7 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
     Raises
     ------
     DataError
-        If the stream is none, is cut off or damaged, lacks a column, or one holds no numbers.
+        If the stream is not an Arrow stream, is cut off or damaged, lacks a column, or a column holds no numbers.
     """
     import pyarrow as pa
 
@@ -130,7 +130,7 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
 
 
 def _batches(source: IO[bytes]) -> Iterator[Any]:
-    """The batches of a stream, each checked; whatever the library says of a damaged one becomes one message."""
+    """The batches of a stream, each checked. Every error of the library on a damaged batch becomes one message."""
     import pyarrow as pa
 
     try:
@@ -158,7 +158,7 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
 
 
 def _next(reader: Any, schema: Any) -> Any:
-    """The next batch, its size known before it is unpacked, its buffers checked; None at the end of the stream."""
+    """The next batch; None at the end. Its size is checked before it is unpacked, then its buffers are checked."""
     import pyarrow as pa
 
     message = _message(reader)
@@ -187,31 +187,31 @@ def _message(reader: Any) -> Any:
 
 
 class Bounded(io.RawIOBase):
-    """A source that is not asked for more at once than a batch may have: a length that is damage costs no memory."""
+    """A source with a limit on one read: the size of a batch. A damaged length then allocates no memory."""
 
     def __init__(self, source: IO[bytes]) -> None:
         self._source = source
 
     def readable(self) -> bool:
-        """True: Arrow asks."""
+        """Always True; Arrow asks for it."""
         return True
 
     def read(self, size: int = -1) -> bytes:
-        """Bytes of the source; OSError for more than a batch may have."""
+        """Read bytes; OSError for more than a batch may have."""
         if not 0 <= size <= MAX_UNPACKED:
             raise OSError(f"a message of {size} bytes, more than {MAX_UNPACKED >> 20} MiB")
         return self._source.read(size)
 
 
 def unpacked_size(metadata: bytes, body: Any) -> int:
-    """Bytes that a record batch unpacks to, from its metadata: ``Message`` of Arrow's ``Message.fbs``.
+    """Bytes of an unpacked record batch, from its metadata (``Message`` of Arrow's ``Message.fbs``).
 
-    That of its rows as doubles, and that of its buffers; a compressed buffer begins with its unpacked length.
+    Sum of its rows as doubles and of its buffers. A compressed buffer begins with its unpacked length.
 
     Raises
     ------
     ValueError
-        If the metadata or a buffer lead outside of the message.
+        If the metadata or a buffer points outside the message.
     """
     try:
         root = struct.unpack_from("<I", metadata)[0]
@@ -241,7 +241,7 @@ def unpacked_size(metadata: bytes, body: Any) -> int:
 
 
 def _field(data: bytes, table: int, index: int) -> int:
-    """Place of a field of a flatbuffer's table; 0 where the table does not have it."""
+    """Position of a field in a flatbuffer's table; 0 if the table does not have it."""
     entries = table - struct.unpack_from("<i", data, table)[0]
     if entries < 0 or 4 + 2 * index >= struct.unpack_from("<H", data, entries)[0]:
         return 0
@@ -250,7 +250,7 @@ def _field(data: bytes, table: int, index: int) -> int:
 
 
 def _place(data: bytes, reference: int) -> int:
-    """What a reference of a flatbuffer points to."""
+    """Position that a reference of a flatbuffer points to."""
     if not reference:
         raise ValueError("damaged metadata")
     return int(reference + struct.unpack_from("<I", data, reference)[0])

@@ -1,4 +1,4 @@
-"""A set of instruments, compensated together: their mounting, the exact solution and the published one."""
+"""Compensation of a set of instruments: their mounting, the exact solution and the published one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from piga.records.calibration import Calibration
 Array = NDArray[np.float64]
 
 ORTHOGONAL = 1e-6
-"""Largest deviation of an axes matrix from a rotation that is taken for a rotation."""
+"""Largest deviation from a rotation that an axes matrix may have."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Mounted:
     axes:
         Rows X0, Y0, Z0 of the instrument in the common frame, shape (3, 3), a rotation.
     phase:
-        Phase of the output zero when it is not the calibration's.
+        Phase of the output zero, if it differs from the calibration's.
     segment:
         Segment whose phase is used (per-segment calibrations).
     """
@@ -47,12 +47,12 @@ class Mounted:
 
 
 def rotation(axes: ArrayLike, index: int) -> Array:
-    """The axes matrix of an instrument as the nearest exact rotation.
+    """Nearest exact rotation to the axes matrix of an instrument.
 
     Raises
     ------
     ArgumentError
-        If it is no right-handed set of orthogonal unit vectors.
+        If the axes are not right-handed orthogonal unit vectors.
     """
     matrix = np.asarray(axes, dtype=float)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
@@ -69,7 +69,7 @@ def rotation(axes: ArrayLike, index: int) -> Array:
 
 
 def check_spread(axes: Array) -> None:
-    """Refuse fewer than three instruments, and input axes that lie in one plane; ``axes`` (N, 3, 3).
+    """Refuse fewer than three instruments or coplanar input axes; ``axes`` has shape (N, 3, 3).
 
     Raises
     ------
@@ -92,10 +92,10 @@ def check_spread(axes: Array) -> None:
 class PublishedSet:
     """Compensate a set by the published formula [Wei2024], for comparison.
 
-    First, what all instruments indicate is taken as force along their input axes (least squares). Its components
-    across each instrument are the transverse force in the published formula at the output angle; the corrected
-    indications give the force. The error is of second order in the coupling, and of first order in other error terms
-    than ``k0``, which are left in.
+    First, the indications of all instruments are combined into a force (least squares), as if each measured along its
+    input axis. The components of this force across each instrument enter the published formula at the output angle.
+    The corrected indications then give the force. The error is of second order in the coupling. It is of first order in
+    all error terms except ``k0``, because these are not corrected.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class PublishedSet:
     sampled:
         True when rates are recorded beside the angles.
     max_age_days:
-        Calibrations that are older are flagged.
+        Older calibrations are flagged.
 
     Raises
     ------
@@ -143,7 +143,7 @@ class PublishedSet:
         temperature: ArrayLike | None = None,
         begins: NDArray[np.bool_] | None = None,
     ) -> CompensatedSet:
-        """Compensate the next samples; arguments as for the exact set, ``temperature`` is not used."""
+        """Compensate the next samples. Arguments as for the exact set; ``temperature`` is not used."""
         del temperature
         time, psi = np.atleast_1d(np.asarray(t, dtype=float)), np.asarray(output, dtype=float)
         psi = psi.reshape(len(self._models), time.size)
@@ -194,7 +194,7 @@ class PublishedSet:
         return np.stack(self._combined(corrected), axis=1)
 
     def _combined(self, along: list[Array]) -> list[Array]:
-        """Components in the common frame of what is known along the input axes; added one by one."""
+        """Components in the common frame from components along the input axes, added one by one."""
         return [np.asarray(sum(self._solve[k, i] * a for i, a in enumerate(along))) for k in range(3)]
 
     def _result(self, t: Array, force: Array, dv: Array, none: NDArray[np.bool_]) -> CompensatedSet:
@@ -203,33 +203,33 @@ class PublishedSet:
 
 
 FAULT_PROBABILITY = 1e-6
-"""Chance that the flag ``fault`` is raised in a row of a sound set."""
+"""Probability of the flag ``fault`` in a row of a sound set."""
 
 
 class SetCompensator:
     """Compensate a stream of three or more instruments in any mounting.
 
-    The effective input axes of all instruments at their output angles give the specific force at every row,
-    by least squares when there are more than three; instruments in their dead zone weigh less.
+    The effective input axes of all instruments at their output angles determine the specific force of every row.
+    With more than three instruments it is a least-squares solution. An instrument in its dead zone has less weight.
 
     Parameters
     ----------
     instruments:
-        At least three, input axes not in one plane.
+        At least three; the input axes must not be coplanar.
     sampled:
-        True when angle and rate are recorded: the force is that at the samples. False: angles only, the force
-        is the mean over each interval.
+        True: angle and rate are recorded, and the force is the value at the samples. False: angles only, and the
+        force is the mean over each interval.
     uncertainty, flags:
         Whether these columns are computed.
     details:
-        Whether misfits and flags of the single instruments are kept (with ``flags`` only).
+        Whether misfits and flags of each instrument are kept (needs ``flags``).
     max_age_days, limits:
         As for one instrument.
 
     Raises
     ------
     ArgumentError
-        If there are fewer than three instruments, or axes are no rotation or lie in one plane.
+        If there are fewer than three instruments, axes are not a rotation, or input axes are coplanar.
     """
 
     def __init__(
@@ -290,7 +290,7 @@ class SetCompensator:
         temperature:
             [K], (N, n).
         begins:
-            True where a stretch begins; None: where time jumps back or leaves a gap, as for one instrument.
+            True where a stretch begins; None: where time goes back or leaves a gap, as for one instrument.
         """
         time = np.atleast_1d(np.asarray(t, dtype=float))
         n, count = time.size, self._count
@@ -330,7 +330,7 @@ class SetCompensator:
 
 
 def fault_threshold(freedom: int) -> float:
-    """Weighted sum of squares that a sound set exceeds with ``FAULT_PROBABILITY``."""
+    """Weighted sum of squares that a sound set exceeds with probability ``FAULT_PROBABILITY``."""
     if freedom < 1:
         return math.inf
     from scipy.special import chdtri
@@ -359,7 +359,7 @@ def _check_finite(**columns: Array) -> None:
 
 
 def stacked(models: list[Model], axes: Array) -> SetModels:
-    """Arrays of all instruments, padded to one size: order 1 and amplitude 0, code of k0 and weight 0."""
+    """Arrays of all instruments at one size. Padding: order 1 with amplitude 0, code of k0 with weight 0."""
     count = len(models)
     harmonics = max(model.orders.size for model in models)
     size = max(model.codes.size for model in models)

@@ -1,4 +1,4 @@
-"""Sets from file to file: the set file (TOML) and its runs, block by block."""
+"""Compensate sets from file to file: the set file (TOML) and its runs, block by block."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class TriadFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def is_triad_file(path: Path) -> bool:
-    """True when a TOML file has a table ``[triad]`` (a file that cannot be read is told by its reader)."""
+    """True if a TOML file has a table ``[triad]``. Errors of an unreadable file are left to its reader."""
     try:
         return "triad" in toml_document(path)
     except RunFileError:
@@ -71,7 +71,7 @@ def is_triad_file(path: Path) -> bool:
 def read_triad(path: Path) -> tuple[list[Path], list[Mounted], list[tuple[str, str]]]:
     """Run files and mounted instruments of a triad file; file names are relative to it.
 
-    Last come the triad file and the calibrations: name, and SHA-256 of what was read.
+    The last result lists the triad file and the calibrations, each with its name and the SHA-256 of what was read.
 
     Raises
     ------
@@ -112,12 +112,12 @@ def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
 Array = NDArray[np.float64]
 
 READINGS = 1 << 15
-"""Rows worked on at a time, times the instruments."""
+"""Number of instruments times rows processed at once."""
 
 
 @dataclass(frozen=True)
 class SetRows:
-    """Rows that all files have: ``t`` (n,), ``output`` (N, n), ``begins`` (n,), base rates and temperatures or None."""
+    """Rows common to all files: ``t`` (n,), ``output`` (N, n), ``begins`` (n,), base rates and temperatures or None."""
 
     t: Array
     output: Array
@@ -127,7 +127,7 @@ class SetRows:
 
 
 Watch = Callable[[str, SetRows, CompensatedSet], None]
-"""Sees the label of the first instrument's segment, what was read, and what became of it."""
+"""Called with the label of the first instrument's segment, the rows read, and their compensated rows."""
 
 
 def compensate_set_files(
@@ -145,16 +145,17 @@ def compensate_set_files(
     watch: Watch | None = None,
     inputs: Inputs = (),
 ) -> dict[str, Any]:
-    """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); a summary comes back.
+    """Compensate the run files of a set into ``out`` (``kind``: parquet or csv); returns a summary.
 
-    The files are read one after another, with the checks of :func:`piga.read_run`; the columns of long ones lie on disk.
-    They are solved piece by piece. With a ``period`` [s] the increments are brought to that interval. ``watch`` is shown
-    every piece before that. ``inputs`` are files read before: those of the records follow.
+    The files are read one after another, with the checks of :func:`piga.read_run`. The columns of long files are kept on
+    disk. The rows are solved piece by piece. With a ``period`` [s] the increments are resampled to that interval.
+    ``watch`` is called with every piece before resampling. ``inputs`` are files read earlier; the files of the records are
+    appended.
 
     Raises
     ------
     DataError
-        If the files have not the same times, or hold different kinds of output.
+        If the files differ in their times or in the kind of output.
     CalibrationError, ArgumentError
         As :func:`piga.compensation.compensate_triad`.
     """
@@ -197,7 +198,7 @@ def _solved(
     method: str,
     details: bool,
 ) -> Iterator[tuple[str, SetRows, CompensatedSet]]:
-    """Pieces of the records, and what becomes of them."""
+    """Pieces of the records and their compensated rows."""
     sampled, label = records[0].kind == "rate", records[0].labels[0]
     stream = set_stream(
         mounted_on(records, instruments), method, sampled=sampled, uncertainty=uncertainty, max_age_days=max_age,
@@ -228,7 +229,7 @@ def _push_sampled(stream: SetCompensator | PublishedSet, rows: SetRows, psi: lis
 
 
 def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
-    """The record of an instrument without what a set does not need."""
+    """The record of an instrument without the columns that a set does not need."""
     record = read_run(path, need_reference=False, held=held)
     check_member(record, item, force)
     nothing = np.zeros((0, 3))
@@ -236,7 +237,7 @@ def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
 
 
 def _together(records: Sequence[Run]) -> Iterator[SetRows]:
-    """Rows of all records together; the fewer at a time, the more records there are."""
+    """Rows of all records together; more records mean fewer rows at a time."""
     first, step = records[0], max(READINGS // len(records), 1)
     base = any(record.base_rate is not None for record in records)
     warm = all(record.temperature is not None for record in records)
@@ -256,7 +257,7 @@ def _together(records: Sequence[Run]) -> Iterator[SetRows]:
 
 
 def _split(rows: SetRows, count: int) -> tuple[SetRows, SetRows | None]:
-    """The first ``count`` rows, and what is left (None: nothing)."""
+    """The first ``count`` rows and the rest (None if there is no rest)."""
     head, tail = (
         SetRows(
             rows.t[cut], np.ascontiguousarray(rows.output[:, cut]), rows.begins[cut],

@@ -20,7 +20,7 @@ from piga.records.spool import spans
 Array = NDArray[np.float64]
 
 APART = 1e-6
-"""Part of the first interval by which the times of one row may differ between the records of a set."""
+"""Largest difference between the times of one row in the records of a set, as a share of the first interval."""
 
 
 def compensate_triad(
@@ -36,13 +36,13 @@ def compensate_triad(
 ) -> CompensatedSet:
     """Specific force of whole records of three or more instruments, sampled at the same times.
 
-    Records of angles give the mean over each interval; records of rates the force at the samples, the angles
-    integrated from the rates. ``details`` keeps misfits and flags of the single instruments, too.
+    Records of angles give the mean over each interval. Records of rates give the force at the samples; their angles
+    are integrated from the rates. ``details`` keeps misfits and flags of each instrument.
 
     Raises
     ------
     DataError
-        If the records have not the same times, or hold different kinds of output.
+        If the records differ in their times or in the kind of output.
     CalibrationError, ArgumentError
         As :class:`SetCompensator`, and for calibrations of other instruments unless ``force``.
     """
@@ -77,7 +77,7 @@ def set_stream(
     mounted: Sequence[Mounted], method: str, *, sampled: bool, uncertainty: bool, limits: Limits | None = None,
     max_age_days: float | None = None, details: bool = False,
 ) -> SetCompensator | PublishedSet:  # fmt: skip
-    """The compensator of a set by its method.
+    """The compensator of a set for a method.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def set_stream(
 
 
 def mounted_on(records: Sequence[Run], instruments: Sequence[Mounted]) -> list[Mounted]:
-    """The instruments, each with the segment whose phase holds for its record: the first, unless one is named."""
+    """The instruments, each with the segment that gives the phase of its record: the first one, unless one is named."""
     return [
         replace(item, segment=item.segment or record.labels[0])
         for record, item in zip(records, instruments, strict=True)
@@ -103,25 +103,25 @@ def mounted_on(records: Sequence[Run], instruments: Sequence[Mounted]) -> list[M
 
 
 def check_member(record: Run, item: Mounted, force: bool) -> None:
-    """Refuse a record that the calibration of its instrument does not hold for.
+    """Refuse a record for which the calibration of its instrument is not valid.
 
     Raises
     ------
     CalibrationError
-        If it is of another instrument (unless ``force``), or lost the zero of its angle on the way: one phase holds for
-        all of a record in a set.
+        If the record is of another instrument (unless ``force``), or lost the zero of its angle. In a set one phase must
+        be valid for the whole record.
     """
     check_serial(record, item.calibration, force)
     check_phase_kept(record, item.calibration, item.phase, alone=False)
 
 
 def check_together(records: Sequence[Run]) -> None:
-    """Refuse records that were not sampled together.
+    """Refuse records that were not sampled at the same times.
 
     Raises
     ------
     DataError
-        If they have not the same times, or hold different kinds of output.
+        If the records differ in their times or in the kind of output.
     """
     first = records[0]
     apart = APART * (first.t[1] - first.t[0])
