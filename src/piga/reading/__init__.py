@@ -1,1 +1,1 @@
-"""How raw columns of a file become a checked run."""
+"""Convert the raw columns of a file to a checked run."""

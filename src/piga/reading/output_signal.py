@@ -1,4 +1,4 @@
-"""From a counter, a folded angle or a rate to the output in SI, or the reason why not."""
+"""Convert a counter, a folded angle or a rate to the output in SI, or raise an error with the reason."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OutputScale:
-    """How a reading becomes an output.
+    """Conversion from a reading to the output.
 
-    ``factor``: SI per unit of the reading; ``span``: range at which the reading folds back, in its own unit
-    (None: never); ``keeps_phase``: the span is a whole number of revolutions; ``counts``: the reading is counted.
+    ``factor``: SI per unit of the reading. ``span``: range after which the reading folds back, in its own unit
+    (None: never). ``keeps_phase``: the span is a whole number of revolutions. ``counts``: the reading is a count.
     """
 
     factor: float
@@ -31,10 +31,11 @@ class OutputScale:
 
 @dataclass(frozen=True)
 class Reading:
-    """A logged output with all that its checks need.
+    """A logged output with the data that its checks need.
 
-    ``values`` (n,) in the unit of the column ``name``, file ``rows``, ``begins`` of stretches, ``largest``: the
-    largest output step [rad] between samples that the reference allows, nan without one; ``nominal`` step [s].
+    ``values`` (n,) are in the unit of the column ``name``. ``rows`` are file rows. ``begins`` marks the first samples of
+    stretches. ``largest`` is the largest output step [rad] between samples that the reference allows, nan without a
+    reference. ``nominal`` is the nominal step [s].
     """
 
     path: Path
@@ -47,15 +48,15 @@ class Reading:
     scale: OutputScale
 
     def output(self, arrays: Arrays) -> tuple[Array, NDArray[np.bool_], list[Event]]:
-        """Output angle [rad], unwrapped; samples where the whole turns were lost; what is to be said.
+        """Unwrapped output angle [rad], samples at which the number of turns was lost, and events.
 
-        A folded reading is unwrapped by the nearest turn inside stretches. Between samples it must move by less
-        than half its range: that is checked with the largest rate that the reference allows.
+        A folded reading is unwrapped to the nearest turn inside stretches. Between samples it must move by less
+        than half its range. The check uses the largest rate that the reference allows.
 
         Raises
         ------
         DataError
-            If the reading is not a whole count, outside its range, too fast to be unwrapped, jumps, or was reset.
+            If the reading is not a whole number, is outside its range, is too fast to unwrap, jumps, or was reset.
         """
         if self.scale.counts:
             self._check_counts()
@@ -73,7 +74,7 @@ class Reading:
     def _unwrap(
         self, arrays: Arrays, lost: NDArray[np.bool_]
     ) -> tuple[Array, int, tuple[float, int], list[int]]:
-        """The output; roll-overs; largest step inside a stretch and where; where the counter may have been reset."""
+        """The output; number of roll-overs; largest step inside a stretch and its place; possible resets of the counter."""
         span, factor = self.scale.span, self.scale.factor
         psi = arrays.empty(self.values.size)
         wraps, turned, start = 0, 0.0, float(self.values[0])
@@ -103,7 +104,7 @@ class Reading:
         return psi, wraps, jump, resets
 
     def _folded(self, part: slice) -> Array:
-        """Change into each sample, a roll-over taken out."""
+        """Change from the sample before, without roll-over."""
         step = steps(self.values, part)
         span = self.scale.span
         return step if span is None else step - span * np.round(step / span)
@@ -147,7 +148,7 @@ class Reading:
             )
 
     def _check_jump(self, jump: tuple[float, int]) -> None:
-        """Refuse an output that jumps as only a folded counter or a reset can."""
+        """Refuse an output with a jump that only a folded counter or a reset can make."""
         size, at = jump
         if size > 10.0 * self.largest + 2.0:
             raise DataError(
@@ -158,7 +159,7 @@ class Reading:
             )
 
     def _reset_candidates(self, part: slice) -> list[int]:
-        """Rows where a counter jumped to (about) zero by more than it can have moved, and went on from there."""
+        """Rows where a counter jumped to about zero, by more than it can have moved, and continued from there."""
         largest = self.largest / self.scale.factor
         size = np.abs(self._folded(part)) * ~self.begins[part]
         sudden = (size > 1.5 * largest + 10.0) & (np.abs(self.values[part]) <= largest + 2.0)
@@ -171,7 +172,7 @@ class Reading:
         return bool(around.size and around.max() < size[k - window.start] / 3.0)
 
     def _check_resets(self, resets: list[int]) -> None:
-        """Refuse a counter that went back to zero inside a stretch: that is neither roll-over nor motion."""
+        """Refuse a counter that returned to zero inside a stretch without roll-over or motion."""
         if not resets:
             return
         listed = "; ".join(

@@ -1,4 +1,4 @@
-"""All chunks of a data file put together: its columns as read, in the units of the file."""
+"""The columns of a data file as read, in the units of the file. All chunks are joined."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from piga.records.spool import Arrays, arrays_like, spans
 Array = NDArray[np.float64]
 
 LARGE_ROWS = 1 << 22
-"""Records of more rows are worked on in columns on disk: half as slow again, in a third of the memory."""
+"""The columns of records with more rows are kept on disk. This takes 1.5 times as long and a third of the memory."""
 MAX_SIDECAR = 1 << 16
-"""Largest ``.sha256`` [bytes]: a line of 64 digits and a file name."""
+"""Largest ``.sha256`` file [bytes]. It holds one line: 64 digits and a file name."""
 
 
 @dataclass
 class RawColumns:
     """``numbers`` in the units of the file (n,), ``segment`` (n,) with ``labels``, 1-based file ``rows`` (n,).
 
-    ``inputs`` holds the SHA-256 of the data file and of its ``.sha256`` as they were read, by name.
+    ``inputs`` holds the SHA-256 of the data file and of its ``.sha256`` file, by name, as they were read.
     """
 
     path: Path
@@ -51,14 +51,14 @@ class RawColumns:
 
 
 def read_columns(folder: Path, data: DataTable, held: int | None = None) -> RawColumns:
-    """Read the data file of a run file whole; one of more than ``held`` rows into columns on disk beside it.
+    """Read the whole data file of a run file.
 
-    ``held`` is :data:`LARGE_ROWS` unless given.
+    If it has more than ``held`` rows (default :data:`LARGE_ROWS`), the columns lie on disk beside it.
 
     Raises
     ------
     DataError
-        If the file cannot be read as the run file says, is not the one of its ``.sha256``, or changes meanwhile.
+        If the file cannot be read as the run file says, does not match its ``.sha256``, or changes while it is read.
     """
     path = folder / data.file
     steady = SteadyFile(path, "[data] file is relative to the run file")
@@ -109,7 +109,7 @@ def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> Ra
 
 
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
-    """Refuse numbers that no instrument gives and whose squares overflow; what is not finite is counted elsewhere."""
+    """Refuse numbers that no instrument gives and whose squares overflow. Non-finite values are counted elsewhere."""
     size = np.abs(chunk.numbers[name])
     bad = (size > LARGEST_SAMPLE) & (size < np.inf)
     if bad.any():
@@ -121,12 +121,12 @@ def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
 
 
 class SteadyFile:
-    """A file that must not change while it is read: looked at now, and again by :meth:`check`.
+    """A file that must not change while it is read. Its state is noted now and compared by :meth:`check`.
 
     Raises
     ------
     DataError
-        If it is not there or not a regular file.
+        If it does not exist or is not a regular file.
     """
 
     def __init__(self, path: Path, remedy: str) -> None:
@@ -134,12 +134,12 @@ class SteadyFile:
         self._before = self._state()
 
     def check(self) -> None:
-        """Refuse the file if it was written to or replaced since.
+        """Refuse the file if it was changed or replaced since.
 
         Raises
         ------
         DataError
-            Naming the file.
+            If it was. The message names the file.
         """
         if self._state() != self._before:
             raise DataError(
@@ -147,7 +147,7 @@ class SteadyFile:
             )
 
     def _state(self) -> tuple[int, int, int, int]:
-        """What changes when a file is written to: size, times, and which file it is."""
+        """State of a file that every change alters: size, times and identity."""
         if self.path.exists() and not self.path.is_file():
             raise DataError(f"{self.path}: is not a regular file", remedy=f"name the file: {self._remedy}")
         try:
@@ -164,7 +164,7 @@ def file_digest(path: Path) -> str:
 
 
 def _check_sidecar(path: Path) -> dict[str, str]:
-    """Compare with ``FILE.sha256`` where the logger wrote one; its own SHA-256 by name."""
+    """Compare with ``FILE.sha256``, if there is one. Returns the SHA-256 of that file, by name."""
     sidecar = path.with_name(path.name + ".sha256")
     try:
         sidecar.lstat()
@@ -182,9 +182,9 @@ def _check_sidecar(path: Path) -> dict[str, str]:
 
 @dataclass
 class Visits:
-    """Numbers the visits of labels in order: a label that comes back later is a new segment ``label#2``.
+    """Gives each visit of a label a segment number. A label that returns later is a new segment ``label#2``.
 
-    ``names`` of the segments so far; ``events`` about rows without a label.
+    ``names`` are the segments so far. ``events`` report rows without a label.
     """
 
     labels: list[str]
@@ -205,7 +205,7 @@ class Visits:
         return np.repeat(index, counts)
 
     def finish(self) -> None:
-        """After the last row."""
+        """Close the last segment; called after the last row."""
         self._close()
 
     def _visit(self, code: int, count: int, row: int) -> int:
@@ -235,9 +235,9 @@ def split_lost(
     rows: NDArray[np.int64],
     arrays: Arrays,
 ) -> tuple[NDArray[np.int32], tuple[str, ...], tuple[int, ...], list[Event]]:
-    """Give every part behind a lost phase its own segment and phase group.
+    """Give every part after a lost phase its own segment and phase group.
 
-    Returns the segment of each row, the labels, the phase group of each segment, and what is to be said.
+    Returns the segment of each row, the labels, the phase group of each segment, and the events.
     """
     order = arrays.empty(segment.size, np.int32)
     names, groups = [labels[int(segment[0])]], [0]

@@ -1,6 +1,6 @@
-"""Read a run: from run file and data file to a run in SI, step by step; everything found on the way is counted.
+"""Read a run file and its data file into a run in SI. Every fault met is counted.
 
-Works through the record in blocks, so that a record on disk needs no more memory than one in memory.
+The record is processed in blocks, so a record on disk needs no more memory than one in memory.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ StandReference = Callable[
 
 
 WHOLE = 1e-9
-"""Distance from a whole number of turns [rev] up to which a roll-over is one: units such as mrad make it inexact."""
+"""Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
 
 def _whole_turns(span: float, revolution: float) -> bool:
-    """True when a reading that rolls over at ``span`` keeps the phase: the span is a whole number of turns."""
+    """True if ``span`` is a whole number of turns. A reading that rolls over there keeps its phase."""
     turns = span / revolution
     return abs(turns - round(turns)) <= WHOLE
 
 
 @dataclass
 class Assembly:
-    """The columns of one data file on their way to a run; ``rows_read`` of it, ``events`` so far."""
+    """Assembles a run from the columns of one data file. ``rows_read`` counts its rows, ``events`` the faults so far."""
 
     run_file: RunFile
     raw: RawColumns
@@ -70,7 +70,7 @@ class Assembly:
         self.events = self.raw.events
 
     def run(self, path: Path) -> Run:
-        """The run; ``path`` is the run file."""
+        """Assemble the run. ``path`` is the run file."""
         t = self._used_rows()
         raw, arrays = self.raw, self.raw.arrays
         base = examine_time(t, raw.segment, raw.rows, arrays)
@@ -120,7 +120,7 @@ class Assembly:
         return to_si(self.run_file.instrument.scale_factor, "rad/s/g")
 
     def _used_rows(self) -> Array:
-        """Leave out the rows that cannot be used; the time [s] of the others."""
+        """Leave out the rows that cannot be used. Returns the time [s] of the others."""
         raw = self.raw
         usable = raw.arrays.empty(raw.count, np.bool_)
         for part in spans(raw.count):
@@ -200,7 +200,7 @@ class Assembly:
             )
 
     def _unit(self, column: str, declared: str) -> str:
-        """The declared unit, checked against the one in the data file where it has one."""
+        """The declared unit, checked against the unit in the data file, if that has one."""
         logged = self.raw.units.get(column)
         if logged is not None:
             known, wanted = parse_unit(logged), parse_unit(declared)
@@ -212,7 +212,7 @@ class Assembly:
         return declared
 
     def _reference(self, path: Path, t: Array) -> tuple[Array, Array | None]:
-        """Specific force and base rate from the columns, or from the stand where there are none."""
+        """Specific force and base rate from the columns; without such columns from the stand."""
         data, stand = self.run_file.data, self.run_file.stand
         f, base_rate = self._group(data.reference, "m/s^2"), self._group(data.base_rate, "rad/s")
         if f is None and stand is not None:
@@ -221,7 +221,7 @@ class Assembly:
         return np.full((t.size, 3), np.nan) if f is None else f, base_rate
 
     def _group(self, group: Any, unit: str) -> Array | None:
-        """Three columns as (n, 3), each of them contiguous."""
+        """Three columns as an array (n, 3); each column is contiguous."""
         if group is None:
             return None
         result: Array = self.raw.arrays.empty((3, self.raw.count))
@@ -239,7 +239,7 @@ class Assembly:
         return self._scaled(column.column, parse_unit(unit).factor, offset_to_si(unit))
 
     def _scale(self) -> OutputScale:
-        """How the logged output becomes one in SI."""
+        """Conversion of the logged output to SI."""
         instrument, output = self.run_file.instrument, self.run_file.data.output
         if output.kind == "rate":
             return OutputScale(conversion_factor(self._unit(output.column, str(output.unit)), "rad/s"))
@@ -254,7 +254,7 @@ class Assembly:
         )
 
     def _output(self, base: TimeBase, scale: OutputScale, largest: float) -> tuple[Array, NDArray[np.bool_]]:
-        """Output in SI, and the samples where the whole turns were lost."""
+        """Output in SI, and the samples at which the number of turns was lost."""
         name, raw = self.run_file.data.output.column, self.raw
         if self.run_file.data.output.kind == "rate":
             return self._scaled(name, scale.factor), raw.arrays.zeros(raw.count, np.bool_)
@@ -266,9 +266,9 @@ class Assembly:
         return output, lost
 
     def _reset_between(self, t: Array, psi: Array, base: TimeBase, f: Array, lost: NDArray[np.bool_]) -> None:
-        """Stretches that begin with a counter that cannot have come from the reading before: phase lost.
+        """Stretches whose first count cannot follow from the reading before. Their phase is lost.
 
-        Between segments the case may have been turned once about the input axis as well.
+        Between segments the case may also have been turned once about the input axis.
         """
         output, bits, segment = (
             self.run_file.data.output,
@@ -294,7 +294,7 @@ class Assembly:
             self.events.append(Event("counter-reset", count, first, "between two stretches; the phase is new"))
 
     def _check_plausible(self, t: Array, output: Array, f: Array, base: TimeBase, resolution: float) -> None:
-        """Units that are probably mistaken, and an output that does not turn: reported, nothing is changed."""
+        """Report units that are probably wrong and an output that does not turn. Nothing is changed."""
         first, some = int(self.raw.rows[0]), sampled(t.size)
         if self.run_file.data.reference is not None:
             self.events += mistaken_unit(gathered(f, some), t.size, first)
@@ -314,30 +314,30 @@ class Assembly:
 def read_record(
     path: str | Path, stand_reference: StandReference, *, need_reference: bool = True, held: int | None = None
 ) -> Run:
-    """Read a recorded test; :func:`piga.read_run` is this with the stands of piga.
+    """Read a recorded test. :func:`piga.read_run` calls this with the stands of piga.
 
     Parameters
     ----------
     path:
-        Run file (TOML); its data file is looked for beside it.
+        Run file (TOML). Its data file must lie beside it.
     stand_reference:
-        Gives the reference when ``[data]`` has none and a ``[stand]`` table describes it.
+        Computes the reference if ``[data]`` has none and a ``[stand]`` table describes it.
     need_reference:
-        False: a record without any reference is read too (its ``f`` is nan); a set of instruments needs none.
+        False: a record without reference is read too, with ``f`` nan. A set of instruments needs no reference.
     held:
-        Most rows whose arrays lie in memory; None: 4 194 304. Nothing that is read or refused depends on it.
+        Most rows whose arrays lie in memory; None: 4 194 304. It does not affect the result.
 
     Raises
     ------
     RunFileError
         If the run file is not valid.
     DataError
-        If the data file does not hold what the run file says; with file, row, column and remedy.
+        If the data file does not hold what the run file says. The message names file, row, column and remedy.
 
     Notes
     -----
-    The arrays of a record of more than ``held`` rows lie in files without a name beside it, mapped into memory: what
-    stays resident is bounded, whatever the length of the record.
+    The arrays of a record with more than ``held`` rows lie in unnamed files beside it, mapped into memory. The resident
+    memory is bounded for any length of the record.
     """
     path = Path(path)
     settle(path.parent)

@@ -1,4 +1,4 @@
-"""What a log can have wrong that no single cell shows: limits, stuck values, lost numbers, resets, wrong units."""
+"""Checks of a log beyond single cells: limits, stuck values, lost samples, a stopped output, wrong units."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from piga.units import G0
 Array = NDArray[np.float64]
 
 STUCK = 8
-"""Equal extreme values in a row that are reported."""
+"""Fewest equal extreme values in a row that are reported."""
 RESTING = 2.0
-"""Steps that a run of equal extreme values may hide by rounding alone."""
+"""Steps that a run of equal extreme values may hide because of rounding."""
 SHOULDER = 1 << 16
-"""Rows beside such a run that are looked at, at most."""
+"""Most rows beside such a run that are examined."""
 SAMPLED = 1 << 17
-"""Rows of a long record that are looked at for mistaken units."""
+"""Rows of a long record that are examined for wrong units."""
 FACTORS = {9.80665: "9.80665 (g and m/s^2)", 57.29577951: "57.2958 (deg and rad)", 1e3: "1000 (mg and g)",
            1e6: "10^6 (ug and g)", 3600.0: "3600 (per hour and per second)",
            57.29577951 * 3600: "206265 (deg/h and rad/s, or arcsec and rad)",
            9806.65: "9806.65 (mg and m/s^2)"}  # fmt: skip
-"""Factors between units that are often mistaken for each other."""
+"""Factors between units that are often confused."""
 
 
 @dataclass
 class LongestRun:
-    """Longest run of True in masks given one after the other: its ``start`` and ``length``, and all ``count``."""
+    """Longest run of True in a sequence of masks: its ``start`` and ``length``. ``count`` is the number of all True."""
 
     start: int = 0
     length: int = 0
@@ -40,7 +40,7 @@ class LongestRun:
     _next: int = 0
 
     def see(self, mask: NDArray[np.bool_], offset: int) -> None:
-        """The mask of the rows from ``offset`` on."""
+        """Add the mask of the rows from ``offset`` on."""
         held = self._open if offset == self._next else 0
         self._next, self._open = offset + mask.size, 0
         at = np.flatnonzero(mask)
@@ -66,7 +66,7 @@ def beyond_limits(
     usable: NDArray[np.bool_],
     rows: NDArray[np.int64],
 ) -> list[Event]:
-    """Take rows with a value at or beyond its declared limits (saturated) out of ``usable``; counted by column."""
+    """Clear ``usable`` for saturated rows: a value is at or beyond its declared limits. They are counted by column."""
     events = []
     for name, (low, high) in limits.items():
         count, first = 0, 0
@@ -84,7 +84,7 @@ def beyond_limits(
 
 @dataclass
 class Extremes:
-    """Smallest and largest value of each block of a column, how often it changes, and what is not finite."""
+    """Smallest and largest value of each block of a column, number of changes, and number of non-finite values."""
 
     lows: list[float]
     highs: list[float]
@@ -113,7 +113,7 @@ class Extremes:
         return extremes
 
     def mask(self, usable: NDArray[np.bool_]) -> None:
-        """Take rows without a finite value out of ``usable``."""
+        """Clear ``usable`` for rows without a finite value."""
         for part, finite in self.bad:
             usable[part] &= finite
         self.bad.clear()
@@ -127,10 +127,10 @@ def stuck_extremes(
     segment: NDArray[np.int32],
     declared: tuple[float, float],
 ) -> list[Event]:
-    """Runs of the largest or smallest value of a column that otherwise moves all the time.
+    """Runs of the largest or smallest value in a column that otherwise changes all the time.
 
-    A slow reading rests at its turning points and at its end as long as it takes to move by one step: such a
-    plateau is expected and not reported; nor is one at or beyond the ``declared`` limits, which is counted as saturated.
+    A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
+    and not reported. A run at or beyond the ``declared`` limits is not reported either: it counts as saturated.
     """
     if extremes.size < 4 * STUCK or extremes.changes < 0.5 * extremes.size:
         return []
@@ -149,12 +149,12 @@ def stuck_extremes(
 
 
 def cut_off(values: Array, segment: NDArray[np.int32], start: int, length: int, extreme: float) -> float:
-    """How far a reading would have gone on beyond a run of its extreme value, in its own smallest steps.
+    """Estimate how far the reading went beyond a run of its extreme value, in its smallest steps.
 
-    A parabola through the two ends of the run and the neighbourhood: where it has fallen by ``s`` at the
-    distance ``d`` from a run of half width ``w``, its top is ``s / ((1 + d/w)^2 - 1)`` above the run. A run of
-    a reading that is only rounded hides no more than one step. The neighbourhood ends with the ``segment``: how fast
-    the reading moves in the next position says nothing of an output that is locked in this one.
+    A parabola is laid through the two ends of the run and the neighbourhood. If it has fallen by ``s`` at the
+    distance ``d`` from a run of half width ``w``, its top is ``s / ((1 + d/w)^2 - 1)`` above the run. A run that
+    comes from rounding hides at most one step. The neighbourhood ends with the ``segment``, because the speed of the
+    reading in the next position does not apply to an output that is locked in this one.
     """
     reach, last = min(length, SHOULDER), start + length - 1
     left, right = slice(max(start - reach, 0), start), slice(last + 1, last + 1 + reach)
@@ -177,7 +177,7 @@ def cut_off(values: Array, segment: NDArray[np.int32], start: int, length: int, 
 def stopped_output(
     output: Array, t: Array, begins: NDArray[np.bool_], a_x: Array, per_step: float, rows: NDArray[np.int64]
 ) -> list[Event]:
-    """An output that stands still while the reference wants it to turn: locked, stuck, or not connected.
+    """Report an output that stands still although the reference demands rotation: locked, stuck or not connected.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def stopped_output(
 
 
 def largest_size(values: Array) -> float:
-    """Largest absolute value; nan when there is a nan."""
+    """Largest absolute value; nan if a value is nan."""
     largest = 0.0
     for part in spans(values.shape[0]):
         largest = float(np.maximum(largest, np.maximum(values[part].max(), -values[part].min())))
@@ -219,7 +219,7 @@ def largest_size(values: Array) -> float:
 def sequence_breaks(
     number: Array, wraps_at: int | None, begins: NDArray[np.bool_], rows: NDArray[np.int64]
 ) -> list[Event]:
-    """Begin a stretch where a sequence number does not follow the one before; lost and disordered ones counted."""
+    """Begin a stretch where a sequence number does not follow the one before. Lost and disordered numbers are counted."""
     counts, first_rows, missing = [0, 0], [0, 0], 0
     for part in spans(number.size):
         step = steps(number, part)
@@ -246,12 +246,12 @@ def sequence_breaks(
 
 
 def sampled(count: int) -> NDArray[np.int64]:
-    """Every row of a short record, rows at equal distances of a long one."""
+    """Every row of a short record; equally spaced rows of a long one."""
     return np.arange(0, count, max(1, -(-count // SAMPLED)))
 
 
 def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:
-    """A static reference whose norm is not g, but is g times a factor between units."""
+    """Report a static reference whose norm is g times a factor between units."""
     norm = np.sqrt(np.einsum("ij,ij->i", f, f))
     typical = float(np.median(norm))
     if typical <= 0.0 or float(np.quantile(np.abs(norm - typical), 0.9)) > 0.01 * typical:
@@ -265,7 +265,7 @@ def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:
 
 
 def mistaken_rate(a_x: Array, rate: Array, scale_factor: float, count: int, row: int) -> list[Event]:
-    """A mean output rate [rad/s] that misses K a_x by a factor between units."""
+    """Report a mean output rate [rad/s] that differs from K a_x by a factor between units."""
     wanted = scale_factor * a_x
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
     if strong.sum() < STUCK:

@@ -1,4 +1,4 @@
-"""Run-file lines that would settle what a data file leaves open. Nothing is applied."""
+"""Suggested run-file lines that resolve an error or ambiguity of a data file. Nothing is applied."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ ALIASES = (
     ("temperature", "temp", "tempc", "温度"),
     ("segment", "position", "pos", "位置", "序号"),
 )
-"""Names of one quantity, as logs write them."""
+"""Groups of names that logs use for one quantity."""
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A line for a table of the run file, and why."""
+    """A line for a table of the run file, and the reason."""
 
     table: str
     line: str
@@ -39,7 +39,7 @@ class Suggestion:
 
 
 def from_error(error: PigaError) -> list[Suggestion]:
-    """Lines that would settle an error; the ones it names itself, and near column names."""
+    """Lines that resolve an error: those that the message names, and similar column names."""
     lines = []
     for match in _LINE.finditer(error.remedy or ""):
         first = error.message.split(": ", 1)[-1][:160]
@@ -68,7 +68,7 @@ def from_error(error: PigaError) -> list[Suggestion]:
 
 
 def from_run(run: Run) -> list[Suggestion]:
-    """Lines that follow from what was found in a record that can be read."""
+    """Lines that follow from the events of a readable record."""
     lines = []
     for event in run.quality.events:
         stuck = _STUCK.search(event.detail)
@@ -88,7 +88,7 @@ def from_run(run: Run) -> list[Suggestion]:
 
 
 def similar_name(name: str, columns: list[str]) -> str | None:
-    """The column that most probably is meant: same but for width and case, an alias, or nearly the same."""
+    """The most probable column: equal apart from character width and case, an alias, or nearly equal."""
     plain = {_plain(column): column for column in columns}
     if _plain(name) in plain:
         return plain[_plain(name)]

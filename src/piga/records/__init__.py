@@ -1,4 +1,4 @@
-"""Plain data: run files, runs, calibrations, terms, units of their files."""
+"""Plain data: run files, runs, calibrations, terms and the units used in files."""
 
 from piga.records.calibration import (
     Calibration,

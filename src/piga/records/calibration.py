@@ -1,4 +1,4 @@
-"""The calibration record: what calibration writes and compensation reads. Data only.
+"""The calibration record. Calibration writes it, compensation reads it. It is data only.
 
 JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 """
@@ -22,24 +22,24 @@ Array = NDArray[np.float64]
 _SHOWN = 20
 """Coefficients that ``repr`` shows."""
 Count = Annotated[int, Meta(ge=0)]
-"""A number of rows or findings; this limit and the next two are checked where a record is read."""
+"""A number of rows or events. This limit and the next two are checked when a record is read."""
 Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
-"""Far beyond any quantity here, and small enough that squares and unit factors stay finite."""
+"""Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
 Level = Annotated[float, Meta(ge=0.0, le=1e100)]
-"""A number that is not negative: a standard uncertainty, a noise level, a largest residual."""
+"""A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
 
 
 LOOSE_PHASE = 0.5
-"""Standard uncertainty [rad] of a phase above which it is called not determined."""
+"""A phase with a standard uncertainty [rad] above this counts as not determined."""
 
 
 @dataclass(frozen=True)
 class Coefficient:
     """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json).
 
-    ``segment`` and ``run`` say whose it is; None where it serves all of them. ``degrees_of_freedom`` are the
-    effective ones of the standard uncertainty (JCGM 100, G.4); ``interval`` is the shortest 95 % interval of a
-    Monte Carlo propagation (JCGM 101) where that applies.
+    ``segment`` and ``run`` name the segment and the run it belongs to; None: it belongs to all of them.
+    ``degrees_of_freedom`` are the effective degrees of freedom of the standard uncertainty (JCGM 100, G.4).
+    ``interval`` is the shortest 95 % interval of a Monte Carlo propagation (JCGM 101), where one was needed.
     """
 
     name: str
@@ -76,17 +76,17 @@ class Coefficient:
 
     @property
     def determined(self) -> bool:
-        """False for a phase whose standard uncertainty is above ``LOOSE_PHASE``: any angle would do as well."""
+        """False for a phase whose standard uncertainty is above ``LOOSE_PHASE``: the data do not determine it."""
         return self.name != "phi" or self.std <= LOOSE_PHASE
 
     @property
     def coverage_factor(self) -> float:
-        """Coverage factor for 95 %; nan where a Monte Carlo interval holds."""
+        """Coverage factor for 95 %; nan where a Monte Carlo interval is used."""
         return self.coverage.factor
 
     @property
     def expanded(self) -> float:
-        """Half-width of the 95 % interval: the expanded uncertainty U where the budget is complete."""
+        """Half-width of the 95 % interval. It is the expanded uncertainty U if the budget is complete."""
         return self.coverage.half_width
 
     @property
@@ -97,7 +97,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Event:
-    """One kind of finding in the data: what, how often, first data row (1-based), detail in words."""
+    """One kind of event in the data: its kind, its count, its first data row (1-based) and a detail in words."""
 
     kind: str
     count: Count
@@ -107,7 +107,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Quality:
-    """Rows read, used and masked, and everything that was found or repaired on the way."""
+    """Numbers of rows read, used and masked, and every event that was detected or repaired while reading."""
 
     rows: Count
     used: Count
@@ -117,10 +117,10 @@ class Quality:
 
 @dataclass(frozen=True)
 class Outlier:
-    """Samples of the output that do not lie on its path: ``kind`` spike, stuck or jump.
+    """Output samples that do not lie on the path of the output. ``kind`` is spike, stuck or jump.
 
-    ``time`` [s] and ``row`` (file row) of the first, ``samples`` left out (0 for a jump), ``size`` [rad, rad/s for
-    a rate log] of the largest miss, ``run`` in a joint calibration.
+    ``time`` [s] and ``row`` (file row) are those of the first sample. ``samples`` is the number left out (0 for a
+    jump). ``size`` is the largest deviation [rad; rad/s for a rate log]. ``run`` is set in a joint calibration.
     """
 
     kind: str
@@ -150,10 +150,11 @@ class Residuals:
     """Residual angle per used sample (not stored in the JSON; ``residuals.parquet`` holds it).
 
     ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: its integral),
-    ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle less the nominal uncoupled instrument,
-    ``after`` [rad] less the fitted model; each stretch from its own mean (rates [rad/s] for a rate log).
-    ``innovation`` [1] is the whitened residual: unit variance and white when model and noise levels are
-    right. ``segment`` is the segment index of each sample, ``run`` that of its run in a joint calibration.
+    ``a_x`` [m/s^2] the reference. ``before`` [rad] is the angle minus that of the nominal instrument without coupling.
+    ``after`` [rad] is the angle minus that of the fitted model. Both have the mean of each stretch removed; for a
+    rate log both are rates [rad/s]. ``innovation`` [1] is the whitened residual. It is white with unit variance if
+    model and noise levels are right. ``segment`` is the segment index of each sample. ``run`` is its run index in a
+    joint calibration.
     """
 
     row: NDArray[np.int64]
@@ -169,9 +170,9 @@ class Residuals:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """One run of a joint calibration: what it is, its own noise, residuals, quality and inputs.
+    """One run of a joint calibration: its identity, noise, residuals, quality and inputs.
 
-    ``raw`` is False when only its summary was at hand: its residual figures are then those of its own fit.
+    ``raw`` is False if only the summary of the run was available. Its residual figures are then those of its own fit.
     ``undetermined`` names the terms that this run alone cannot determine.
     """
 
@@ -194,7 +195,7 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the numbers come from."""
+    """Origin of the numbers: software, method and inputs."""
 
     input_sha256: dict[str, str]
     software: str
@@ -217,15 +218,15 @@ class BudgetEntry:
     Attributes
     ----------
     source, type, distribution:
-        Name, Type A or B, distribution.
+        Name, type (A or B) and distribution.
     standard_uncertainty:
-        Size of the source; None where it has none of its own.
+        Size of the source; None if it has no size of its own.
     degrees_of_freedom:
-        Those of the standard uncertainty; None where it is known exactly, or where each coefficient has its own (Type A).
+        Degrees of freedom of the standard uncertainty. None if it is known exactly, or if each coefficient has its own (Type A).
     contributions:
-        Change of each coefficient, by key in its unit, that one standard uncertainty of the source makes.
+        Change of each coefficient, by key and in its unit, for one standard uncertainty of the source.
     sensitivities:
-        Change of each coefficient that one unit of the source makes (JCGM 100, 5.1.3); empty where it has no size.
+        Change of each coefficient for one unit of the source (JCGM 100, 5.1.3); empty if the source has no size.
     """
 
     source: str
@@ -237,11 +238,11 @@ class BudgetEntry:
     sensitivities: dict[str, Amount] = field(default_factory=dict)
 
     def contribution(self, coefficient: Coefficient) -> float:
-        """Change of a coefficient, 0 where the source does not act on it."""
+        """Change of a coefficient; 0 if the source does not act on it."""
         return self.contributions.get(coefficient.key, 0.0)
 
     def renamed(self, names: dict[str, str]) -> BudgetEntry:
-        """The entry of some coefficients: new key by old key."""
+        """The entry for some of the coefficients, renamed. The argument gives the new key by old key."""
         return replace(
             self,
             contributions={names[k]: v for k, v in self.contributions.items() if k in names},
@@ -249,16 +250,17 @@ class BudgetEntry:
         )
 
     def document(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """The entry as plain data for JSON."""
         return _without(asdict(self), () if self.sensitivities else ("sensitivities",))
 
 
 @dataclass(frozen=True)
 class SegmentLeverage:
-    """What a segment means to the coefficients.
+    """Influence of a segment on the coefficients.
 
-    ``leverage`` is the trace of its information in the total. ``share`` is the part of each coefficient's information that
-    goes with it, ``shift`` the change of each coefficient without it, in standard uncertainties; None: not determined then.
+    ``leverage`` is the trace of its information in the total. ``share`` is the part of each coefficient's information
+    that is lost without it. ``shift`` is the change of each coefficient without it, in standard uncertainties; None: the
+    coefficient is then not determined.
     """
 
     leverage: float
@@ -268,9 +270,10 @@ class SegmentLeverage:
 
 @dataclass(frozen=True)
 class MonteCarloCheck:
-    """A coefficient by Monte Carlo (file units): mean, standard uncertainty, 95 % intervals, and the verdict.
+    """Monte Carlo result of a coefficient (file units): mean, standard uncertainty, 95 % intervals and verdict.
 
-    ``tolerance`` is delta of JCGM 101, 7.9.2; ``validated``: the first-order interval agrees with the symmetric one.
+    ``tolerance`` is delta of JCGM 101, 7.9.2. ``validated`` is True if the first-order interval agrees with the
+    symmetric Monte Carlo interval.
     """
 
     mean: float
@@ -284,7 +287,7 @@ class MonteCarloCheck:
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """Comparison of the first order with Monte Carlo (JCGM 101, clause 8), by key of the coefficient."""
+    """Comparison of first-order and Monte Carlo propagation (JCGM 101, clause 8), by key of the coefficient."""
 
     trials: int
     coefficients: dict[str, MonteCarloCheck]
@@ -292,18 +295,18 @@ class MonteCarlo:
 
 @dataclass(frozen=True)
 class MissingTerm:
-    """A term that the model lacks and the residuals have the signature of; not applied.
+    """A term that is not in the model, but whose signature is in the residuals. It is not applied.
 
     Attributes
     ----------
     terms, estimate, standard_uncertainty, unit:
-        One entry for each term: two where a pair turns with the output.
+        One entry for each term. A pair that turns with the output has two.
     chi2_fall, probability:
-        Relative fall of the sum of squares, and the probability of as much by chance.
+        Relative fall of the sum of squares with the term, and the probability of such a fall by chance.
     largest_shift, coefficient:
-        Largest change of a coefficient in its standard uncertainties, and its name.
+        Largest change of a coefficient, in its standard uncertainties, and the name of that coefficient.
     alike:
-        Candidates that explain nearly as much.
+        Other candidates that explain nearly as much.
     scale_factor_under:
         Scale factor by the name that a cubic signature is given; empty for other terms.
     """
@@ -322,10 +325,11 @@ class MissingTerm:
 
 @dataclass(frozen=True)
 class SegmentScatter:
-    """Scatter of the mean rates of the segments, None where there are too few.
+    """Scatter of the mean rates of the segments; None if there are too few segments.
 
-    ``segment_scatter_ratio`` is over what all noise explains, ``segment_scatter_ratio_without_it`` over what the noise of
-    the angle explains (where a slow noise is in the model), ``segment_scatter_g`` the root mean square [g].
+    ``segment_scatter_ratio`` is the scatter divided by what all noise explains. ``segment_scatter_ratio_without_it`` is
+    the scatter divided by what the noise of the angle explains, if a slow noise is in the model.
+    ``segment_scatter_g`` is the root mean square [g].
     """
 
     segment_scatter_ratio: float | None = None
@@ -334,34 +338,34 @@ class SegmentScatter:
 
     @property
     def worst(self) -> float:
-        """The larger of the ratios; 0 where there is none."""
+        """The larger ratio; 0 if there is none."""
         return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnostics:
-    """What the record says about model and data beside the estimate; None or empty where it says nothing.
+    """Diagnostics of model and data. An entry without a result is None or empty.
 
     Attributes
     ----------
     residual_kind, range:
-        Residuals are of an angle or a rate; range in which the calibration holds: ``a_x``, ``a_t`` [m/s^2], ``temperature`` [K].
+        Kind of residuals (angle or rate); range in which the calibration holds: ``a_x``, ``a_t`` [m/s^2], ``temperature`` [K].
     turns, scatter_of_a_turn:
-        Whole turns of the output, and the scatter of a turn [rad] (method "revolutions").
+        Number of whole turns of the output, and the scatter of one turn [rad] (method "revolutions").
     samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
         Tests of the whitened residual; the verdict is "white", "white but for the counting", or says that it is not.
     counting_probability:
-        That of correlations as far from those of whole counts; None where they are white, or nothing is counted.
+        Probability of correlations at least this far from those of counting; None if they are white or the output is not counted.
     segment_scatter_ratio, segment_scatter_g, segment_scatter_ratio_without_it:
         See :class:`SegmentScatter`.
     leverage:
-        By label of the segment.
+        Leverage of each segment, by label.
     advice, missing_terms:
-        Other readings of the data that fit far better, in words; terms that the residuals ask for, best first.
+        Other interpretations of the data that fit far better, in words; missing terms that the residuals show, best first.
     monte_carlo:
-        Comparison with the first order.
+        Comparison of Monte Carlo and first-order propagation.
     model_comparison:
-        Term sets compared: the document of :class:`piga.calibration.ModelComparison`.
+        Comparison of sets of terms: the document of :class:`piga.calibration.ModelComparison`.
     """
 
     residual_kind: Literal["angle", "rate"] = "angle"
@@ -388,11 +392,11 @@ class Diagnostics:
     model_comparison: dict[str, Any] | None = None
 
     def with_scatter(self, scatter: SegmentScatter) -> Diagnostics:
-        """The same with a scatter of the segments."""
+        """A copy with this scatter of the segments."""
         return replace(self, **asdict(scatter))
 
     def document(self) -> dict[str, Any]:
-        """Plain data for JSON: what is said."""
+        """Plain data for JSON, without the entries that have no result."""
         document = {k: v for k, v in asdict(self).items() if v is not None and v not in ({}, ())}
         if self.missing_terms:
             document["missing_terms"] = [
@@ -407,7 +411,7 @@ def _without(document: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]
 
 
 class TypeB(NamedTuple):
-    """A source of Type B: what it contributes to each coefficient, in its unit, and its degrees of freedom."""
+    """A source of Type B: its contribution to each coefficient, in its unit, and its degrees of freedom."""
 
     source: str
     degrees_of_freedom: float
@@ -416,7 +420,7 @@ class TypeB(NamedTuple):
 
 @dataclass(frozen=True)
 class CalibrationFigures:
-    """What a history of an instrument needs of a calibration: a small part, so that thousands fit into memory."""
+    """The part of a calibration that the history of an instrument needs. It is small: thousands fit into memory."""
 
     serial: str
     terms: tuple[str, ...]
@@ -430,10 +434,10 @@ class Calibration:
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
     Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
-    ``notes`` are doubts, one sentence each; ``remarks`` are worth knowing and no doubts.
-    ``surplus_observations`` counts observations (increments of the angle, rates, positions) less coefficients; it is
-    no degrees of freedom of an uncertainty, each coefficient has its own effective ones.
-    ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate that was found, 0 where none was.
+    ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
+    ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
+    of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
+    ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate, 0 if none was detected.
     """
 
     serial: str
@@ -470,12 +474,12 @@ class Calibration:
 
     @property
     def type_a_only(self) -> bool:
-        """True when the budget has no source of Type B of the reference: it then counts as exact."""
+        """True if the budget has no Type B source of the reference. The reference then counts as exact."""
         return not any(row.type == "B" and is_of_reference(row.source) for row in self.budget)
 
     @property
     def verdict(self) -> Verdict:
-        """What holds, what does not, what to do: :func:`piga.records.verdict.verdict`."""
+        """The verdict of :func:`piga.records.verdict.verdict`: what holds, what does not, what to do."""
         return verdict(self)
 
     def __repr__(self) -> str:
@@ -494,7 +498,7 @@ class Calibration:
         raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")
 
     def figures(self) -> CalibrationFigures:
-        """What a history of the instrument needs of it."""
+        """The part that a history of the instrument needs."""
         type_b = tuple(
             TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
             for row in self.budget
@@ -503,7 +507,7 @@ class Calibration:
         return CalibrationFigures(self.serial, self.terms, self.coefficients, type_b, bool(self.budget))
 
     def for_run(self, name: str) -> Calibration:
-        """The calibration as one run of a joint one sees it: common coefficients and its own, under plain names.
+        """One run of a joint calibration as a calibration: the common coefficients and those of the run, under plain names.
 
         Raises
         ------
@@ -551,7 +555,7 @@ class Calibration:
 
 
 def _rounded(c: Coefficient) -> str:
-    """The value without digits beyond those of its uncertainty."""
+    """The value, rounded to the last digit of its uncertainty."""
     if not (math.isfinite(c.std) and c.std > 0.0):
         return f"{c.value:.9g}"
     return f"{round(c.value, 1 - math.floor(math.log10(c.std))) + 0.0:.12g}"

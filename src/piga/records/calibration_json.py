@@ -44,11 +44,11 @@ T = TypeVar("T")
 SCHEMA = "piga.calibration/1"
 MAX_BYTES = 256 << 20
 ROUNDING = 1e-9
-"""Largest error of a correlation by rounding; the smallest eigenvalue may be that far below zero, times the size."""
+"""Largest rounding error of a correlation. The smallest eigenvalue may be this, times the matrix size, below zero."""
 SAME = 1e-6
-"""Relative difference up to which a standard uncertainty is the square root of its variance."""
+"""Largest relative difference allowed between a standard uncertainty and the square root of its variance."""
 MOST_OUTLIERS = 10_000
-"""Outliers listed one by one; the events of the quality section count all of them."""
+"""Most outliers that are listed one by one. The events of the quality section count all of them."""
 
 
 class _Quantity(msgspec.Struct, frozen=True):
@@ -144,7 +144,7 @@ class _Document(msgspec.Struct, frozen=True):
 
 
 class _Figures(msgspec.Struct, frozen=True):
-    """The part of a document that a history needs."""
+    """The part of a document that the history of an instrument needs."""
 
     instrument: _Instrument
     model: _Model
@@ -182,7 +182,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
 
 
 def _subject(c: Calibration) -> dict[str, Any]:
-    """What was calibrated, and by which model."""
+    """The instrument that was calibrated, and the model."""
     return {
         "instrument": {
             "serial": c.serial,
@@ -232,7 +232,7 @@ def _residual(c: Calibration) -> dict[str, Any]:
 
 
 def _verdict(c: Calibration) -> dict[str, Any]:
-    """What holds and what does not; for readers: it is worked out again from the record, not read back."""
+    """The verdict, for people who read the file. piga does not read it back: it computes the verdict again from the record."""
     verdict = c.verdict
     return {
         "level": verdict.level,
@@ -243,7 +243,7 @@ def _verdict(c: Calibration) -> dict[str, Any]:
 
 
 def _expanded(coefficient: Coefficient, name: str) -> dict[str, Any]:
-    """Degrees of freedom (null: infinite), coverage factor or Monte Carlo interval, half-width for 95 % under ``name``."""
+    """Degrees of freedom (null: infinite), coverage factor or Monte Carlo interval, and half-width for 95 % under ``name``."""
     nu, covered = coefficient.degrees_of_freedom, coefficient.coverage
     stated: dict[str, Any] = {"degrees_of_freedom": nu if math.isfinite(nu) else None}
     if covered.monte_carlo:
@@ -268,14 +268,14 @@ def read_calibration(path: Path) -> Calibration:
     Raises
     ------
     CalibrationError
-        If the file is missing, is not a calibration record, is of a newer schema, or contradicts itself: what
-        compensation, certificates and the store read passes here.
+        If the file is missing, is not a calibration record, is of a newer schema, or contradicts itself.
+        Compensation, certificates and the store all read through this check.
     """
     return read_with_digest(path)[0]
 
 
 def read_with_digest(path: Path) -> tuple[Calibration, str]:
-    """Read a record; with it the SHA-256 of the bytes that were read.
+    """Read a record and the SHA-256 of its bytes.
 
     Raises
     ------
@@ -332,9 +332,10 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
 
 
 def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
-    """What a history needs of a record, from the bytes of its file: many times faster and smaller than all of it.
+    """Read the part of a record that a history needs, from the bytes of its file.
 
-    Each coefficient is checked by itself; what the parts of a record say of each other is checked when it enters a store.
+    This is many times faster and smaller than the whole record. Each coefficient is checked by itself. Whether the parts
+    of the record agree with each other is checked when it enters a store.
 
     Raises
     ------
@@ -361,7 +362,7 @@ def figures_from_bytes(raw: bytes, path: Path) -> CalibrationFigures:
 
 
 def _figures_of(raw: bytes) -> _Figures | None:
-    """The part for a history, decoded once; None for what is not of the known schema."""
+    """The part that a history needs, decoded once; None if the schema is unknown."""
     try:
         document = msgspec.json.decode(raw, type=_Figures)
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -370,14 +371,14 @@ def _figures_of(raw: bytes) -> _Figures | None:
 
 
 def _provenance(provenance: _Provenance) -> Provenance:
-    """Where the numbers come from; the first version named one input, by its hash alone."""
+    """Provenance of the record. The first version named only one input, by its hash."""
     hashes = provenance.input_sha256
     named = {"input": hashes} if isinstance(hashes, str) else hashes
     return Provenance(named, provenance.software, provenance.created, provenance.options)
 
 
 def _surplus(document: _Document) -> float:
-    """Observations less coefficients; the first version called them degrees of freedom."""
+    """Number of observations minus coefficients. The first version called it degrees of freedom."""
     surplus = document.surplus_observations
     return document.degrees_of_freedom if surplus is None else surplus
 
@@ -394,7 +395,7 @@ def _decode(raw: bytes, path: Path) -> _Document:
 
 
 def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
-    """What ``read`` makes of a record of the known schema; what it finds wrong is said with the file's name."""
+    """The result of ``read`` for a record of a known schema. Errors of ``read`` get the name of the file."""
     try:
         kind = schema_of(raw)
         if isinstance(kind, str) and kind.startswith("piga.calibration/") and kind != SCHEMA:
@@ -414,7 +415,7 @@ def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
 
 
 def _level(level: _Level | None) -> float:
-    """A noise level that older files do not have."""
+    """A noise level, which older files do not have."""
     return 0.0 if level is None else level.value
 
 
@@ -426,7 +427,7 @@ def _in_si(quantity: _Quantity | _Level | _Nominal, like: str, path: Path) -> fl
 
 
 def _check(path: Path, document: _Document) -> Array:
-    """Hold the parts against each other, and give the covariance.
+    """Check that the parts agree with each other, and return the covariance.
 
     Raises
     ------
@@ -449,7 +450,7 @@ def _check(path: Path, document: _Document) -> Array:
 
 
 def _faults(c: Coefficient) -> Iterator[str]:
-    """What is wrong with one coefficient by itself."""
+    """Faults of one coefficient by itself."""
     if not check_name(c.name):
         yield f"unknown coefficient '{c.name[:60]}': a later version may know it"
     elif c.unit != unit_of(c.name):
@@ -467,7 +468,7 @@ def _faults(c: Coefficient) -> Iterator[str]:
 
 
 def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) -> Iterator[str]:
-    """What the parts of a record say against each other."""
+    """Contradictions between the parts of a record."""
     model, quality = document.model, document.quality
     keys = [c.key for c in coefficients]
     names = {c.name for c in coefficients}
@@ -496,11 +497,12 @@ def _contradictions(document: _Document, coefficients: tuple[Coefficient, ...]) 
 
 
 def _covariance(document: _Document, coefficients: tuple[Coefficient, ...]) -> Array:
-    """The covariance matrix, once it is one and is that of the coefficients.
+    """The covariance matrix, after its checks.
 
-    It must be square, symmetric and positive semi-definite (to :data:`ROUNDING` of the correlations), in the
-    order of the coefficients, and its diagonal the squares of their standard uncertainties. The published recursion
-    of piga 0.1 left its covariance uneven by rounding: there it is held against the largest element.
+    It must be square, symmetric and positive semi-definite (to :data:`ROUNDING` of the correlations), and in the
+    order of the coefficients. Its diagonal must be the squares of their standard uncertainties. The published
+    recursion of piga 0.1 left its covariance asymmetric by rounding: there the asymmetry is compared with the largest
+    element.
     """
     again = "calibrate again"
     if document.covariance.names != tuple(c.key for c in coefficients):

@@ -1,8 +1,7 @@
 """Coverage: factor k, expanded uncertainty U and limits of a coefficient, and the factor of a joint region.
 
-Every number for 95 % that is printed, signed or judged comes from here: terminal, report, calibration.json,
-certificate, DCC, decision rules, ledger and trend call :func:`coverage`; only the joint region of a DCC has a
-factor of its own, :func:`joint_factor`.
+Every number for 95 % comes from this module. Terminal, report, calibration.json, certificate, DCC, decision rules,
+ledger and trend call :func:`coverage`. Only the joint region of a DCC uses another factor, :func:`joint_factor`.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ if TYPE_CHECKING:
 PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
 TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
-"""What stands beside every uncertainty of a calibration whose budget has no source of Type B."""
+"""Remark beside every uncertainty of a calibration whose budget has no source of Type B."""
 OF_THE_MODEL = ("servo ", "k3 ", "meaning of ")
-"""Beginnings of the names of sources of Type B that are of the model: they say nothing of the reference."""
+"""Prefixes of the names of Type B sources that belong to the model, not to the reference."""
 ALMOST_KNOWN = 1e9
-"""Degrees of freedom from which F(n, nu) is that of infinitely many, to every digit that is printed."""
+"""From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
 
 
 @dataclass(frozen=True)
 class Coverage:
     """95 % coverage of one coefficient, in the coefficient's unit.
 
-    ``factor`` is k, nan where ``monte_carlo`` is True: an interval by Monte Carlo has none (JCGM 101, 5.3).
-    ``half_width`` is U: k u, or half the Monte Carlo interval. ``low`` and ``high`` are its limits; they are
-    value -+ U unless by Monte Carlo.
+    ``factor`` is k. It is nan if ``monte_carlo`` is True: a Monte Carlo interval has no factor (JCGM 101, 5.3).
+    ``half_width`` is U: k u, or half the Monte Carlo interval. ``low`` and ``high`` are the limits of the interval.
+    Without Monte Carlo they are value -+ U.
     """
 
     factor: float
@@ -62,9 +61,9 @@ def coverage_factor(
 def coverage_factor(
     degrees_of_freedom: float | NDArray[np.float64], probability: float = PROBABILITY
 ) -> float | NDArray[np.float64]:
-    """Student's t for a two-sided interval of this probability (JCGM 100, G.3), one or an array of them.
+    """Student's t for a two-sided interval of this probability (JCGM 100, G.3), one number or an array.
 
-    Infinite degrees of freedom give that of the normal distribution; none, or an unknown number, give nan.
+    Infinite degrees of freedom give the factor of the normal distribution. Zero or unknown degrees of freedom give nan.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -101,9 +100,8 @@ def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
 def coverage(coefficient: Coefficient) -> Coverage:
     """Coverage factor, expanded uncertainty and limits of a coefficient for 95 %.
 
-    ``U = k u`` with k of Student's t for the coefficient's effective degrees of freedom (JCGM 100, G.4); where
-    a Monte Carlo propagation replaced the first order (``coefficient.interval``), its interval holds instead
-    (JCGM 101, 8.1).
+    ``U = k u``, with k from Student's t for the coefficient's effective degrees of freedom (JCGM 100, G.4). If a Monte
+    Carlo propagation replaced the first order (``coefficient.interval``), its interval is used instead (JCGM 101, 8.1).
     """
     if coefficient.interval is not None:
         low, high = coefficient.interval
@@ -116,11 +114,11 @@ def coverage(coefficient: Coefficient) -> Coverage:
 def joint_factor(coefficients: Iterable[Coefficient]) -> float:
     """Coverage factor of the ellipsoid that holds all coefficients together with 95 %.
 
-    The region is ``(x - y)' V^-1 (x - y) <= k_p^2`` (JCGM 102, 6.5.2). Where one estimated variance scales the
-    whole covariance V of n coefficients, with nu degrees of freedom, the quadratic form over n is distributed
-    as F(n, nu), so that ``k_p = sqrt(n F_0.95(n, nu))``. Here the coefficients have degrees of freedom of
-    their own. nu is the fewest of them, as if the worst known variance scaled all: exact when they are equal,
-    else the region holds at least 95 %. Infinitely many give ``sqrt(chi2_0.95(n))``.
+    The region is ``(x - y)' V^-1 (x - y) <= k_p^2`` (JCGM 102, 6.5.2). Suppose one
+    estimated variance with nu degrees of freedom scales the whole covariance V of n coefficients. Then the quadratic
+    form over n is distributed as F(n, nu), and ``k_p = sqrt(n F_0.95(n, nu))``. Here each coefficient has its own
+    degrees of freedom, and nu is the smallest of them. The result is exact if all are equal; otherwise the region
+    holds at least 95 %. Infinite degrees of freedom give ``sqrt(chi2_0.95(n))``.
     """
     from scipy.special import chdtri, fdtri
 

@@ -1,4 +1,4 @@
-"""A source of Type B as written in a run file: its size and the distribution that is known of it."""
+"""A source of Type B as written in a run file: its size and its distribution."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from piga.units import to_si
 Shape = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
 
 DIVISORS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
-"""Half-width over standard uncertainty (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
+"""Half-width divided by standard uncertainty (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
 
 
 class Spread(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """``{ half_width = "10 ppm", distribution = "rectangular", degrees_of_freedom = 8 }``.
 
-    ``standard`` is the standard uncertainty of any distribution, ``half_width`` that of a bounded one;
-    ``value`` is the standard uncertainty of a normal or t distribution. A plain string is a normal
-    standard uncertainty.
+    ``standard`` is the standard uncertainty of any distribution. ``half_width`` is the half-width of a bounded one.
+    ``value`` is the standard uncertainty of a normal or t distribution. A plain string is the standard uncertainty of
+    a normal distribution.
     """
 
     value: str | float | int | None = None
@@ -33,7 +33,7 @@ class Spread(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Given(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """``{ value = "3000 N m/(rad s)", standard = "60 N m/(rad s)" }``: a number and how well it is known, as in :class:`Spread`."""
+    """``{ value = "3000 N m/(rad s)", standard = "60 N m/(rad s)" }``: a value with its uncertainty, as in :class:`Spread`."""
 
     value: str | float | int
     standard: str | float | int | None = None
@@ -43,7 +43,7 @@ class Given(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def spread(self) -> Spread | None:
-        """Its uncertainty; None where none is given."""
+        """The uncertainty of the value; None if none is given."""
         if self.standard is None and self.half_width is None:
             return None
         return Spread(None, self.standard, self.half_width, self.distribution, self.degrees_of_freedom)
@@ -51,7 +51,7 @@ class Given(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 @dataclass(frozen=True)
 class GivenParameter:
-    """A parameter that a file gives: SI value and standard uncertainty, ``unit`` and distribution for the budget."""
+    """A parameter given in a file: SI value and standard uncertainty; ``unit`` and distribution for the budget."""
 
     name: str
     value: float
@@ -62,12 +62,12 @@ class GivenParameter:
 
 
 def given_parameter(name: str, given: Given | str | float, like: str, what: str) -> GivenParameter:
-    """A parameter in SI with its standard uncertainty, 0 where none is given.
+    """A parameter in SI with its standard uncertainty (0 if none is given).
 
     Raises
     ------
     RunFileError, UnitError
-        If unit or uncertainty is wrong; names the entry.
+        If unit or uncertainty is wrong. The message names the entry.
     """
     entry = given if isinstance(given, Given) else Given(given)
     value, spread = to_si(entry.value, like, what=what), entry.spread
@@ -113,7 +113,7 @@ def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> f
 
 
 def shape_of(given: Spread | str | float) -> tuple[str, float]:
-    """Distribution and degrees of freedom (infinite when not given)."""
+    """Distribution and degrees of freedom (infinite if not given)."""
     if not isinstance(given, Spread):
         return "normal", math.inf
     nu = given.degrees_of_freedom

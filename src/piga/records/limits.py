@@ -1,4 +1,4 @@
-"""Limits on files that come from outside, and their words."""
+"""Limits for files from outside, and the checks that apply them."""
 
 from __future__ import annotations
 
@@ -10,53 +10,53 @@ from pathlib import Path
 from piga.errors import DataError, PigaError
 
 MAX_UNPACKED = 2 << 30
-"""Bytes that the wanted part of a container may unpack to."""
+"""Largest unpacked size of the wanted part of a container [bytes]."""
 MAX_RATIO = 100
-"""Unpacked to packed size accepted above :data:`FREE_UNPACKED`."""
+"""Largest ratio of unpacked to packed size, applied above :data:`FREE_UNPACKED`."""
 FREE_UNPACKED = 32 << 20
-"""Bytes that any file may unpack to: constant columns pack very well."""
+"""Unpacked size [bytes] up to which any ratio is accepted, because constant columns pack very well."""
 MAX_MEMBERS = 4096
-"""Parts of a ZIP container."""
+"""Largest number of members of a ZIP container."""
 MEMORY_LIMIT = 6 << 30
 """Address space of the process that reads a container [bytes]."""
 CPU_BASE, CPU_PER_MIB = 5.0, 4.0
-"""CPU time for reading a container [s], and per MiB of file."""
+"""Allowed CPU time for reading a container: fixed part [s] and part per MiB of file [s]."""
 
 
 FULL = 4
-"""Exit status of the process that reads a container, when the folder for its answer is full."""
+"""Exit status of the process that reads a container if the folder for its answer is full."""
 LARGEST_SAMPLE = 1e30
-"""Largest size of a sample in any unit: anything beyond is damage, and squares of it stay finite."""
+"""Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
 MAX_SEGMENTS = 100_000
-"""Different labels in the segment column of a record."""
+"""Largest number of different labels in the segment column of a record."""
 MOST_LETTERS = 200
-"""Characters of a name; a file name takes 255 bytes."""
+"""Most characters of a name. A file name may have 255 bytes."""
 
 
 def open_regular(
     path: Path, most: int | None = None, wanted: str = "the file itself", error: type[PigaError] = DataError
 ) -> BufferedReader:
-    """Open a file for reading: the one way that a file from outside is opened.
+    """Open a file for reading. Every file from outside is opened here.
 
-    A device, a pipe or a folder is refused before anything is read of it: some never end, others never begin.
+    A device, a pipe or a folder is refused before anything is read from it: reading it might never end.
 
     Parameters
     ----------
     path:
         The file.
     most:
-        Most bytes that such a file may have; None: any size, for what is read in pieces.
+        Largest size [bytes]; None: any size, for a file that is read in pieces.
     wanted:
-        What to name instead of it, for the message.
+        For the message: the file that the user should name instead.
     error:
-        Kind of error for what is refused.
+        Class of the error that is raised.
 
     Raises
     ------
     error
-        If it is not a regular file, or larger.
+        If it is not a regular file, or is too large.
     OSError
-        If it is not there or may not be read.
+        If it does not exist or must not be read.
     """
     flags = (
         os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
@@ -84,7 +84,7 @@ def _check_regular(
 
 
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
-    """All bytes of a file of at most ``most`` bytes; ``wanted`` is what to name instead of another one.
+    """All bytes of a file of at most ``most`` bytes. ``wanted`` tells the user, in the message, which file to name instead.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = Data
 
 
 def check_label(text: str, what: str) -> None:
-    """Refuse what cannot stand in a list, a file name or a page: the name of an instrument, a run, a segment.
+    """Check the name of an instrument, run or segment: it must fit into a list, a file name and a page.
 
     Raises
     ------
@@ -121,18 +121,18 @@ def check_label(text: str, what: str) -> None:
 
 
 def first_line(error: Exception) -> str:
-    """What a library says of a damaged file, in one line; the kind of error where it says nothing."""
+    """First line of a library's error message; the class of the error if the message is empty."""
     text = str(error)
     return text.splitlines()[0] if text else type(error).__name__
 
 
 def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
-    """Refuse a container that unpacks to too much.
+    """Refuse a container whose unpacked size is too large.
 
     Raises
     ------
     DataError
-        With the limit that was passed.
+        If a limit is exceeded. The message states the limit.
     """
     if unpacked > MAX_UNPACKED:
         raise DataError(
@@ -146,7 +146,7 @@ def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
 
 
 def extra_missing(path: Path, what: str, extra: str) -> PigaError:
-    """The error for a reader whose library is not installed."""
+    """The error if the library that a reader needs is not installed."""
     return DataError(
         f"{path}: reading {what} needs the extra '{extra}', which is not installed",
         remedy=f"install it with: pip install 'piga[{extra}]'",

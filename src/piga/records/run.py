@@ -1,4 +1,4 @@
-"""A recorded test as plain data in SI: what every estimator and compensator works on."""
+"""A recorded test as plain data in SI. Every estimator and compensator works on it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Run:
     Attributes
     ----------
     serial, scale_factor:
-        Instrument and its nominal K [(rad/s)/(m/s^2)], SI as everything here. A calibration's
-        ``cal["scale_factor"].value`` is in rad/s/g, the unit of calibration.json; its ``value_si`` compares with this.
+        Serial number of the instrument and its nominal K [(rad/s)/(m/s^2)]. Compare it with
+        ``cal["scale_factor"].value_si``; ``cal["scale_factor"].value`` is in rad/s/g, the unit of calibration.json.
     t:
-        Time [s]; increasing inside a stretch.
+        Time [s]. It increases inside a stretch.
     output:
         Output angle psi [rad], unwrapped; or rate [rad/s] when ``kind`` is ``"rate"``.
     f:
@@ -40,22 +40,22 @@ class Run:
     temperature:
         [K], or None.
     segment, labels:
-        Segment index of each sample, and the names.
+        Segment index of each sample, and the names of the segments.
     begins:
-        True where a stretch begins; no increment is formed into such a sample.
+        True where a stretch begins. No increment ends at such a sample.
     phase_group:
-        Index per segment: segments of one group share the unknown zero of the output angle.
+        Group index of each segment. Segments of one group share the unknown zero of the output angle.
     row:
         1-based row in the data file.
     resolution:
-        Angle of one count [rad], 0 when the output is not counted.
+        Angle of one count [rad]; 0 if the output is not counted.
     left_out:
-        Samples whose output was found wrong, or None: their output holds what the model predicts, and no
-        increment ends in them.
+        Samples with a wrong output, or None. Their output is replaced by the prediction of the model, and no
+        increment ends at them.
     stand:
         The run file's ``[stand]`` table as written, for the uncertainty budget.
     servo:
-        Known parameters of the servo by name [SI], from the run file's ``[instrument] servo``; empty where none are given.
+        Known parameters of the servo by name [SI], from the run file's ``[instrument] servo``; empty if none are given.
     """
 
     serial: str
@@ -89,16 +89,16 @@ class Run:
 
     @property
     def duration(self) -> float:
-        """Sum of the recorded intervals [s], gaps and moves left out."""
+        """Sum of the recorded intervals [s], without gaps and moves."""
         return float(sum(step.sum() for step in self._steps_inside()))
 
     @cached_property
     def median_step(self) -> float:
-        """Median interval inside stretches [s]; 0 when there is none."""
+        """Median interval inside stretches [s]; 0 if there is none."""
         return exact_median(self._steps_inside)
 
     def segment_edges(self) -> NDArray[np.int64]:
-        """Where segments begin, and the number of samples at the end."""
+        """First sample of each segment, then the number of samples."""
         edges = [part.start + np.flatnonzero(steps(self.segment, part)) for part in spans(self.size)]
         return np.concatenate([[0], *edges, [self.size]]).astype(np.int64)
 
@@ -124,15 +124,16 @@ class Run:
     ) -> Run:
         """Make a run from arrays in memory (SI). Shapes: t, output (n,); f, base_rate (n, 3).
 
-        A stretch begins with each segment and behind each gap: an interval longer than 1.5 median ones, as in files.
+        A stretch begins with each segment and after each gap. A gap is an interval longer than 1.5 times the median
+        interval, as in files.
 
         ``uncertainty`` is the run file's ``[uncertainty]``, e.g. ``{"reference_scale": "10 ppm"}``.
 
         Raises
         ------
         ArgumentError
-            For a shape mismatch, a non-finite sample or unsorted time, naming argument and index; for an
-            ``uncertainty`` that is none.
+            If shapes do not match, a sample is not finite or time does not increase (the message names argument and
+            index), or if ``uncertainty`` is not valid.
         """
         from piga.errors import ArgumentError
         from piga.records.spool import Arrays
@@ -179,7 +180,7 @@ def check_arrays(
     segment: NDArray[np.int32],
     kind: str,
 ) -> None:
-    """Refuse arrays that do not fit together, naming argument and first index."""
+    """Refuse arrays that do not fit together. The message names the argument and the first index."""
     if kind not in ("angle", "rate"):
         raise ArgumentError(
             f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into an angle first"

@@ -1,7 +1,7 @@
-"""The run file (TOML): what one recorded test is, where its data lie, and what is wanted of it.
+"""The run file (TOML). It describes one recorded test, its data file and the wanted calibration.
 
-The tables mirror the file; :func:`read_run_file` checks everything that can be checked without the
-data: keys, types, units, term names, and options that contradict each other.
+The classes mirror the tables of the file. :func:`read_run_file` checks everything that can be checked without the
+data: keys, types, units, names of terms, and options that contradict each other.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from piga.units import conversion_factor, to_si
 Quantity = str | float | int
 
 LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
-"""Counts in a revolution that an output can have."""
+"""Allowed range of counts per revolution."""
 
 Phase = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
@@ -37,9 +37,9 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ServoTable(TomlTable, frozen=True):
-    """``[instrument] servo``: what is known of the servo and the float, each with its uncertainty where it has one.
+    """``[instrument] servo``: known parameters of the servo and the float, each with an optional uncertainty.
 
-    The stiffness of the servo is then a known part of the model, and with ``damping`` (of the float) so is that.
+    The term ``servo`` is then a known part of the model. With ``damping`` (of the float), so is ``servo_damping``.
     """
 
     integral_gain: Quantity | Given
@@ -50,12 +50,12 @@ class ServoTable(TomlTable, frozen=True):
     damping: Quantity | Given | None = None
 
     def parameters(self) -> tuple[GivenParameter, ...]:
-        """Those given, SI.
+        """The given parameters, in SI.
 
         Raises
         ------
         RunFileError, UnitError
-            If one is not physical, or the pendulosity is given twice or not at all.
+            If a parameter is not physical, or the pendulosity is given twice or not at all.
         """
         given_ones = tuple(
             given_parameter(name, given, like, f"[instrument] servo.{name}")
@@ -78,7 +78,7 @@ class ServoTable(TomlTable, frozen=True):
 
 
 class InstrumentTable(TomlTable, frozen=True):
-    """``[instrument]``: who it is, its nominal figures, and what is known of its servo."""
+    """``[instrument]``: identity, nominal parameters and known servo parameters of the instrument."""
 
     serial: str
     scale_factor: Quantity
@@ -95,7 +95,7 @@ class Column(TomlTable, frozen=True):
 
 
 class OutputColumn(TomlTable, frozen=True):
-    """The output column: counts, angle or rate; ``wraps_at`` when a logged angle folds back."""
+    """The output column: counts, angle or rate. ``wraps_at`` is the value at which a logged angle folds back."""
 
     column: str
     kind: Literal["counts", "angle", "rate"]
@@ -104,7 +104,7 @@ class OutputColumn(TomlTable, frozen=True):
 
 
 class SequenceColumn(TomlTable, frozen=True):
-    """A sample number that grows by one; ``wraps_at`` when it begins again at zero."""
+    """A sample number that increases by one. ``wraps_at`` is the value at which it returns to zero."""
 
     column: str
     wraps_at: int | None = None
@@ -118,7 +118,7 @@ class Columns(TomlTable, frozen=True):
 
 
 class DataTable(TomlTable, frozen=True):
-    """``[data]``: the file, its columns and, where it cannot tell itself, its format."""
+    """``[data]``: the file, its columns and, if the file does not show it, its format."""
 
     file: str
     output: OutputColumn
@@ -138,7 +138,7 @@ class DataTable(TomlTable, frozen=True):
     sequence: SequenceColumn | None = None
 
     def number_columns(self) -> list[str]:
-        """Names of the number columns, each once, in the order they are read."""
+        """Names of the number columns, each once, in reading order."""
         names = [self.output.column]
         names += [self.time.column] if self.time else []
         names += [self.temperature.column] if self.temperature else []
@@ -151,7 +151,7 @@ class DataTable(TomlTable, frozen=True):
 class ModelTable(TomlTable, frozen=True):
     """``[model]``: the terms to estimate and how the phase of the output zero behaves.
 
-    ``compare`` lists sets of terms to be compared beside.
+    ``compare`` lists further sets of terms, which are compared.
     """
 
     terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
@@ -162,7 +162,7 @@ class ModelTable(TomlTable, frozen=True):
 
 
 class EstimationTable(TomlTable, frozen=True):
-    """``[estimation]``: method; noise levels when they are known; start of the published recursion.
+    """``[estimation]``: the method, known noise levels, and the start values of the published recursion.
 
     ``per_run`` names the terms that may differ between the runs of a joint calibration.
     """
@@ -179,11 +179,11 @@ class EstimationTable(TomlTable, frozen=True):
 class UncertaintyTable(TomlTable, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
-    A string is the standard uncertainty of a normal distribution; :class:`~piga.records.distribution.Spread`
-    says another. Those below ``mounting_repeatability`` belong to particular stands and need the ``[stand]`` table.
-    A ``..._repeatability`` is drawn anew: for each segment (``angle_``, ``rate_``, ``reference_``) or for each run
-    (``mounting_``, ``levelling_``).
-    ``reference_id`` names the device that the reference comes from: runs of one device share its errors.
+    A string is the standard uncertainty of a normal distribution. :class:`~piga.records.distribution.Spread`
+    describes other distributions. The entries below ``mounting_repeatability`` belong to particular stands and need
+    the ``[stand]`` table. A ``..._repeatability`` has a new value in each segment (``angle_``, ``rate_``,
+    ``reference_``) or in each run (``mounting_``, ``levelling_``).
+    ``reference_id`` names the device that gives the reference. Runs with the same device share its errors.
     """
 
     reference_id: str | None = None
@@ -211,7 +211,7 @@ class UncertaintyTable(TomlTable, frozen=True):
     levelling_repeatability: Any = None
 
     def of_the_stand(self) -> dict[str, Any]:
-        """The stand-specific entries that are given."""
+        """The stand-specific entries of this table."""
         own = msgspec.structs.asdict(self)
         return {
             name: value
@@ -239,7 +239,7 @@ SERVO_UNITS = {
     "pendulosity": "kg m",
     "angular_momentum": "kg m^2/s",
 }
-"""Unit of each parameter of the servo as reported."""
+"""Unit in which each servo parameter is reported."""
 
 UNCERTAINTY_UNITS = {
     "reference_scale": "ppm",
@@ -251,10 +251,10 @@ UNCERTAINTY_UNITS = {
     "reference_repeatability": "ppm",
     "mounting_repeatability": "arcsec",
 }
-"""Unit of each Type B entry as reported; ``timing`` is the relative error of the clock's rate."""
+"""Unit in which each Type B entry is reported. ``timing`` is the relative error of the clock's rate."""
 
 Draw = Literal["reference", "run", "segment"]
-"""For what a source of Type B has a value of its own: each reference (runs may share it), each run, each segment."""
+"""Scope of one value of a Type B source: one reference (runs may share it), one run or one segment."""
 
 REPEATED: dict[str, tuple[str, Draw]] = {
     "reference_repeatability": ("reference_scale", "segment"),
@@ -263,11 +263,11 @@ REPEATED: dict[str, tuple[str, Draw]] = {
     "rate_repeatability": ("rate_error", "segment"),
     "levelling_repeatability": ("levelling", "run"),
 }
-"""Entries that are drawn anew: the error that each repeats, and for what it is drawn."""
+"""Repeatability entries: the error that each one repeats, and the scope of one value."""
 
 
 def drawn_for(name: str) -> Draw:
-    """For what the entry ``name`` of ``[uncertainty]`` has a value of its own."""
+    """Scope of one value of the entry ``name`` of ``[uncertainty]``."""
     return REPEATED[name][1] if name in REPEATED else "reference"
 
 
@@ -279,7 +279,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     path:
         The file.
     raw:
-        Its bytes, where they were read already (:func:`piga.records.text_files.toml_bytes`).
+        Its bytes, if they were read before (:func:`piga.records.text_files.toml_bytes`).
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Arrays of a long record: in memory, or mapped to files without a name when the record is larger than that.
+"""Arrays of a record. Those of a long record are mapped to unnamed files on disk.
 
-The files vanish with the process, however it ends. What is mapped and resident is kept small by a thread of its own,
-so that a record of any length is worked on in a bounded memory; the pages stay in the system's file cache as long as
-there is room.
+The files vanish when the process ends, even if it crashes. A background thread keeps the resident part of the
+mappings small, so a record of any length needs only a bounded memory. The pages stay in the system's file cache as
+long as there is room.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from numpy.typing import DTypeLike, NDArray
 from piga.errors import DataError
 
 BLOCK = 1 << 16
-"""Rows worked on at a time: a few columns of them stay in the second-level cache."""
+"""Rows per block. A few columns of a block fit into the second-level cache."""
 TRIM_BLOCKS = 8
-"""Blocks after which the resident pages are looked at."""
+"""The resident pages are checked after this many blocks."""
 SPARSE = 1 << 10
-"""Rows far apart that are taken at a time: each brings a piece of the file of its own."""
+"""Scattered rows that are read at a time. Each one loads its own piece of the file."""
 STATISTICS = Path("/proc/self/statm")
 BUFFER_BYTES = 1 << 16
-"""Bytes that wait to be written to a file; more at a time are written at once."""
+"""Size of the write buffer [bytes]. Larger pieces are written directly."""
 RESIDENT_BYTES = 96 << 20
-"""Mapped bytes that may be resident before they are given back."""
+"""Mapped bytes that may be resident before pages are returned to the system."""
 
 
 def spans(count: int) -> Iterator[slice]:
@@ -46,14 +46,14 @@ def spans(count: int) -> Iterator[slice]:
 
 
 def trim() -> None:
-    """Give mapped pages back when many are resident; for work that does not go by :func:`spans`."""
+    """Return mapped pages to the system if many are resident. For loops that do not use :func:`spans`."""
     _watch.trim()
 
 
 def give_back(above: int = 0) -> None:
-    """Give memory that was freed, but is kept for later, to the system, where the allocators can.
+    """Return freed memory, which the allocators still hold, to the system if they support it.
 
-    With ``above`` only if that many bytes are resident, and the system tells.
+    With ``above``: only if more bytes than this are resident and the system reports that number.
     """
     if above and (not STATISTICS.exists() or _resident(1) <= above):
         return
@@ -63,19 +63,19 @@ def give_back(above: int = 0) -> None:
 
 
 def _resident(field: int) -> int:
-    """Resident bytes of this process: all (1), or those of files (2)."""
+    """Resident bytes of this process: all (1), or only those of mapped files (2)."""
     return int(STATISTICS.read_bytes().split()[field]) * mmap.PAGESIZE
 
 
 def steps(values: NDArray, part: slice) -> NDArray:
-    """``values[i] - values[i - 1]`` for the rows of a slice; the first row of all has 0."""
+    """``values[i] - values[i - 1]`` for the rows of a slice; 0 for row 0."""
     if part.start > 0:
         return np.diff(values[part.start - 1 : part.stop])
     return np.diff(values[part], prepend=values[:1])
 
 
 def means(values: NDArray, part: slice) -> NDArray:
-    """Mean of each value of a slice and the one before; the first row of all keeps its own."""
+    """Mean of ``values[i]`` and ``values[i - 1]`` for the rows of a slice; row 0 keeps its value."""
     around = values[max(part.start - 1, 0) : part.stop]
     middle = 0.5 * (around[1:] + around[:-1])
     return middle if part.start > 0 else np.concatenate((around[:1], middle))
@@ -98,7 +98,7 @@ def square_sum(values: NDArray) -> float:
 
 
 def gathered(values: NDArray, rows: NDArray[np.int64]) -> NDArray:
-    """``values[rows]`` for rows far apart, in order; the pages they lie on are given back on the way."""
+    """``values[rows]`` for scattered rows in rising order. Pages are returned to the system meanwhile."""
     parts = []
     for start in range(0, max(rows.size, 1), SPARSE):
         _watch.trim()
@@ -107,13 +107,13 @@ def gathered(values: NDArray, rows: NDArray[np.int64]) -> NDArray:
 
 
 class Arrays:
-    """Makes the arrays of one record; ``folder`` is where the files of a large one lie, None: in memory."""
+    """Creates the arrays of one record: in memory (``folder`` None), or mapped to files in ``folder``."""
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
 
     def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """A new array, its values undefined."""
+        """A new array with undefined values."""
         if self.folder is None:
             return np.empty(shape, dtype)
         count = math.prod(shape) if isinstance(shape, tuple) else shape
@@ -130,12 +130,12 @@ class Arrays:
         return made
 
     def growing(self, dtype: DTypeLike = np.float64, most: int = 0) -> Growing:
-        """An array that rows are put to the end of; up to ``most`` rows are in memory in any case."""
+        """An array to which rows are appended. Up to ``most`` rows always stay in memory."""
         return Growing(self.folder, np.dtype(dtype), most)
 
 
 def mapped(path: Path) -> NDArray[Any]:
-    """The array of an ``.npy`` file, mapped where files in use may be deleted, and looked after as all that is."""
+    """The array of an ``.npy`` file. It is mapped on systems that can delete open files, and its pages are trimmed."""
     array = np.load(path, allow_pickle=False, mmap_mode="r")
     if os.name == "nt" or not isinstance(array, np.memmap):
         return np.array(array)
@@ -144,7 +144,7 @@ def mapped(path: Path) -> NDArray[Any]:
 
 
 def arrays_like(values: NDArray[Any]) -> Arrays:
-    """Makes arrays of the kind that ``values`` is: in memory or mapped."""
+    """Creates arrays of the same kind as ``values``: in memory or mapped."""
     owner: Any = values
     while isinstance(owner, np.ndarray):
         owner = owner.base
@@ -152,7 +152,7 @@ def arrays_like(values: NDArray[Any]) -> Arrays:
 
 
 class Growing:
-    """Rows put to the end of an array whose length is not known; :meth:`finish` gives it."""
+    """An array of unknown length to which rows are appended. :meth:`finish` returns it."""
 
     def __init__(self, folder: Path | None, dtype: np.dtype, most: int = 0) -> None:
         self._folder, self._dtype, self._most, self._count = folder, dtype, most, 0
@@ -160,7 +160,7 @@ class Growing:
         self._stream: Any = None
 
     def append(self, values: NDArray[Any], expected: int = 0) -> None:
-        """Put rows to the end; ``expected`` is about how many there will be in all."""
+        """Append rows. ``expected`` is the approximate final number of rows."""
         stop = self._count + values.size
         if self._stream is None and self._folder is not None and stop > self._most:
             self._stream = _nameless(self._folder)
@@ -199,7 +199,7 @@ class Growing:
 
 
 class _Map(mmap.mmap):
-    """A mapping that knows where its file lies."""
+    """A memory map that knows the folder of its file."""
 
     folder: Path
 
@@ -212,7 +212,7 @@ def _nameless(folder: Path) -> Any:
 
 
 def _reserve(number: int, size: int, folder: Path) -> None:
-    """Take the room on the disk now: a write to a mapping cannot report that there is none."""
+    """Reserve the disk space now: a write to a mapping cannot report a full disk."""
     try:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(number, 0, size)
@@ -244,7 +244,7 @@ def _map(
 
 
 class _Watch:
-    """Gives resident pages of the mappings back when there are too many of them."""
+    """Returns resident pages of the mappings to the system if there are too many."""
 
     def __init__(self) -> None:
         self._maps: weakref.WeakSet[_Map] = weakref.WeakSet()
@@ -253,7 +253,7 @@ class _Watch:
         self._thread: threading.Thread | None = None
 
     def add(self, mapping: _Map) -> None:
-        """Look after one more; where the platform can tell."""
+        """Watch one more mapping, if the platform reports resident pages."""
         if self._advice < 0 or not STATISTICS.exists():
             return
         with self._lock:
@@ -263,7 +263,7 @@ class _Watch:
                 self._thread.start()
 
     def trim(self) -> None:
-        """Give pages back if too many are resident."""
+        """Return pages to the system if too many are resident."""
         if self._thread is None:
             return
         with self._lock:
@@ -288,19 +288,19 @@ _watch = _Watch()
 Array = NDArray[np.float64]
 
 WHOLE = 1 << 21
-"""Up to this many different numbers are kept."""
+"""Largest number of distinct values that are kept."""
 _BITS = (21, 21, 22)
 
 
 def exact_median(parts: Callable[[], Iterable[Array]]) -> float:
-    """Median of numbers that are not negative; 0 when there is none.
+    """Exact median of non-negative numbers; 0 if there are none.
 
     Parameters
     ----------
     parts:
-        Gives the numbers, in parts. Of a long record that is sampled regularly only the few different numbers are kept,
-        and how often each was met. Where most differ the parts are asked for again, once for each digit: the bits of a
-        float that is not negative are in the order of its value.
+        Function that gives the numbers in parts. A long record with regular sampling has few distinct numbers: only these
+        and their counts are kept. If most numbers differ, the parts are read again, once for each group of bits. This
+        works because the bits of non-negative floats sort like their values.
     """
     held: list[tuple[Array, NDArray[np.int64]]] = []
     count = different = 0
@@ -323,7 +323,7 @@ def exact_median(parts: Callable[[], Iterable[Array]]) -> float:
 
 
 def _merged(held: list[tuple[Array, NDArray[np.int64]]]) -> tuple[Array, NDArray[np.int64]]:
-    """Different numbers, rising, and how often each was met in all."""
+    """Distinct numbers in rising order, and the total count of each."""
     values, where = np.unique(np.concatenate([some for some, _ in held]), return_inverse=True)
     counts = np.zeros(values.size, dtype=np.int64)
     np.add.at(counts, where, np.concatenate([times for _, times in held]))
@@ -331,7 +331,7 @@ def _merged(held: list[tuple[Array, NDArray[np.int64]]]) -> tuple[Array, NDArray
 
 
 def _selected(parts: Callable[[], Iterable[Array]], rank: int) -> float:
-    """The number of a rank (from 0), a group of bits at a time."""
+    """The number of a given rank (from 0), found one group of bits at a time."""
     prefix, above = 0, 64
     for bits in _BITS:
         above -= bits

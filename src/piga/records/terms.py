@@ -2,9 +2,8 @@
 
 Names follow IEEE 1293 by analogy; that standard excludes the PIGA, and no compliance is claimed.
 
-Two terms describe the servo. Its finite stiffness lets the rotor axis give way to the transverse force. With
-``u = K f - Omega``, the indicated
-specific force gains, per unit of the coefficient,
+Two terms describe the servo. Its stiffness is finite, so the transverse force tilts the rotor axis. With
+``u = K f - Omega``, one unit of the coefficient adds to the indicated specific force:
 
 - ``servo``: ``-2 (u_x/K) ((u_Y sin(alpha) - u_Z cos(alpha))/K)^2``, coefficient ``s = K ml/(2 k_i)``;
 - ``servo_damping``: ``-(u_x/K)^2 (u_Y cos(alpha) + u_Z sin(alpha))/K``, coefficient ``d = c K^2/k_i``,
@@ -68,7 +67,7 @@ MEANING = {
 }
 
 SERVO_TERMS = ("servo", "servo_damping")
-"""Terms of the servo: they turn with the output angle, as ``tan_beta`` does, which carries their phase."""
+"""Terms of the servo. They turn with the output angle, as ``tan_beta`` does. Their phase is that of ``tan_beta``."""
 
 _HARMONIC = re.compile(r"^([sc])([1-9]\d?)$")
 
@@ -80,11 +79,11 @@ def harmonic(name: str) -> tuple[str, int] | None:
 
 
 def shown_unit(name: str, unit: str) -> tuple[float, str]:
-    """Factor and unit in which a coefficient is shown, on every page and terminal: ``g/g^2`` becomes ``ug/g^2``.
+    """Factor and unit in which a coefficient is displayed, on every page and terminal: ``g/g^2`` becomes ``ug/g^2``.
 
-    The choice depends on the coefficient, never on its value: so a column has one unit across runs and records.
-    Units whose numerator is a plain ``g`` or ``rad`` become micro-units, but for the phase ``phi`` and for rates
-    (``rad/s/g`` stays: it is how the field quotes the scale factor).
+    The choice depends on the coefficient, never on its value. So a column has one unit across runs and records.
+    Units whose numerator is a plain ``g`` or ``rad`` become micro-units. The phase ``phi`` and rates do not
+    (``rad/s/g`` stays, because the field quotes the scale factor in it).
 
     Examples
     --------
@@ -109,12 +108,12 @@ def si_factor(name: str) -> float:
 
 
 def check_name(name: str) -> bool:
-    """True for a coefficient name that this version knows."""
+    """True if this version knows the coefficient name."""
     return name in UNITS or harmonic(name) is not None
 
 
 def meaning_of(name: str) -> str:
-    """The coefficient in words."""
+    """Meaning of the coefficient, in words."""
     base = name.split("[", maxsplit=1)[0]
     wave = harmonic(base)
     if wave:

@@ -1,4 +1,4 @@
-"""TOML and JSON from outside, read into typed tables; messages name file, table and key."""
+"""Read TOML and JSON files from outside into typed tables. Messages name file, table and key."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 J = TypeVar("J")
 
 MAX_BYTES = 1 << 20
-"""Largest TOML file read [bytes]; run files are a few kilobytes."""
+"""Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
 
 KINDS = {
     "plan": "a plan: give it to 'piga plan'",
@@ -30,17 +30,17 @@ KINDS = {
     "laboratory": "what a certificate says: give it to 'piga certificate' as --data",
     "data": "a run file: give it to 'piga check' or 'piga calibrate'",
 }
-"""Top-level tables that tell one kind of file from another, and what takes that kind; the first that fits."""
+"""Top-level tables that identify a kind of file, and the command that takes it. The first match is used."""
 
 MAX_NAME = 256
-"""Letters of a text that may be the name of a file."""
+"""Longest text that may be a file name [characters]."""
 MOST_PARTS = 16
-"""Parts of a dotted key; the run file's have three."""
+"""Most parts of a dotted key. Keys of the run file have three."""
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_PARTS},}}")
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 MOST_NAME = 240
-"""Bytes of a file name; 255 on most file systems, less the ending of a file beside it."""
+"""Most bytes of a file name: 255 on most file systems, minus the ending of a file beside it."""
 _FILE_KEYS = ("file", "run", "calibration", "before")
 _UNKNOWN = re.compile(r"unknown field `([^`]*)`")
 _MISSING = re.compile(r"missing required field `([^`]*)`")
@@ -59,13 +59,13 @@ def toml_bytes(path: Path) -> bytes:
 
 
 def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
-    """The tables of a TOML file as plain values; ``raw`` are its bytes where they were read already.
+    """The tables of a TOML file as plain values. ``raw``: its bytes, if they were read before.
 
     Raises
     ------
     RunFileError
-        If the file cannot be read, is no TOML (with line), or holds what no table of piga needs: keys nested deeper
-        than :data:`MOST_PARTS`, integers beyond 64 bits, control characters.
+        If the file cannot be read, is not TOML (the message names the line), or holds keys nested deeper
+        than :data:`MOST_PARTS`, integers beyond 64 bits or control characters.
     """
     try:
         text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
@@ -90,7 +90,7 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
 
 
 def _check_values(path: Path, value: object, where: str) -> None:
-    """Refuse values that TOML allows and nothing here can use."""
+    """Refuse values that TOML allows but piga cannot use."""
     if isinstance(value, dict):
         for key, part in value.items():
             _check_values(path, key, where)
@@ -119,10 +119,10 @@ def _check_values(path: Path, value: object, where: str) -> None:
 
 
 def files_named_in(path: Path) -> list[Path]:
-    """The TOML file, and every file that it names, or that one of those names: what a command may read.
+    """The TOML file and all files that it names, directly or through other TOML files. A command may read these.
 
-    Any text that is the name of a file beside it counts. With each goes the ``.sha256`` beside it. A file that cannot be
-    read names nothing here.
+    Any text that is the name of a file beside the TOML file counts. The ``.sha256`` beside each file is included. A file
+    that cannot be read adds no names.
     """
     named: dict[Path, None] = {}
     waiting = [path]
@@ -148,12 +148,12 @@ def _texts(value: object) -> list[str]:
 
 
 def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
-    """Read ``path`` into ``kind``; ``raw`` are its bytes where they were read already.
+    """Read ``path`` into ``kind``. ``raw``: its bytes, if they were read before.
 
     Raises
     ------
     RunFileError
-        If the file is missing, is no TOML (with line), has an unknown or missing key, or a value of
+        If the file is missing, is not TOML (the message names the line), has an unknown or missing key, or a value of
         the wrong type.
     """
     document = toml_document(path, raw)
@@ -207,16 +207,16 @@ class _Schema(msgspec.Struct, frozen=True):
 
 
 class JsonError(ValueError):
-    """The bytes are no JSON of the kind that is needed; the message says why, in one line."""
+    """The bytes are not JSON of the wanted kind. The message says why, in one line."""
 
 
 def schema_of(raw: bytes) -> object:
-    """The value of the key ``schema`` at the top level; None where there is none.
+    """The value of the top-level key ``schema``; None if it is missing.
 
     Raises
     ------
     JsonError
-        If the bytes are no JSON object.
+        If the bytes are not a JSON object.
     """
     return _decoded(raw, _Schema).schema
 
@@ -227,8 +227,8 @@ def decode_json(raw: bytes, kind: type[J]) -> J:
     Raises
     ------
     JsonError
-        If the bytes are no JSON (RFC 8259, UTF-8), a value has another type than ``kind`` says, or an object
-        names a key twice: programs differ in which of the two they take.
+        If the bytes are not JSON (RFC 8259, UTF-8), a value does not have the type that ``kind`` demands, or an object
+        has a duplicate key (programs differ in which value they take).
     """
     document = _decoded(raw, kind)
     try:
@@ -250,7 +250,7 @@ def _decoded(raw: bytes, kind: type[J]) -> J:
 
 
 def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
-    """Called for every object, innermost first; keeps nothing of it."""
+    """Refuse a duplicate key. Called for every object, innermost first; returns nothing."""
     names: set[str] = set()
     for name, _ in pairs:
         if name in names:

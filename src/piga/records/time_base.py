@@ -1,7 +1,7 @@
 """The time base of a log: where increments may be formed and where they may not.
 
-A *stretch* is a run of samples with regular time; increments are never formed across its ends. Time
-that repeats, jumps back or leaves a gap is found here and counted, nothing is interpolated.
+A *stretch* is a sequence of samples with regular time. Increments are never formed across its ends. This module
+detects and counts times that repeat, jump back or leave a gap. It interpolates nothing.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ GAP = 1.5
 
 
 def begins_stretch(step: Array, nominal: float) -> NDArray[np.bool_]:
-    """Whether a sample begins a stretch: time repeats or jumps back before it, or leaves a gap.
+    """True for a sample that begins a stretch: time repeats, jumps back or leaves a gap before it.
 
-    ``step`` (n,) [s] is the time since the sample before, ``nominal`` [s] the nominal interval. Every reader, every
-    record of arrays and every stream asks here.
+    ``step`` (n,) [s] is the time since the sample before. ``nominal`` [s] is the nominal interval. Files, arrays in
+    memory and live streams all use this rule.
     """
     return np.asarray((step <= 0.0) | (step > GAP * nominal))
 
 
 @dataclass(frozen=True)
 class TimeBase:
-    """``begins``: used samples that begin a stretch; ``nominal`` step [s]; what was found."""
+    """``begins`` marks the used samples that begin a stretch. ``nominal`` is the nominal step [s]. ``events`` lists faults."""
 
     begins: NDArray[np.bool_]
     nominal: float
@@ -46,16 +46,16 @@ def drop_repeats(
     values: list[Array],
     rows: NDArray[np.int64],
 ) -> list[Event]:
-    """Take rows whose time repeats out of ``usable``: the copy of an identical row, both of conflicting ones.
+    """Clear ``usable`` for rows with a repeated time: the second of two identical rows, both of two conflicting rows.
 
     Parameters
     ----------
     t, segment:
         Time [s] and segment index of every row, shape (n,).
     usable:
-        False where a row was masked already (missing values); changed here.
+        False for rows that were masked before (missing values). This array is changed.
     values:
-        All columns, to tell a repeated row from a conflicting one.
+        All columns, to distinguish identical rows from conflicting ones.
     rows:
         File row of each sample, for the messages.
     """
@@ -88,7 +88,7 @@ def drop_repeats(
 
 
 def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64], arrays: Arrays) -> TimeBase:
-    """Find backward jumps and gaps among the used samples; the nominal step is the median of all forward ones."""
+    """Find backward jumps and gaps between the used samples. The nominal step is the median of all forward steps."""
     nominal = exact_median(lambda: _forward(t, segment))
     begins = arrays.empty(t.size, np.bool_)
     gaps = backs = missing = 0

@@ -1,7 +1,7 @@
-"""One verdict on a calibration: what holds, what does not, and what to do.
+"""The verdict on a calibration: what holds, what does not, and what to do.
 
 Report page, terminal, ``repr``, calibration.json, the certificate's working copy and the warnings of
-:func:`piga.calibrate` all show this one. Nothing else judges a calibration as a whole.
+:func:`piga.calibrate` all show this verdict. No other code judges a calibration as a whole.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
 Level = Literal["good", "doubtful", "bad"]
 
 COUNTED = "white but for the counting"
-"""Verdict on whitened residuals whose correlation is that of whole counts; beside it ``white`` and ``not white: ...``."""
+"""Verdict on whitened residuals whose correlation comes from counting. The others are ``white`` and ``not white: ...``."""
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Where a figure of a calibration becomes a doubt.
+    """Limits beyond which a figure of a calibration becomes a doubt.
 
     Attributes
     ----------
     well_separated, separated:
-        Condition numbers [1] of the column-scaled problem up to which the coefficients count as well separated, and
-        as separable: the reference's relative errors are magnified by at most this number.
+        Largest condition numbers [1] of the column-scaled problem for "well separated" and for "separable".
+        The condition number is the largest amplification of relative errors of the reference.
     residual_rms:
-        Largest distance [1] of the whitened residual's root mean square from 1: with noise levels this far off,
-        standard uncertainties are wrong by as much.
+        Largest deviation [1] of the whitened residual's root mean square from 1. Standard uncertainties are wrong by
+        the same ratio as the noise levels.
     used:
-        Least share [1] of the rows that is used without a remark.
+        Least share [1] of used rows. A smaller share gives a remark.
     scale:
-        Ratio [1] of the scale factor to the nominal one, or its inverse, from which data or units are wrong.
+        Ratio [1] of the estimated to the nominal scale factor (or its inverse) above which data or units are wrong.
     """
 
     well_separated: float = 1e3
@@ -53,7 +53,7 @@ THRESHOLDS = Thresholds()
 
 @dataclass(frozen=True)
 class Doubt:
-    """What does not hold, and what to do about it; ``grave`` when the coefficients must not be used as they are."""
+    """A doubt and its remedy. If it is ``grave``, the coefficients must not be used as they are."""
 
     what: str
     remedy: str = ""
@@ -61,20 +61,20 @@ class Doubt:
 
     @property
     def words(self) -> str:
-        """Both in one sentence."""
+        """Doubt and remedy in one sentence."""
         return f"{self.what}: {self.remedy}" if self.remedy else self.what
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What holds of a calibration, and what does not, the gravest first."""
+    """What holds of a calibration, and its doubts, the gravest first."""
 
     holds: tuple[str, ...]
     doubts: tuple[Doubt, ...]
 
     @property
     def level(self) -> Level:
-        """``good`` without a doubt, ``bad`` with a grave one."""
+        """Level of the verdict: ``good`` without doubts, ``bad`` with a grave doubt."""
         if any(doubt.grave for doubt in self.doubts):
             return "bad"
         return "doubtful" if self.doubts else "good"
@@ -96,7 +96,7 @@ class Verdict:
 
 
 def verdict(calibration: Calibration) -> Verdict:
-    """The verdict on a calibration, from what its record holds: it is the same after reading it back."""
+    """The verdict on a calibration. It uses only the record, so it is the same after writing and reading."""
     statements = [
         *_scale(calibration),
         *_whiteness(calibration),
@@ -112,7 +112,7 @@ def verdict(calibration: Calibration) -> Verdict:
 
 
 def whitened_rms(calibration: Calibration) -> float:
-    """Root mean square of the whitened residual, 1 when model and noise levels are right; nan when not known."""
+    """Root mean square of the whitened residual: 1 if model and noise levels are right, nan if unknown."""
     variance = calibration.diagnostics.variance
     return math.sqrt(math.nan if variance is None else variance)
 
@@ -130,7 +130,7 @@ def _scale(calibration: Calibration) -> Iterator[str | Doubt]:
 
 
 def _advice(calibration: Calibration) -> tuple[str, ...]:
-    """Other readings of the data that fit far better, in words."""
+    """Doubts about other interpretations of the data that fit far better."""
     return calibration.diagnostics.advice
 
 
