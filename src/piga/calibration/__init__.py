@@ -1,6 +1,6 @@
-"""From a run to coefficients with uncertainty. ``piga.calibrate`` is the door; see the page of ``piga``.
+"""Coefficients with uncertainty from a recorded run. The entry point is ``piga.calibrate``.
 
-A module is imported when one of its names is asked for: a trend needs few of them.
+A module is imported only when one of its names is used.
 """
 
 from importlib import import_module

@@ -1,7 +1,7 @@
-"""Overlapping Allan deviation of a rate from its angle, over stretches that are not joined.
+"""Overlapping Allan deviation of a rate, computed from its angle over separate stretches.
 
 Definitions and equivalent degrees of freedom: [Riley2008], eq. 11 and table 5, after [Howe1981].
-Pooling of the stretches is an own derivation.
+The pooling of the stretches is our own derivation.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 PER_DECADE = 8
 """Averaging times per decade."""
 DIFFERENCES = 1 << 17
-"""Differences used per averaging time: of longer records every second, third, ... (the deviation is then known to
-0.2 %)."""
+"""Most differences used per averaging time. A longer record uses every second, third, ... difference; the
+deviation is then known to 0.2 %."""
 FEWEST_DEGREES = 1.0
-"""Degrees of freedom below which an averaging time is not shown."""
+"""Fewest degrees of freedom of an averaging time that is shown."""
 UNEVEN = 0.01
-"""Relative scatter of the sampling steps from which a stretch is read on an even grid."""
+"""Relative scatter of the sampling steps above which a stretch is interpolated to an even grid."""
 ONE_SIGMA = 0.682689492137
 """Probability of the bands."""
 
@@ -62,7 +62,7 @@ def allan_deviation(
 
     .. math:: \sigma^2(\tau) = \frac{1}{2 \tau^2 (N - 2m)} \sum_i (x_{i+2m} - 2 x_{i+m} + x_i)^2
 
-    ([Riley2008] eq. 11). Stretches are pooled by the number of their differences.
+    ([Riley2008] eq. 11). Each stretch is weighted by its number of differences.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def allan_deviation(
     begins:
         True where a stretch begins (n,).
     white, walk:
-        Variance of the white angle noise [rad^2] and of the random walk [rad^2/s]: their shares at an averaging
-        time say which kind of noise the degrees of freedom are for.
+        Variance of the white angle noise [rad^2] and of the random walk [rad^2/s]. Their shares of the Allan
+        variance decide which degrees of freedom apply.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _walking(tau: float, white: float, walk: float) -> float:
 
 
 def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[list[Array], float]:
-    """Angles of every stretch at one step for all, the median one; uneven ones by linear interpolation."""
+    """Angles of every stretch at the median step; uneven stretches are interpolated linearly."""
     starts = np.flatnonzero(begins)
     starts = starts if starts.size and starts[0] == 0 else np.append(0, starts)
     steps = np.diff(t)[~begins[1:]]
@@ -147,7 +147,7 @@ def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[
 
 
 def _multiples(longest: int) -> list[int]:
-    """Averaging times in steps, evenly on a logarithmic scale, up to a third of the longest stretch."""
+    """Averaging times in steps: even on a logarithmic scale, up to a third of the longest stretch."""
     most = (longest - 1) // 3
     if most < 1:
         return []
@@ -156,10 +156,11 @@ def _multiples(longest: int) -> list[int]:
 
 
 def _pooled(stretches: list[Array], m: int, every: int, share: float) -> tuple[float, float, float]:
-    """Mean square of second differences, its degrees of freedom, and the stretches that reach this distance.
+    """Mean square of second differences, its degrees of freedom, and the number of stretches long enough.
 
-    ``share`` of the variance is random walk. With shares a and b of two noises the variance of the mean square is
-    that of each, and twice their product, which varies as quickly as the quicker one.
+    ``share`` of the variance is random walk. For two noises the variance of the mean square has three parts: one
+    of each noise, and twice the product of their shares. The product has the degrees of freedom of the quicker
+    noise.
     """
     total, weights, spread, reached = 0.0, 0.0, 0.0, 0
     for x in stretches:

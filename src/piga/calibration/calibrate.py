@@ -1,4 +1,4 @@
-"""Calibrate: from a run to coefficients with uncertainty, and everything that is known about them."""
+"""Calibrate: coefficients with uncertainty from a run, with residuals, verdict and provenance."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def calibrate(
     """Estimate the coefficients of an instrument from a recorded test, or from several together.
 
     The error model (docs/theory/calibration) is linear in its coefficients once the measured output angle is
-    used as phase: no first guess, one optimum. Increments of the angle are whitened with the noise levels
-    found in the record and reduced orthogonally (own derivation in docs/theory/calibration).
+    used as phase. The fit therefore needs no first guess and has one optimum. Increments of the angle are whitened
+    with the noise levels of the record and reduced orthogonally (own derivation in docs/theory/calibration).
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def calibrate(
         The record, from :func:`piga.read_run` or :meth:`piga.Run.from_arrays`; or a list of records and
         :class:`piga.calibration.RunSummary` of one instrument, calibrated jointly.
     terms, method, phase, phase_source, per_run:
-        Override the wishes of the run files. ``per_run`` names terms that may differ between the runs.
+        Replace the settings of the run files. ``per_run`` names terms that may differ between the runs.
 
     Returns
     -------
@@ -116,12 +116,12 @@ def calibrate(
     Warns
     -----
     CalibrationWarning
-        For every doubt of ``Calibration.verdict``, with what to do about it.
+        For every doubt of ``Calibration.verdict``, with a remedy.
 
     Raises
     ------
     IdentifiabilityError
-        If the record cannot determine what is asked; names the terms and the test that would.
+        If the record cannot determine what is asked; names the terms and a test that could.
     CalibrationError, ArgumentError
         If the request does not fit the record.
     """
@@ -186,7 +186,7 @@ def _calibration(
 
 
 def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
-    """Coefficients of the servo that a run gives, moved by each source of Type B that moves them."""
+    """Given coefficients of the servo, moved by each source of Type B that affects them."""
     return (
         {s.name: given_servo(s.moved) for s in sources(run) if s.moved.servo is not run.servo}
         if run.servo
@@ -195,7 +195,7 @@ def _moved_servo(run: Run) -> dict[str, dict[str, float]]:
 
 
 def _range(values: Array) -> float:
-    """Largest less least value."""
+    """Largest value minus smallest value."""
     low, high = extent(values)
     return high - low
 
@@ -283,7 +283,7 @@ def _joint_calibration(
     phase_source: str | None,
     per_run: list[str] | tuple[str, ...] | None,
 ) -> Calibration:
-    """Several runs, or summaries of runs, in one result."""
+    """Calibrate several runs or summaries of runs together."""
     if method not in (None, "information") or phase_source not in (None, "output"):
         raise CalibrationError(
             "several runs are calibrated together by method 'information' with phase_source 'output'",
@@ -314,7 +314,7 @@ def _joint_calibration(
 
 
 def _revolutions_calibration(run: Run, request: Request) -> Calibration:
-    """Mean rates over whole turns; Type B by moving the record."""
+    """Calibration from mean rates over whole turns; Type B by moving the record."""
     cleaned = clean_record(run, request)
     fit = fit_revolutions(cleaned[0], request)
     coefficients, covariance, note = name_revolutions(fit, request)
@@ -336,7 +336,7 @@ def _revolutions_calibration(run: Run, request: Request) -> Calibration:
 
 
 def _published_calibration(run: Run, request: Request) -> Calibration:
-    """The published recursion in the same result; its residuals are those of its own solution."""
+    """Calibration by the published recursion. The residuals are those of its own solution."""
     run = replace(run, servo=())
     published = run_published(run, request)
     values, covariance = published.state.copy(), published.covariance

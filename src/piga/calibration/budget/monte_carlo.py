@@ -1,9 +1,9 @@
-"""Propagation of distributions (JCGM 101): the test of the first-order intervals, which it replaces where they do not hold.
+"""Propagation of distributions (JCGM 101). It tests the first-order intervals and replaces them where they fail.
 
-The fit is linear in ``K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, ...``, so that its Type A
-distribution there is a multivariate t (JCGM 101, 6.4.9.5). Each source of Type B moves them by its own
-sensitivities. Only the step to ``tan_beta = hypot``, ``phi = atan2`` and the division by K is not linear. Trials
-draw in the linear parameters and take that step exactly: they cost no fit each.
+The fit is linear in ``K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, ...``. The Type A distribution of these
+linear parameters is a multivariate t (JCGM 101, 6.4.9.5). Each source of Type B moves them by its own
+sensitivities. Only ``tan_beta = hypot``, ``phi = atan2`` and the division by K are not linear. A trial draws the
+linear parameters and takes that step exactly; it needs no new fit.
 """
 
 from __future__ import annotations
@@ -24,17 +24,18 @@ from piga.records.terms import si_factor
 Array = NDArray[np.float64]
 
 BLOCK = 10_000
-"""Trials of a block; the adaptive procedure looks after each (JCGM 101, 7.9.4)."""
+"""Trials per block. The adaptive procedure checks for convergence after each block (JCGM 101, 7.9.4)."""
 MOST = 1_000_000
 SEED = 101
-"""Trials are repeatable: the same record gives the same digits."""
+"""Fixed seed: the same record gives the same digits."""
 
 
 @dataclass(frozen=True)
 class Contribution:
     """A source of Type B: change of the linear parameters per standard uncertainty, distribution, dof.
 
-    ``change`` (draws, n): each row is drawn by itself; the draws share what is known of the standard uncertainty.
+    ``change`` has shape (draws, n). Each row is an independent draw. All draws share one estimate of the standard
+    uncertainty.
     """
 
     change: Array
@@ -44,10 +45,10 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Propagated:
-    """Per result: estimate, standard uncertainty, 95 % intervals (2, n) both ways, and the verdict.
+    """Per result: estimate, standard uncertainty, symmetric and shortest 95 % interval (2, n), and the verdict.
 
-    ``tolerance`` is delta of JCGM 101, 7.9.2, for two significant digits; ``validated`` says where the
-    first-order interval agrees with the symmetric one within it (clause 8.1).
+    ``tolerance`` is delta of JCGM 101, 7.9.2, for two significant digits. ``validated`` is True where the first-order
+    interval agrees with the symmetric interval within ``tolerance`` (clause 8.1).
     """
 
     trials: int
@@ -60,7 +61,7 @@ class Propagated:
 
 
 def standard_draws(distribution: str, degrees: float, size: int, rng: np.random.Generator) -> Array:
-    """Draws of unit standard uncertainty; t: scaled and shifted t as JCGM 101, 6.4.9, has it."""
+    """Draws with unit standard uncertainty; for t, the scaled and shifted t of JCGM 101, 6.4.9."""
     if distribution == "rectangular":
         return rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), size)
     if distribution == "triangular":
@@ -73,7 +74,7 @@ def standard_draws(distribution: str, degrees: float, size: int, rng: np.random.
 
 
 def source_draws(source: Contribution, size: int, rng: np.random.Generator) -> Array:
-    """Trials (size, draws) of a source; of a t distribution all draws of a trial have one estimate of the scale."""
+    """Trials (size, draws) of a source. For a t distribution, all draws of a trial share one estimate of scale."""
     shape, count = source.distribution, len(np.atleast_2d(source.change))
     if shape == "t" and count > 1:
         degrees = source.degrees_of_freedom
@@ -116,9 +117,9 @@ def propagate_distributions(
     results:
         From draws (trials, n) to results (trials, m).
     first_order:
-        Ends of the first-order intervals, (2, m), that are put to the test.
+        Limits of the first-order intervals to be tested, (2, m).
     trials:
-        A fixed number; None: adaptive, until every figure is stable to its tolerance, at most ``MOST``.
+        Number of trials. None: adaptive, until every figure is stable to its tolerance, at most ``MOST``.
     """
     values: list[Array] = []
     figures: list[Array] = []
@@ -160,9 +161,10 @@ def _figures(block: Array) -> Array:
 
 
 def _stable(figures: Array) -> bool:
-    """JCGM 101, 7.9.4: twice the standard deviation of the average of every figure is below the tolerance.
+    """True when twice the standard deviation of the average of every figure is below the tolerance.
 
-    ``figures`` (blocks, 4, m); the standard deviation of all trials is put together from those of the blocks.
+    JCGM 101, 7.9.4. ``figures`` has shape (blocks, 4, m). The standard deviation of all trials is combined from
+    those of the blocks.
     """
     count = len(figures)
     spread = figures.std(axis=0, ddof=1) / math.sqrt(count)
@@ -173,10 +175,10 @@ def _stable(figures: Array) -> bool:
 
 
 DOUBTFUL = 6.0
-"""tan_beta below this many of its standard uncertainties: its interval is no longer linear (Rice-like)."""
+"""Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
 
 FAR, HALVINGS = 10.0, 60
-"""Standard uncertainties above the estimate at which the upper limit is looked for, and steps of bisection."""
+"""Search range of the upper limit [standard uncertainties above the estimate]; number of bisection steps."""
 
 
 def put_to_the_test(
@@ -184,8 +186,8 @@ def put_to_the_test(
 ) -> tuple[tuple[Coefficient, ...], MonteCarlo | None]:
     """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
 
-    ``wanted`` is "gum", "monte-carlo" or "auto" (when tan_beta is not well above its noise). Several phases
-    and methods other than whitened least squares are left to the first order.
+    ``wanted`` is "gum", "monte-carlo" or "auto" (Monte Carlo when tan_beta is not well above its noise). Records with
+    several phases, and methods other than whitened least squares, always use the first order.
     """
     coupling = [c for c in coefficients if c.name == "tan_beta"]
     weak = any(c.value < DOUBTFUL * c.std for c in coupling)
@@ -239,7 +241,7 @@ def put_to_the_test(
 
 
 def _weak_coupling(coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
-    """With the limits of a size that cannot be negative; while they hold zero, any angle may be the phase."""
+    """Coefficients with limits for a size that cannot be negative. With zero among them, phi may be any angle."""
     size = next(c for c in coefficients if c.name == "tan_beta")
     phase = next(c for c in coefficients if c.name == "phi")
     limits = size_limits(size.value, max(size.std, size.value * phase.std), size.degrees_of_freedom)
@@ -251,11 +253,12 @@ def _weak_coupling(coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, 
 def size_limits(value: float, std: float, degrees: float) -> tuple[float, float]:
     """95 % confidence limits of the size of a plane vector, estimated as ``value`` from two components of ``std`` each.
 
-    The estimate is never zero, so that an interval about it, or one of the trials of a propagation of distributions, never
-    holds a size of zero. ``(value/std)^2`` is noncentral chi-square with 2 degrees of freedom and noncentrality
-    ``(size/std)^2``: the limits are the sizes for which the estimate lies at its quantiles of 97.5 and 2.5 %. The lower is 0
-    where no size puts it there (value below 2.72 std): one-sided then. The upper is at least the value that a size of zero
-    exceeds in 5 %. For few degrees of freedom std is multiplied by Student's factor over that of the normal distribution.
+    The estimated size is never zero. An interval about it therefore never includes zero, and neither do Monte
+    Carlo trials. The limits here use the exact distribution: ``(value/std)^2`` is noncentral chi-square with 2
+    degrees of freedom and noncentrality ``(size/std)^2``. At the lower limit the estimate is the 97.5 % quantile;
+    at the upper limit it is the 2.5 % quantile. If no size gives a lower limit (value below 2.72 std), it is 0 and
+    the interval is one-sided. The upper limit is at least the value that a size of zero exceeds with probability
+    5 %. For few degrees of freedom std is multiplied by the ratio of Student's factor to the normal factor.
 
     Parameters
     ----------
@@ -282,7 +285,7 @@ def size_limits(value: float, std: float, degrees: float) -> tuple[float, float]
 
 
 def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array], Array]:
-    """From column coefficients (trials, m) to coefficients in file units (trials, n), phi near its estimate."""
+    """Function from column coefficients (trials, m) to file units (trials, n), phi near its estimate."""
     design = fit.design
     at = {name: index for index, name in enumerate(design.names)}
     near = {c.name: c.value for c in coefficients}
@@ -317,14 +320,14 @@ def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array
 
 
 def _derivative(results: Callable[[Array], Array], base: Array, std: Array) -> Array:
-    """Derivative of the results by the column coefficients (n, m), central differences of a thousandth of u."""
+    """Derivative of the results by the column coefficients (n, m). Central differences with a step of u/1000."""
     steps = np.diag(1e-3 * np.maximum(std, 1e-300))
     moved = results(base + steps) - results(base - steps)
     return (moved / (2.0 * np.diag(steps))[:, None]).T
 
 
 def _contribution(row: BudgetEntry, changes: Array, derivative: Array, std: Array) -> Contribution:
-    """A row of the budget, which changes the results by ``changes`` (draws, n), as changes of the column coefficients."""
+    """A budget row that changes the results by ``changes`` (draws, n), as changes of the column coefficients."""
     degrees = row.degrees_of_freedom
     return Contribution(
         (std[:, None] * np.linalg.lstsq(derivative * std, changes.T, rcond=None)[0]).T,

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 class Budget:
     """Rows of the budget, Type A first, and the sources of Type B behind them.
 
-    ``changes``: per source what each of its draws does to the coefficients (draws, n), in file units; ``in_fit``:
-    whether the weights of the fit know of it, so that the covariance of the fit holds it already.
+    ``changes``: for each source, the change of the coefficients by each of its draws (draws, n), in file units.
+    ``in_fit``: True where the weights of the fit include the source. The covariance of the fit then includes it.
     """
 
     rows: tuple[BudgetEntry, ...]
@@ -37,12 +37,12 @@ class Budget:
     in_fit: tuple[bool, ...]
 
     def with_row(self, row: BudgetEntry) -> Budget:
-        """With one more source, of one draw, that the weights do not know of."""
+        """The budget with one more source, of one draw, that is not in the weights."""
         change = np.array(list(row.contributions.values()))[None]
         return Budget((*self.rows, row), (*self.changes, change), (*self.in_fit, False))
 
     def covariances(self, covariance: Array) -> tuple[Array, Array]:
-        """Covariances of Type A and of both types, from that of the fit."""
+        """Type A covariance and combined covariance, from the covariance of the fit."""
         each = [change.T @ change for change in self.changes]
         nothing = np.zeros_like(covariance)
         held = sum((part for part, stated in zip(each, self.in_fit, strict=True) if stated), start=nothing)
@@ -51,7 +51,7 @@ class Budget:
 
 
 def positive_part(covariance: Array) -> Array:
-    """The matrix without what rounding leaves below zero: correlations of negative eigenvalue are taken out."""
+    """The matrix without negative eigenvalues of its correlations, which rounding can cause."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -61,9 +61,9 @@ def positive_part(covariance: Array) -> Array:
 
 
 def share_of_type_a(type_a: Array, covariance: Array) -> Array:
-    """What the degrees of freedom of the fit's covariance become for its part of Type A: the share, squared.
+    """Factor on the degrees of freedom of the fit for its Type A part: the squared Type A share of the variance.
 
-    What is stated has no part in how well the noise is known (JCGM 100, eq. G.2b).
+    Stated uncertainties say nothing about how well the noise is known (JCGM 100, eq. G.2b).
     """
     share: Array = (np.diag(type_a) / np.maximum(np.diag(covariance), 1e-300)) ** 2
     return share
@@ -74,7 +74,7 @@ def make_budget(
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
 ) -> Budget:
-    """The budget of a fit with ``covariance`` (n, n) of its coefficients: one row per source."""
+    """The budget of a fit: one row per source. ``covariance`` (n, n) is that of the coefficients."""
     base = np.array([coefficient.value for coefficient in coefficients])
     turns = np.array([coefficient.name == "phi" for coefficient in coefficients])
 
@@ -115,14 +115,14 @@ def budget_rows(
 
 
 def together(changes: Array) -> Array:
-    """Standard uncertainty (n,) by all draws (draws, n) of a source; the change itself where there is one."""
+    """Standard uncertainty (n,) of a source from all its draws (draws, n); with one draw, the change itself."""
     return changes[0] if len(changes) == 1 else np.sqrt(np.sum(changes**2, axis=0))
 
 
 def propagate(sensitivities: Array, covariance: Array) -> Array:
-    """Covariance of results from that of their inputs, first order (JCGM 100, eq. 13 and H.9): ``C V C'``.
+    """Covariance of results from the covariance V of their inputs: ``C V C'`` (JCGM 100, eq. 13 and H.9).
 
-    ``sensitivities`` (results, inputs) are partial derivatives.
+    First order. ``sensitivities`` (results, inputs) are the partial derivatives C.
     """
     return sensitivities @ covariance @ sensitivities.T
 
@@ -155,8 +155,8 @@ def budget_row(
 ) -> BudgetEntry:
     """A row of the budget; contributions in file units, and sensitivities where a source has a size.
 
-    The contribution is the change of a coefficient that one standard uncertainty ``value`` of the source makes,
-    the sensitivity that of one ``unit`` of it (JCGM 100, 5.1.3). Degrees of freedom None: known exactly, or one
+    A contribution is the change of a coefficient by one standard uncertainty ``value`` of the source. A sensitivity
+    is the change by one ``unit`` of it (JCGM 100, 5.1.3). Degrees of freedom None: known exactly, or one number
     per coefficient (Type A).
     """
     parts = [(c, float(part)) for c, part in zip(coefficients, change, strict=True)]
@@ -172,7 +172,7 @@ def budget_row(
 
 
 def _per(unit: str, source: str) -> str:
-    """Unit of a sensitivity: that of the coefficient per that of the source."""
+    """Unit of a sensitivity: unit of the coefficient per unit of the source."""
     if source in ("", "1"):
         return unit
     return f"{unit}/({source})" if "/" in source or "*" in source else f"{unit}/{source}"
@@ -181,18 +181,18 @@ def _per(unit: str, source: str) -> str:
 def with_given_servo(
     result: Calibration, known: Mapping[str, float], moved: Mapping[str, Mapping[str, float]]
 ) -> Calibration:
-    """The result with the coefficients of the servo that were given, not estimated, behind the others.
+    """The result with the given coefficients of the servo appended. They were not estimated.
 
-    They are part of the model that K and the others belong to: whoever compensates needs them.
+    They are part of the model to which K belongs. A compensation needs them.
 
     Parameters
     ----------
     result:
         The calibration.
     known:
-        Given coefficients [1/(m/s^2)^2]; those that are estimated are left out.
+        Given coefficients [1/(m/s^2)^2]. Those that are estimated are skipped.
     moved:
-        The same by budget row, moved by the standard uncertainty of its source.
+        By budget row: the given coefficients, moved by the standard uncertainty of the source.
     """
     names = [name for name in known if name not in result.terms]
     if not names:
@@ -223,7 +223,7 @@ def with_given_servo(
 
 
 def _extended(row: BudgetEntry, coefficients: Sequence[Coefficient], change: Array) -> BudgetEntry:
-    """A row of the budget with more coefficients."""
+    """A row of the budget extended by more coefficients."""
     size = row.standard_uncertainty
     value, unit = (size.value, size.unit) if size is not None else (None, "")
     more = budget_row(row.source, row.type, row.distribution, value, unit, coefficients, change)

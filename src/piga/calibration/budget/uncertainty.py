@@ -1,8 +1,8 @@
-"""Uncertainty of Type B: what the reference, the clock and the thermometer do to the coefficients.
+"""Uncertainty of Type B: effect of the reference, the clock and the thermometer on the coefficients.
 
-First order (JCGM 100, 5.1): each source is moved by its standard uncertainty in the record and the
-linear estimate is repeated with the same weights; the change is the contribution. A source that is drawn
-anew for each segment is moved in one segment after the other: one change for each draw.
+First order (JCGM 100, 5.1). Each source is moved by its standard uncertainty in the record. The linear estimate
+is repeated with the same weights. The change is the contribution. A source that takes a new value in each
+segment is moved in one segment at a time, which gives one change per segment.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 class Source:
     """One source of Type B: name, standard uncertainty in ``unit``, the record moved by it, distribution.
 
-    ``draw`` says for what it has a value of its own; ``moved`` has every segment moved.
+    ``draw`` says how often the source takes a new value. In ``moved`` all segments are moved.
     """
 
     name: str
@@ -43,9 +43,10 @@ class Source:
 
 @dataclass(frozen=True)
 class SharedSource:
-    """A source of Type B that runs can share: name with its runs, standard uncertainty, and which source of which run it moves.
+    """A source of Type B that runs can share.
 
-    ``segments``: how many draws it has in its run, 0 where it has one in all.
+    ``name`` includes its runs; ``value`` is the standard uncertainty. ``moved`` maps the index of a run to the index
+    of its source. ``segments`` is the number of independent draws in its run, or 0 for one common draw.
     """
 
     name: str
@@ -63,10 +64,10 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
 
     ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
     independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
-    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. The
-    parameters of the servo move what of the model is known of it; the
+    scale, relative to 1 g; ``timing`` stretches the clock; ``temperature`` shifts the thermometer. Uncertain
+    servo parameters change the coefficients that the model takes from them. The
     entries of a particular stand (levelling, dividing errors, arm, rate ...) act through its own geometry.
-    A ``..._repeatability`` acts as the error that it repeats.
+    A ``..._repeatability`` acts like the error of the same name.
     """
     for name, like in UNCERTAINTY_UNITS.items():
         given = getattr(run.uncertainty, name)
@@ -106,7 +107,7 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
 
 
 def _felt(run: Run, moved: Callable[[slice], Array]) -> Run:
-    """The run with another specific force, ``moved`` of every slice of rows; on disk when the record is."""
+    """The run with another specific force: ``moved`` gives it for a slice of rows. On disk when the record is."""
     f = arrays_like(run.t).empty((3, run.size)).T
     for part in spans(run.size):
         f[part] = moved(part)
@@ -151,11 +152,11 @@ OneByOne = Callable[[Run], Iterable[Array]]
 def contributions(
     run: Run, base: Array, estimate: Estimate, one_by_one: OneByOne | None = None
 ) -> Iterator[tuple[Source, Array]]:
-    """Changes of the coefficients (draws, n; file units) that each source makes; ``base`` is the estimate unmoved.
+    """Change of the coefficients (draws, n; file units) by each source; ``base`` is the unmoved estimate.
 
-    ``estimate`` gives the coefficients of a moved record, ``one_by_one`` those of the record with one of its segments
-    moved after the other (by ``estimate`` unless given). A source has one draw, or one for each segment. The moved
-    records are not kept: each is as large as the record.
+    ``estimate`` gives the coefficients of a moved record. ``one_by_one`` gives the coefficients with one segment
+    moved at a time; by default it calls ``estimate``. A source has one draw, or one draw per segment. Moved records
+    are not kept, because each is as large as the record.
     """
     for source in sources(run):
         if source.draw != "segment":
@@ -180,9 +181,9 @@ def _in_segment(run: Run, moved: Run, segment: int) -> Run:
 
 
 def stated_scatter(run: Run) -> Array:
-    """Variance [rad^2/s^2] of the mean rate in every segment (m,) by the sources that are drawn anew for each of them.
+    """Variance [rad^2/s^2] of the mean rate of every segment (m,) by the sources with a new value in each segment.
 
-    ``K`` times the mean change of the axial specific force, squared and summed over the sources.
+    It is the sum over these sources of the squared ``K`` times mean change of the axial specific force.
     """
     variance = np.zeros(len(run.labels))
     count = np.bincount(run.segment, minlength=variance.size)

@@ -1,7 +1,7 @@
-"""Cross-validation over the parts of a record: each predicted from the others, exactly, from summaries.
+"""Cross-validation over the parts of a record. Each part is predicted exactly from the others, from summaries.
 
-The whitened rows of a part have unit variance; what they miss of a prediction by the other parts needs only
-the triangular factors. Own derivation, docs/theory.
+The whitened rows of a part have unit variance. The prediction error of a part needs only the triangular factors.
+Own derivation, docs/theory.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from piga.records.run import Run
 Array = NDArray[np.float64]
 
 FEWEST = 4
-"""Segments from which these are the parts that are left out; with fewer, blocks of the record are."""
+"""Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
 BLOCKS = 10
-"""Blocks of about the same number of rows into which a record of fewer segments is parted."""
+"""Number of blocks for a record of fewer segments; each has about the same number of rows."""
 MOST_FOLDS = 50
-"""Parts up to which each is left out alone; of more, neighbours are left out together."""
+"""Most parts that are left out one by one. With more parts, neighbours are left out together."""
 DEPENDENT = 1e-9
-"""Share of a column's length in the direction that is its own, up to which the others determine it."""
+"""Largest independent share of a column's length for which the column counts as dependent on the others."""
 
 
 @dataclass(frozen=True)
 class HeldOutPrediction:
-    """What was predicted of parts that were left out.
+    """Prediction of parts that were left out.
 
     Attributes
     ----------
     chi_square:
-        Sum of squares of the whitened errors of prediction; the number of observations if nothing but noise.
+        Sum of squares of the whitened prediction errors. If there is only noise: the number of observations.
     force_error:
-        Root mean square over the parts of the mean error of prediction as specific force [m/s^2].
+        Mean prediction error of each part as specific force, root mean square over the parts [m/s^2].
     per_fold:
         ``chi_square`` of each fold.
     above_best, standard_error:
-        Excess of ``chi_square`` over the best set and the standard error of that, from the scatter of the folds.
+        Excess of ``chi_square`` over the best set, and its standard error from the scatter of the folds.
     """
 
     chi_square: float
@@ -51,14 +51,14 @@ class HeldOutPrediction:
     standard_error: float = 0.0
 
     def against(self, best: HeldOutPrediction) -> HeldOutPrediction:
-        """The same with its distance from the best one."""
+        """The prediction with its excess over the best one."""
         excess = self.per_fold - best.per_fold
         error = math.sqrt(excess.size) * float(np.std(excess, ddof=1)) if excess.size > 1 else 0.0
         return replace(self, above_best=float(excess.sum()), standard_error=error)
 
     @property
     def as_good_as_best(self) -> bool:
-        """True within one standard error of the best prediction (and for the rounding of an equal one)."""
+        """True within one standard error of the best prediction; rounding errors are allowed for."""
         return self.above_best <= self.standard_error + 1e-9 * self.chi_square
 
     def document(self) -> dict[str, Any]:
@@ -72,7 +72,7 @@ class HeldOutPrediction:
 
 
 def row_edges(run: Run, per_segment: bool) -> tuple[NDArray[np.int64], str]:
-    """Rows where the parts begin, and the end; what the parts are."""
+    """First row of every part and the end row; what the parts are (segments or blocks)."""
     edges = run.segment_edges()
     if per_segment or edges.size > FEWEST:
         return edges, "segment"
@@ -81,7 +81,7 @@ def row_edges(run: Run, per_segment: bool) -> tuple[NDArray[np.int64], str]:
 
 
 def fold_of(parts: int) -> NDArray[np.int64]:
-    """Fold of each part: one for each, or neighbours together when there are many."""
+    """Fold of each part: one per part, or one for several neighbours if there are many parts."""
     return np.arange(parts) * min(parts, MOST_FOLDS) // parts
 
 
@@ -100,15 +100,14 @@ def predict(
     columns:
         Indices of the columns of the set.
     probe:
-        Column of a constant force and the scale factor that makes its coefficient a force.
+        Column of a constant force, and the scale factor that converts its coefficient to a force.
     fixed:
-        A column that is not estimated, with its coefficient.
+        A column that is not estimated, and its coefficient.
 
     Returns
     -------
     Prediction or None
-        None when there are fewer than two parts, or the rest of the record cannot separate the set without
-        one of them.
+        None when there are fewer than two parts, or when the set cannot be determined without one of the parts.
     """
     if len(parts) < 2:
         return None

@@ -1,8 +1,8 @@
-"""Model choice: term sets compared on one record, from one reduction of all their columns.
+"""Model choice: compare term sets on one record, from one reduction of all their columns.
 
-All sets share the noise weights of the largest set that the record separates, so that their
-likelihoods differ only by the chi-square of what each leaves. The whitened rows are reduced once, per
-segment; a set is a choice of columns of the triangular factors (own derivation, docs/theory).
+All sets share the noise weights of the largest set that the record can determine. Their likelihoods then differ
+only by the chi-square of their residuals. The whitened rows are reduced once per segment. A set is a selection of
+columns of the triangular factors (own derivation, docs/theory).
 """
 
 from __future__ import annotations
@@ -38,25 +38,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TermSet:
-    """One set of terms in the comparison; figures are None where ``reason`` says why there are none.
+    """One set of terms in the comparison. Figures are None if ``reason`` is not empty.
 
     Attributes
     ----------
     terms:
         The terms.
     reason:
-        Why the record does not determine the set, or cannot predict with it; empty when it does.
+        Why the record cannot determine the set or cannot be predicted with it; empty if it can.
     parameters:
-        Number of coefficients, phases included.
+        Number of coefficients, including phases.
     chi_square, log_likelihood, bic, aic:
-        Of the whitened residual; Gaussian, all weights those common to the sets.
+        Of the whitened residual. Gaussian, with the weights common to all sets.
     weight:
-        Share ``exp(-BIC/2)`` among the sets that are determined.
+        Schwarz weight: share of ``exp(-BIC/2)`` among the sets that are determined.
     prediction:
-        What the set says of parts of the record that were left out.
+        Prediction of the parts of the record that were left out.
     coefficients, changes:
-        Estimates of type A, and how far each lies from that of the best set, in the standard uncertainties of
-        that.
+        Type A estimates, and their difference from the best set in standard uncertainties of the best set.
     """
 
     terms: tuple[str, ...]
@@ -77,9 +76,9 @@ class ModelComparison:
     """Term sets in the order asked; ``best`` and ``best_prediction`` are indices into ``sets``.
 
     ``best`` has the least BIC. ``best_prediction`` has the fewest coefficients of all sets whose prediction is
-    within one standard error of the best one. ``noise_terms`` is the set with which the common noise levels
-    were found; ``parted_by`` says what was left out: segments or blocks of one. ``notes``: what a choice between sets
-    means for K where the record cannot make it.
+    within one standard error of the best one. ``noise_terms`` is the set used for the common noise levels.
+    ``parted_by`` says what was left out: segments or blocks. ``notes`` say what the choice of a set means for K
+    if the record cannot decide between sets.
     """
 
     sets: tuple[TermSet, ...]
@@ -96,7 +95,7 @@ class ModelComparison:
 
     @property
     def ranking(self) -> tuple[int, ...]:
-        """Indices of the sets by BIC, those without one last."""
+        """Indices of the sets by BIC; sets without a BIC come last."""
         order = [math.inf if row.bic is None else row.bic for row in self.sets]
         return tuple(sorted(range(len(order)), key=lambda index: (order[index], index)))
 
@@ -146,7 +145,7 @@ def _set_document(row: TermSet, best: float | None, observations: int) -> dict[s
 
 
 PROBE = "k0"
-"""Column that turns what a prediction misses into a mean specific force: it is reduced with every union."""
+"""Column that converts a prediction error to a mean specific force. It is reduced with every union."""
 
 
 def compare_models(
@@ -159,18 +158,18 @@ def compare_models(
     .. math:: \ln L = -\tfrac12 (n \ln 2\pi + \ln|V| + r' V^{-1} r), \qquad
               \mathrm{BIC} = m \ln n - 2 \ln L, \qquad \mathrm{AIC} = 2 m - 2 \ln L
 
-    [Schwarz1978]. V is that of the largest set that the record separates, the same for all. Every part of
+    [Schwarz1978]. V is the same for all sets: that of the largest set that the record can determine. Every part of
     the record is also predicted from the others (not with one phase per segment). A set that the record
-    cannot separate stays in the table with the reason.
+    cannot determine stays in the table with the reason.
 
     Parameters
     ----------
     run:
         The record.
     term_sets:
-        Sets of terms; those of ``[model] compare`` of the run file unless given.
+        Sets of terms; default: ``[model] compare`` of the run file.
     phase:
-        Override the run file's wish.
+        Replaces the setting of the run file.
 
     Raises
     ------
@@ -204,9 +203,9 @@ def compare_models(
 
 
 def _with_servo_first(run: Run, wanted: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
-    """The sets, before each with a cube of a_x the one with the stiffness of the servo in its place.
+    """The sets. Before each set with a cube of a_x comes the same set with the servo's stiffness in its place.
 
-    Only where ``a_x^2 + a_t^2`` never changes: there the two fit alike, and K is another.
+    Only if ``a_x^2 + a_t^2`` is constant: both sets then fit alike but give a different K.
     """
     if constant_squares(run)[0] is None or run.servo:
         return wanted
@@ -225,7 +224,7 @@ def _with_servo_first(run: Run, wanted: tuple[tuple[str, ...], ...]) -> tuple[tu
 
 
 def _meanings(rows: list[TermSet]) -> tuple[str, ...]:
-    """What K is under the stiffness of the servo and under a cube of a_x in its place, for sets that differ by that alone."""
+    """Meaning of K with the servo's stiffness and with a cube of a_x, for sets that differ only in this."""
     notes = []
     values = {
         frozenset(row.terms): next((c for c in row.coefficients if c.name == "scale_factor"), None)
@@ -258,7 +257,7 @@ def _check_sets(wanted: tuple[tuple[str, ...], ...]) -> None:
 
 
 def _union(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """All terms, in order of appearance; ``k1`` has the column of ``scale_factor``."""
+    """All terms in order of appearance; ``k1`` uses the column of ``scale_factor``."""
     union = tuple(dict.fromkeys(term for terms in wanted for term in terms))
     return tuple(term for term in union if not (term == "k1" and "scale_factor" in union))
 
@@ -277,7 +276,7 @@ class _Weighed:
 
     @classmethod
     def of(cls, run: Run, request: Request) -> _Weighed:
-        """Find the noise with what the record separates of the union; reduce the whole union once."""
+        """Find the noise with the determined part of the union, then reduce the whole union once."""
         fit = refine_counted(prepare(run, request, run_name(run, 0)).fit)
         columns = tuple(dict.fromkeys((*request.terms, PROBE)))
         design = Design(fit.design.run, replace(request, terms=columns), fit.design.scale_factor)
@@ -293,12 +292,12 @@ class _Weighed:
 
     @property
     def observations(self) -> int:
-        """Rows reduced."""
+        """Number of reduced rows."""
         return sum(part.count for part in self.parts)
 
     @property
     def folds(self) -> int:
-        """Groups of parts that are left out together."""
+        """Number of groups of parts; a group is left out together."""
         return int(fold_of(len(self.parts))[-1]) + 1
 
     def compared(self, terms: tuple[str, ...]) -> TermSet:
@@ -336,7 +335,7 @@ class _Weighed:
     def _at_state(
         self, layout: Layout, local: tuple[str, ...], shared: tuple[str, ...], own: bool
     ) -> tuple[ServoState | None, list[Reduction]]:
-        """One summary per phase group with the columns of a set, those of the servo at the phases that they tell."""
+        """One summary per phase group with the columns of a set; servo columns at the phases of the record."""
         known = {name: size for name, size in self.design.known_servo.items() if name not in shared}
         terms = (*(name for name in SERVO_TERMS if name in shared), *known)
         if not terms:
@@ -368,13 +367,13 @@ class _Weighed:
         return "scale_factor" if name == "k1" and "k1" not in self.design.names else name
 
     def _fixed(self, shared: tuple[str, ...]) -> tuple[int, float] | None:
-        """Column of the nominal scale factor, and that, for a set that does not estimate it."""
+        """Column and value of the nominal scale factor, for a set that does not estimate it."""
         if "scale_factor" not in self.design.names or "scale_factor" in shared:
             return None
         return self.design.names.index("scale_factor"), self.design.run.scale_factor
 
     def _chosen(self, local: tuple[str, ...], shared: tuple[str, ...], own: bool) -> list[Reduction]:
-        """One summary per phase group with the columns of a set, under the names of its terms."""
+        """One summary per phase group with the columns of a set, named by its terms."""
         count = max(self.groups) + 1 if own else 1
         groups = []
         for group in range(count):
@@ -400,13 +399,13 @@ class _Weighed:
 
 
 def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
-    """The terms of the servo need the phase of the coupling."""
+    """Raise if terms of the servo come without the coupling, whose phase they need."""
     if set(SERVO_TERMS) & set(terms) and "tan_beta" not in terms:
         raise CalibrationError("the terms of the servo need the phase that tan_beta carries")
 
 
 def _reduce(design: Design, fit: Fit, edges: NDArray[np.int64]) -> tuple[list[Reduction], float]:
-    """Whitened rows of unit variance reduced between row edges, and ``ln|V|``."""
+    """Whitened rows of unit variance, reduced between row edges, and ``ln|V|``."""
     parts = [Reduction.empty(design.names) for _ in edges[:-1]]
     logarithm, variance = 0.0, 0.0
     for block, columns in weighted_blocks(design, fit.mode, fit.noise):
@@ -453,7 +452,7 @@ def _with_weights(rows: list[TermSet]) -> list[TermSet]:
 
 
 def _with_best_prediction(rows: list[TermSet]) -> list[TermSet]:
-    """Every prediction with its difference from the best one."""
+    """All predictions, each with its excess over the best one."""
     at = _least([None if row.prediction is None else row.prediction.chi_square for row in rows])
     if at is None:
         return rows
@@ -465,7 +464,7 @@ def _with_best_prediction(rows: list[TermSet]) -> list[TermSet]:
 
 
 def _simplest(rows: list[TermSet]) -> int | None:
-    """Fewest coefficients of those whose prediction is within one standard error of the best."""
+    """Index of the set with the fewest coefficients among those within one standard error of the best prediction."""
     near = [
         (row.parameters, index)
         for index, row in enumerate(rows)
@@ -475,7 +474,7 @@ def _simplest(rows: list[TermSet]) -> int | None:
 
 
 def _with_changes(rows: list[TermSet], best: int | None) -> list[TermSet]:
-    """Every coefficient's distance from that of the best set, in the standard uncertainties of that."""
+    """The sets with the difference of every coefficient from the best set, in standard uncertainties of the best."""
     if best is None:
         return rows
     reference = {c.key: c for c in rows[best].coefficients}

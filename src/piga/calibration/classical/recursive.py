@@ -1,8 +1,8 @@
 """Recursive estimation: the history of the whitened estimate, and the published recursion for comparison.
 
-The published recursion [Wei2024, eq. 12-18, 22-24] works on rates, predicts the phase from the input instead of reading
-it, takes ``a_t`` along the direction of the first transverse force, and needs a first guess. It can converge to a wrong
-solution; nothing here hides that.
+The published recursion [Wei2024, eq. 12-18, 22-24] uses rates. It predicts the phase from the input instead of
+reading it, takes ``a_t`` along the direction of the first transverse force, and needs a first guess. It can
+converge to a wrong solution. This implementation does not hide that.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ HISTORY = 400
 
 
 def recursive_history(design: Design, mode: str, noise: Noise) -> Iterator[tuple[int, list[Reduction]]]:
-    """Summaries of the rows seen so far, at ``HISTORY`` samples spread over the record.
+    """Summaries of the rows so far, at ``HISTORY`` samples spread over the record.
 
-    Yields the number of samples and one summary per segment begun. The last one holds
-    the whole record: the recursive estimate is the batch estimate.
+    Yields the number of samples and one summary for each segment begun. The last item holds the whole record: there
+    the recursive estimate equals the batch estimate.
     """
     total = design.run.size
     points = HISTORY if not design.has_phases else HISTORY // 10
@@ -82,9 +82,9 @@ class PublishedResult:
 def run_published(run: Run, request: Request) -> PublishedResult:
     """Run the recursion over a record.
 
-    The indicated acceleration is the increment (or rate) of the output, base rotation about X0 added,
-    over the nominal K; the phase is ``s = int K a_x`` from the start; ``gamma`` is the constant direction
-    of the transverse force, taken into the phase as ``phi - gamma``, and given back afterwards.
+    The indicated acceleration is the increment (or rate) of the output plus the base rotation about X0, divided by
+    the nominal K. The phase is ``s = int K a_x`` from the start. ``gamma`` is the constant direction of the
+    transverse force; the recursion estimates ``phi - gamma``, and ``gamma`` is added afterwards.
     """
     indicated, force, s = _series(run)
     gamma = _direction(force)
@@ -129,6 +129,6 @@ def _series(run: Run) -> tuple[Array, Array, Array]:
 
 
 def _direction(force: Array) -> float:
-    """Direction of the transverse force with the largest size [rad]."""
+    """Direction of the transverse force at its largest size [rad]."""
     at = int(np.argmax(force[1] ** 2 + force[2] ** 2))
     return float(np.arctan2(force[2, at], force[1, at]))

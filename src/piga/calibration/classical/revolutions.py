@@ -1,10 +1,10 @@
-"""Whole-revolution averaging: the mean rate of each position over whole turns, corrected for pulling.
+"""Whole-revolution averaging: mean rate of each position over whole turns, corrected for pulling.
 
-What laboratories do: averaged over whole turns the cross-coupling's ripple is gone, but its pulling is not,
-the mean rate is ``sign(u) sqrt(u^2 - tan(beta)^2 u_t^2)`` (docs/theory/locking). Uncertainty comes from the
-scatter of single turns. Near lock the output lingers at one angle, and small disturbances there change the time of a
-turn much: the scatter is weighted by that amplification, which the output itself shows.
-For comparison: the angle inside the turns is not used, so it is less certain.
+This is common laboratory practice. The average over whole turns removes the ripple of the cross-coupling but not
+its pulling: the mean rate is ``sign(u) sqrt(u^2 - tan(beta)^2 u_t^2)`` (docs/theory/locking). The uncertainty
+comes from the scatter of single turns. Near lock the output stays long at one angle. Small disturbances there
+change the time of a turn strongly. The scatter is weighted by this amplification, which the output shows.
+The method is kept for comparison. It does not use the angle within the turns and is less certain.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ Array = NDArray[np.float64]
 
 TURN = 2.0 * np.pi
 STEADY = 2e-3
-"""Change of the specific force in a position, relative to its size, that whole-turn averaging allows."""
+"""Largest change of the specific force in a position, relative to its size."""
 STEPS, SETTLED = 50, 1e-12
-"""Gauss-Newton steps at most, and the relative step that ends them."""
+"""Most Gauss-Newton steps; relative size of the step that ends them."""
 PHASES = 32
-"""Parts of a turn whose times give the amplification."""
+"""Parts of a turn whose durations give the amplification."""
 LOCKING = 10.0
-"""Amplification of the variance of a turn by pulling beyond which a position is left out: a/b below 1.08."""
+"""Amplification of the variance of a turn above which a position is left out: a/b below 1.08."""
 CLEAR = 4.0
-"""Standard uncertainties that the pulling must stand out by to give tan_beta."""
+"""Ratio of the pulling to its standard uncertainty above which tan_beta is estimated."""
 LEAST_FREEDOM = 3
 RATIOS = 41
-"""Shares of the random walk in the scatter of turns that are tried."""
+"""Trial values for the share of the random walk in the scatter of turns."""
 
 
 @dataclass(frozen=True)
 class TurnScatter:
     """Scatter of single turns: the variance of a turn is ``shape @ levels`` [rad^2], cautious in its mean.
 
-    ``shape`` (positions, 2): a random walk adds up over a turn, amplified by pulling; reading noise enters at both ends,
-    amplified by how slowly the output passes there. ``levels`` are the variances of walk [rad^2/s] and reading [rad^2],
-    ``covariance`` (2, 2) that of the levels; ``pooled`` [rad] is the root mean square of all turns.
+    ``shape`` (positions, 2): a random walk adds up over a turn and is amplified by pulling. Reading noise enters at
+    both ends and is amplified where the output is slow. ``levels`` are the variances of walk [rad^2/s] and reading
+    [rad^2]; ``covariance`` (2, 2) is that of the levels. ``pooled`` [rad] is the root mean square of all turns.
     """
 
     shape: Array
@@ -79,8 +79,8 @@ class TurnScatter:
 class Positions:
     """Mean rates over whole turns: one point per position, with its turns and their scatter.
 
-    ``run`` is the record of these means, as a log of rates; ``short``, ``unsteady`` and ``locking`` are the labels of
-    positions that do not turn once, whose force is not constant, and that are too near to lock.
+    ``run`` holds the means as a log of rates. ``short``, ``unsteady`` and ``locking`` are labels of positions that
+    are left out: less than one turn, specific force not constant, or too near to lock.
     """
 
     run: Run
@@ -95,7 +95,7 @@ class Positions:
 
     @property
     def std(self) -> Array:
-        """Standard deviation of each mean rate [rad/s]: that of a turn, over the root of their number."""
+        """Standard deviation of each mean rate [rad/s]: that of one turn over the root of the number of turns."""
         return np.sqrt(self.scatter.variance * self.turns) / self.duration
 
 
@@ -103,7 +103,7 @@ class Positions:
 class RevolutionFit:
     """Estimate over positions: linear parameters, ``tan(beta)^2`` (None when not fitted), their covariance.
 
-    ``gain`` is their derivative by the mean rates, ``rate`` what is left of those [rad/s].
+    ``gain`` is their derivative by the mean rates; ``rate`` is the residual of the mean rates [rad/s].
     """
 
     positions: Positions
@@ -117,7 +117,7 @@ class RevolutionFit:
 
     @property
     def shows_pulling(self) -> bool:
-        """True when ``tan(beta)^2`` stands out by ``CLEAR`` standard uncertainties."""
+        """True when ``tan(beta)^2`` exceeds ``CLEAR`` standard uncertainties."""
         return self.square is not None and self.square > CLEAR * float(np.sqrt(self.covariance[-1, -1])) > 0.0
 
 
@@ -176,12 +176,12 @@ def find_positions(run: Run) -> Positions:
 
 
 def _amplification(x: Array, t: Array, count: int) -> tuple[float, float]:
-    """How much pulling amplifies the variance of a turn: that of a random walk, and that of reading noise at its ends.
+    """Amplification of the variance of a turn by pulling: for a random walk, and for reading noise at its ends.
 
-    A disturbance of the angle where the output turns at the rate r shifts the time by its inverse; as an angle at the mean rate
-    w that is ``w/r`` times as much. A walk collects ``(w/r)^2`` over the time of a turn,
-    ``w^3/(2 pi) integral d(angle)/r^3``, ``(1 + r0^2/2)/(1 - r0^2)`` for ``r0 = b/a``;
-    reading noise has the rate where turns begin and end.
+    Where the output turns at the rate r, a disturbance of the angle shifts the time by its value over r. As an
+    angle at the mean rate w this is ``w/r`` times the disturbance. A walk collects ``(w/r)^2`` over the time of a
+    turn: ``w^3/(2 pi) integral d(angle)/r^3``, which is ``(1 + r0^2/2)/(1 - r0^2)`` for ``r0 = b/a``. For reading
+    noise, r is the rate where turns begin and end.
     """
     inner = np.interp(TURN / PHASES * np.arange(PHASES * count + 1), x, t)
     times = np.diff(inner).reshape(count, PHASES).mean(axis=0)
@@ -192,8 +192,8 @@ def _amplification(x: Array, t: Array, count: int) -> tuple[float, float]:
 def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> TurnScatter:
     """Levels of walk and reading noise from the sums of squares of the turns of each position.
 
-    Each sum over its variance is chi-square with ``freedom``: maximum likelihood with no level below zero, on a grid
-    of their ratio. The covariance of the levels is the inverse of Fisher's information.
+    Each sum over its variance is chi-square with ``freedom``. Maximum likelihood with no level below zero, on a
+    grid of their ratio. The covariance of the levels is the inverse Fisher information.
     """
     usable = freedom > 0.0
     own, sums, degrees = shape[usable], squares[usable], freedom[usable]
@@ -248,7 +248,7 @@ def _mean_run(run: Run, table: Array, used: list[tuple[int, slice]]) -> Run:
 
 
 def clean_record(run: Run, request: Request) -> tuple[Run, tuple]:
-    """The record without gross errors of the output, found as for method 'information', and what they were."""
+    """The record without gross errors of the output, found as in method 'information', and the list of them."""
     wish = replace(request, method="information", phase="per-segment", phase_source="output")
     try:
         fit = fit_run(run, wish)
@@ -258,7 +258,7 @@ def clean_record(run: Run, request: Request) -> tuple[Run, tuple]:
 
 
 def fit_revolutions(run: Run, request: Request) -> RevolutionFit:
-    """Weighted least squares of the mean rates, pulling included.
+    """Weighted least squares of the mean rates, including pulling.
 
     Raises
     ------
@@ -312,7 +312,7 @@ def _gauss_newton(
         )
         transverse = np.sum((K * run.f[:, 1:] - omega[:, 1:]) ** 2, axis=1)
         u = x @ linear + known - omega[:, 0]
-        # the squares are compared: nothing has to be kept from the dead zone on the way
+        # squared rates are compared, so intermediate steps may lie in the dead zone
         miss = (size**2 - u**2 + square * transverse) / (2.0 * size)
         jacobian = x * (u / size)[:, None]
         if pulled:
@@ -332,7 +332,7 @@ def _gauss_newton(
 
 
 def name_revolutions(fit: RevolutionFit, request: Request) -> tuple[tuple[Coefficient, ...], Array, str]:
-    """Coefficients with covariance (Type A), and a note where the pulling does not show."""
+    """Coefficients with covariance (Type A), and a note if the pulling is not significant."""
     note = ""
     if fit.square is not None and not fit.shows_pulling:
         std = float(np.sqrt(fit.covariance[-1, -1]))
@@ -344,9 +344,10 @@ def name_revolutions(fit: RevolutionFit, request: Request) -> tuple[tuple[Coeffi
 
 
 def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
-    """Degrees of freedom of the Type A uncertainty of each coefficient: how well the levels of the scatter are known.
+    """Degrees of freedom of the Type A uncertainty of each coefficient, from the uncertainty of the scatter levels.
 
-    The variance of a coefficient is linear in the levels; ``2 v^2 / var(v)`` to first order (JCGM 100, G.4).
+    The variance v of a coefficient is linear in the levels. The result is ``2 v^2 / var(v)``, first order (JCGM 100,
+    G.4).
     """
     scatter, positions = fit.positions.scatter, fit.positions
     parts = []
@@ -360,7 +361,7 @@ def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
 
 
 def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
-    """Coefficients with what their covariance is when that of the parameters is ``covariance``."""
+    """Coefficients and their covariance, if ``covariance`` is that of the parameters."""
     keys: list[tuple[str, str | None]] = [(name, None) for name in fit.design.names]
     amplitudes = fit.linear
     if fit.shows_pulling:
@@ -376,7 +377,7 @@ def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tup
 def _with_tangent(
     fit: RevolutionFit, keys: list[tuple[str, str | None]], covariance: Array
 ) -> tuple[Array, Array]:
-    """Parameters with ``K tan_beta`` for ``tan_beta^2``."""
+    """Parameters with ``tan_beta^2`` converted to ``K tan_beta``."""
     tangent = float(np.sqrt(fit.square or 0.0))
     names = fit.design.names
     at = names.index("scale_factor") if "scale_factor" in names else None
