@@ -1,8 +1,8 @@
-"""The record without its bad samples: what every reading is too large by, and what was found where.
+"""Remove bad samples from a record: the error of every reading, and a list of the findings.
 
-A jump of the output has two sides. Three causes look alike at the jump itself: the counter slipped, and all later readings
-are shifted; the few readings before it are wrong; or the few behind it are. The phase of the coupling in the other segments
-tells them apart (:func:`settle_jumps`).
+A jump of the output has three possible causes. The counter slipped, and all later readings are shifted; or the few
+readings before the jump are wrong; or the few readings after it are wrong. The jump itself looks the same. The phase
+of the coupling in the other segments tells the causes apart (:func:`settle_jumps`).
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JumpStretch:
-    """A part of the record without a gap that holds jumps, or several parts without any.
+    """A part of the record without a gap: one stretch with jumps, or several stretches without jumps.
 
-    ``edges`` are the rows at which its pieces begin and the row behind the last, ``levels`` what the readings of each piece
-    were taken to be too large by, ``good`` how many of them are used; ``anew`` says that the phase is free from here on.
+    ``edges`` are the first rows of its pieces and the end row. ``levels`` are the assumed errors of the readings of each
+    piece (reading minus truth); ``good`` is the number of used readings. ``anew`` is True if a new phase begins here.
     """
 
     edges: tuple[int, ...]
@@ -48,14 +48,14 @@ class JumpStretch:
         return int(np.argmax(self.good))
 
     def choices(self, first: bool) -> list[tuple[int, int]]:
-        """Pieces that the phase may come in by and go out by; at the start of a phase the longest begins it."""
+        """Pieces by which the phase can enter and leave. At the start of a phase it enters by the longest piece."""
         last = len(self.levels) - 1
         inward = (self.longest,) if first else (0, self.longest, last)
         pairs = [(i, k) for i in inward for k in (0, self.longest, last) if i <= k]
         return list(dict.fromkeys(pairs))
 
     def cost(self, choice: tuple[int, int]) -> float:
-        """What a choice must gain beforehand (chi-square)."""
+        """Prior cost of a choice: the chi-square that it must gain."""
         inward, outward = choice
         believed = sum(self.good[k] for k in {inward, outward})
         return OUTLIERS.slip_cost * (inward != outward) + OUTLIERS.wrong_cost * (
@@ -68,8 +68,9 @@ def leave_out(
 ) -> tuple[Run, tuple[Outlier, ...]]:
     """The record without bad samples, and the outliers.
 
-    Their output becomes what the model predicts (only the coupling's phase uses it). A jump is taken off all later samples,
-    or off the readings of one side alone (:func:`settle_jumps`, with the ``design`` of the fit and the ``noise`` found so far).
+    The output of bad samples is replaced by the prediction of the model; only the phase of the coupling uses it. A jump
+    is subtracted from all later samples, or from the readings of one side only (:func:`settle_jumps`, with the
+    ``design`` of the fit and its ``noise``).
     """
     wrong = _corrections(run, misses, flags)
     arrays = arrays_like(run.output)
@@ -98,27 +99,27 @@ def leave_out(
 def settle_jumps(
     run: Run, begins: NDArray[np.bool_], wrong: Array, flags: Flags, design: Design, noise: Noise
 ) -> dict[int, str]:
-    """Decide for every jump which readings carry the phase on, and correct the output of ``run`` and ``wrong`` in place.
+    """Decide for every jump which readings carry the phase on; correct the output of ``run`` and ``wrong`` in place.
 
-    The readings of a stretch are tied to each other; what is open is by which piece between its jumps the phase comes in
-    from the readings before, and by which it goes on to those behind. Each choice turns the columns of the coupling of whole
-    stretches, so that the sum of squares of every choice follows from one summary a stretch. The least wins, after
-    the costs of a slip and of wrong readings. At the start of a phase, where nothing lies before, the longest piece gives
-    the phase.
+    Readings between two jumps are tied to each other. The open question is by which piece of a stretch the phase enters
+    from the readings before, and by which piece it leaves to the readings after. A choice turns the columns of the
+    coupling of whole stretches. The sum of squares of every choice therefore follows from one summary per stretch. The
+    least sum wins after the costs of a slip and of wrong readings are added. At the start of a phase there are no
+    readings before, and the longest piece gives the phase.
 
     Parameters
     ----------
     run:
-        The record with every jump taken off all later readings.
+        The record with every jump subtracted from all later readings.
     begins, wrong, flags:
-        Where stretches begin, what readings were too large by, marks of the samples.
+        First samples of stretches, errors of the readings, marks of the samples.
     design, noise:
-        Model (its request), and noise levels so far.
+        Model (with its request), and noise levels so far.
 
     Returns
     -------
     dict
-        Row index of every jump that was not taken off what follows, with what was done instead.
+        Row index of every jump that was not subtracted from all later readings, and what was done instead.
     """
     stretches = _stretches(run, begins, wrong, flags, free=design.request.phase == "per-segment")
     jumped = [k for k, stretch in enumerate(stretches) if len(stretch.levels) > 1]
@@ -143,7 +144,7 @@ def settle_jumps(
 def _stretches(
     run: Run, begins: NDArray[np.bool_], wrong: Array, flags: Flags, *, free: bool
 ) -> list[JumpStretch]:
-    """The record in order: stretches with jumps, and what lies between them; ``free``: every segment has its own phase."""
+    """The record in order: stretches with jumps, and the parts between them; ``free``: one phase per segment."""
     starts = _rows_where(begins)
     own = set(run.segment_edges().tolist()) if free else set()
     jumps = _rows_where(flags == 2)
@@ -170,7 +171,7 @@ def _rows_where(marks: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _level(wrong: Array, flags: Flags, start: int, stop: int) -> tuple[float, int]:
-    """What the good readings of a piece are too large by, and their number."""
+    """Error of the good readings of a piece, and their number."""
     count, level = 0, float(wrong[start])
     for part in spans(stop - start):
         at = np.flatnonzero(flags[start + part.start : start + part.stop] != 1)
@@ -181,7 +182,7 @@ def _level(wrong: Array, flags: Flags, start: int, stop: int) -> tuple[float, in
 
 
 def _turned(stretches: list[JumpStretch], chosen: dict[int, tuple[int, int]]) -> list[float]:
-    """What every stretch is too large by beyond what was taken off [rad]."""
+    """Error of every stretch beyond what was already subtracted [rad]."""
     state, result = 0.0, []
     for k, stretch in enumerate(stretches):
         inward, outward = chosen.get(k, (0, 0))
@@ -195,7 +196,7 @@ def _turned(stretches: list[JumpStretch], chosen: dict[int, tuple[int, int]]) ->
 def _ask_phases(
     design: Design, noise: Noise, stretches: list[JumpStretch], chosen: dict[int, tuple[int, int]]
 ) -> None:
-    """Change ``chosen`` to what leaves the least sum of squares, one stretch after the other."""
+    """Set ``chosen`` to the choices with the least sum of squares, one stretch after the other."""
     factors, rows = _factors(design, _without_phases(design, noise), stretches)
     freedom = max(rows - len(design.names), 1)
 
@@ -221,7 +222,7 @@ def _ask_phases(
 
 
 def _without_phases(design: Design, noise: Noise) -> Noise:
-    """Noise levels of a fit in which every segment has its own phase: no choice of sides is in them."""
+    """Noise levels of a fit with one phase per segment; they do not depend on the choice of sides."""
     local, m = len(design.local_names), len(design.names)
     for _ in range(OUTLIERS.refits):
         factors = [part.factor[:-1] for part in reduce_segments(design, "increments", noise)]
@@ -259,7 +260,7 @@ def _factors(design: Design, noise: Noise, stretches: list[JumpStretch]) -> tupl
 
 
 def _rotated(design: Design, factor: Array, angle: float) -> Array:
-    """The factor with the output less by ``angle``: the columns of the coupling and of harmonics turn with it."""
+    """The factor after ``angle`` is subtracted from the output; columns of coupling and harmonics turn with it."""
     if angle == 0.0:
         return factor
     result, at = factor.copy(), 0
@@ -272,7 +273,7 @@ def _rotated(design: Design, factor: Array, angle: float) -> Array:
 
 
 def _one_sided(stretch: JumpStretch, choice: tuple[int, int]) -> dict[int, str]:
-    """Jumps of a stretch whose one side alone was taken to be off, by row, in words."""
+    """Jumps of a stretch that were subtracted on one side only, by row, in words."""
     inward, outward = choice
     words = {}
     for k, at in enumerate(stretch.edges[1:-1]):
@@ -286,9 +287,9 @@ def _one_sided(stretch: JumpStretch, choice: tuple[int, int]) -> dict[int, str]:
 
 
 def _begin_later(begins: NDArray[np.bool_], left_out: NDArray[np.bool_], lost: bool) -> bool:
-    """Where a stretch begins with samples that are left out the first good one begins it, too, in place.
+    """If the first sample of a stretch is left out, the first good sample begins the stretch instead. In place.
 
-    ``lost``: so it stood at the end of the block before; returned for the next.
+    ``lost``: a beginning is pending from the previous block. The state is returned for the next block.
     """
     starts = np.flatnonzero(begins & left_out)
     for start in ([0] if lost else []) + starts.tolist():
@@ -302,7 +303,7 @@ def _begin_later(begins: NDArray[np.bool_], left_out: NDArray[np.bool_], lost: b
 
 
 def _corrections(run: Run, misses: Misses, flags: Flags) -> Array:
-    """What every reading is too large by."""
+    """Error of every reading."""
     wrong: Array = arrays_like(run.output).zeros(run.size)
     if not misses.point:
         correct_samples(misses.d, run.begins, flags, wrong)
@@ -315,9 +316,9 @@ def _corrections(run: Run, misses: Misses, flags: Flags) -> Array:
 def _findings(
     run: Run, flags: Flags, wrong: Array
 ) -> tuple[tuple[Outlier, ...], dict[str, int], tuple[Outlier, ...]]:
-    """Runs of bad samples and jumps, in order of time, at most ``listed``; numbers of jumps and of samples of each kind.
+    """Runs of bad samples and jumps in order of time (at most ``listed``), and the number of jumps and samples by kind.
 
-    Last those of the runs behind which a gap follows and more readings: a slip of the counter looks the same.
+    The last result lists the runs that are followed by a gap and more readings. A slip of the counter looks the same.
     """
     outliers: list[Outlier] = []
     before_gap: list[Outlier] = []
@@ -336,7 +337,7 @@ def _findings(
 
 
 def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple[str, float]:
-    """Kind of a run of bad samples, or of a jump, and by how much it is off [rad, rad/s]."""
+    """Kind of a run of bad samples or of a jump, and its size [rad, rad/s]."""
     if flags[start] == 2:
         return "jump", float(abs(wrong[start] - _before(wrong, flags, start)))
     size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
@@ -347,7 +348,7 @@ def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple
 
 
 def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
-    """First row of every run of bad samples, or of a jump, and the row behind it."""
+    """First row and end row of every run of bad samples and of every jump."""
     begun = -1
     for part in spans(flags.size):
         kind = np.asarray(flags[part])
@@ -367,7 +368,7 @@ def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
 
 
 def _before(wrong: Array, flags: Flags, at: int) -> float:
-    """What the last good sample before was too large by."""
+    """Error of the last good sample before a row."""
     good = np.flatnonzero(flags[max(0, at - 1000) : at] != 1)
     return float(wrong[max(0, at - 1000) + good[-1]]) if good.size else 0.0
 
@@ -378,10 +379,10 @@ def _events(
     one_sided: dict[int, str],
     before_gap: tuple[Outlier, ...],
 ) -> list[Event]:
-    """What was found by kind.
+    """Events for the findings, by kind.
 
-    ``one_sided`` says of jumps, by file row, which readings alone they were taken off; ``before_gap`` are spikes that a gap
-    follows.
+    ``one_sided`` gives, by file row, the jumps that were subtracted on one side only. ``before_gap`` are spikes that are
+    followed by a gap.
     """
     words = {
         "spike": "samples off the path of the output are left out",
@@ -411,7 +412,7 @@ def _events(
 
 
 def _perhaps_a_slip(before_gap: tuple[Outlier, ...]) -> str:
-    """What is said of spikes that a gap follows."""
+    """Remark on spikes that are followed by a gap."""
     if not before_gap:
         return ""
     listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in before_gap[: OUTLIERS.named])

@@ -1,4 +1,4 @@
-"""The fit of one run: the linear estimate and the noise levels, alternated until they agree."""
+"""The fit of one run. The linear estimate and the noise levels are computed in turn until both are stable."""
 
 from __future__ import annotations
 
@@ -44,21 +44,22 @@ from piga.records.spool import square_sum
 Array = NDArray[np.float64]
 
 MAX_REFITS = 4
-"""Fits at most: the noise levels settle after two or three."""
+"""Most fits; the noise levels are usually stable after two or three."""
 MAX_ROUNDS = 5
-"""Rounds of leaving samples out and fitting again; two or three are usual."""
+"""Most rounds of leaving samples out and fitting again; two or three are usual."""
 SMALL = 200_000
-"""Records up to this many increments get the restricted likelihood; in longer ones the few parameters take
-no noticeable part of the slow noise."""
+"""Most increments for the restricted likelihood. In a longer record the few parameters take up no noticeable part
+of the slow noise."""
 RATIOS = np.linspace(-9.0, 3.0, 9)
-"""Points of ``log10(q h/r)`` at which the restricted likelihood's information term is computed."""
+"""Values of ``log10(q h/r)`` at which the information term of the restricted likelihood is computed."""
 
 
 @dataclass(frozen=True)
 class FaintWalk:
-    """A random walk that is not clear: likely variance ``walk`` [rad^2/s], negative where slow values scatter little.
+    """A random walk that is not significant.
 
-    ``part`` is what a unit adds to the covariance of the fit; ``information`` (2, 2) that of white noise and walk.
+    ``walk`` [rad^2/s] is its likely variance; it is negative if the slow values scatter less than white noise. ``part`` is
+    the covariance of the fit added per unit of walk. ``information`` (2, 2) is the Fisher information of white noise and walk.
     """
 
     walk: float
@@ -70,9 +71,9 @@ class FaintWalk:
 class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
-    ``d`` and ``h`` are the residual increments and their intervals, ``outliers`` what was left out;
-    ``slow_deviation`` is the standard uncertainty of ``noise.slow``; ``slow_part`` what a unit of it adds to the
-    covariance, where the fit is not weighted by it; ``faint`` is a random walk that is not clear.
+    ``d`` and ``h`` are the residual increments and their intervals; ``outliers`` are the samples left out.
+    ``slow_deviation`` is the standard uncertainty of ``noise.slow``. ``slow_part`` is the covariance added per unit of
+    slow noise if the weights do not include it. ``faint`` is a random walk that is not significant.
     """
 
     design: Design
@@ -92,18 +93,18 @@ class Fit:
 
     @property
     def weights(self) -> Noise:
-        """The noise that the rows are weighted by."""
+        """The noise levels in the weights of the rows."""
         return self.noise if self.slow_part is None else self.noise.without_slow()
 
     def reduce(self, design: Design) -> list[Reduction]:
-        """One summary per segment of a record of the same sampling, weighted as the fit is."""
+        """One summary per segment of a record with the same sampling, with the weights of the fit."""
         if self.counted is not None:
             return self.counted.reduce(design)
         return reduce_segments(design, self.mode, self.weights)
 
     @property
     def levels(self) -> Noise:
-        """The noise that the covariance is of."""
+        """The noise levels in the covariance."""
         return self.noise if self.faint is None else replace(self.noise, walk=self.faint.walk)
 
     @property
@@ -116,12 +117,12 @@ def fit_run(
     run: Run,
     request: Request,
 ) -> Fit:
-    """Fit a run; samples that do not lie on the path of the output are left out first.
+    """Fit a run. Samples that do not lie on the path of the output are left out first.
 
     Raises
     ------
     DataError
-        If more than ``outliers.MOST`` of the samples are such.
+        If more than ``OUTLIERS.largest_share`` of the samples are bad.
     """
     fit = plain = _fit(run, request)
     if request.phase_source == "input" or not suspicious(fit.d, fit.h, fit.mode, fit.noise, run):
@@ -214,7 +215,7 @@ def _scale_factor(design: Design, solution: Solution) -> float:
 
 
 def _information(design: Design, mode: str, step: float) -> Information | None:
-    """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``, for records that are small enough to need it."""
+    """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``; None for long records, which do not need it."""
     if mode != "increments" or design.rows > SMALL:
         return None
     values = []
@@ -225,13 +226,13 @@ def _information(design: Design, mode: str, step: float) -> Information | None:
 
 
 def log_determinant(solution: Solution) -> float:
-    """Of the covariance, its rows and columns scaled to one first."""
+    """Log-determinant of the covariance, with rows and columns scaled to one first."""
     std = np.sqrt(np.diag(solution.covariance))
     return float(np.linalg.slogdet(solution.covariance / np.outer(std, std))[1] + 2.0 * np.log(std).sum())
 
 
 def noise_of(design: Design, solution: Solution, mode: str) -> Noise:
-    """Noise levels of the residuals that a solution leaves."""
+    """Noise levels of the residuals of a solution."""
     d, h = residual_increments(design, solution.values)
     return _levels(design, d, h, _parameters(solution), mode)
 
@@ -257,7 +258,7 @@ def _levels(
 
 
 def _covariance(design: Design, mode: str, noise: Noise, solution: Solution) -> Array:
-    """Covariance of the internal parameters; the rate method accounts for the colour of its noise."""
+    """Covariance of the internal parameters; for the rate method it includes the colour of the noise."""
     if mode == "increments":
         return solution.covariance
     if mode == "samples":
@@ -275,7 +276,7 @@ def _covariance(design: Design, mode: str, noise: Noise, solution: Solution) -> 
 
 
 def refine_counted(fit: Fit) -> Fit:
-    """The same fit with the covariance of its coarse counts; unchanged where plain whitening is right."""
+    """The same fit with the covariance of coarse counts; unchanged if plain whitening is right."""
     refined = fit_counted(fit.design, fit.mode, fit.noise, fit.solution)
     if refined is None:
         return fit
@@ -292,7 +293,7 @@ def refine_counted(fit: Fit) -> Fit:
 def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: NoiseColumns) -> Iterator[tuple[int, Array]]:
     """Segment and whitened columns (m + size + 1, n) of model, slow noise and observation, piece by piece.
 
-    ``noise`` is what increments are whitened with; coarse counts have the covariance that was found for them.
+    ``noise`` whitens the increments. Coarse counts use their own covariance.
     """
     if fit.counted is not None:
         yield from fit.counted.whitened(design, basis)
@@ -302,7 +303,7 @@ def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: NoiseColumns) -
 
 
 def without_slow(fit: Fit) -> Fit:
-    """The fit by the weights of white noise and random walk, one summary per segment."""
+    """The fit with the weights of white noise and random walk only; one summary per segment."""
     if fit.noise.slow == 0.0:
         return fit
     noise = fit.noise.without_slow()

@@ -1,8 +1,8 @@
-"""Gross errors of the output: found against a robust fit and left out, sample by sample.
+"""Gross errors of the output. They are detected against a robust fit and left out, sample by sample.
 
-In increments of an angle one bad sample spoils two increments and a jump one for good; so samples are
-judged, not increments: a spike's sample goes and the increment reaches across it, a jump begins a new
-stretch, a stuck reading is left out as long as it lasts. The reference is taken as right.
+One bad angle sample spoils two increments; a jump spoils only one. Therefore samples are judged, not increments. A
+spike is left out, and the increment reaches across it. A jump begins a new stretch. A stuck reading is left out
+for its whole length. The reference is assumed to be right.
 """
 
 from __future__ import annotations
@@ -29,51 +29,51 @@ Flags = NDArray[np.int8]
 
 @dataclass(frozen=True)
 class OutlierSettings:
-    """When a sample of the output counts as bad, and how bad samples are looked for (own choices).
+    """Limits for bad samples of the output, and settings of their search (own choices).
 
     Attributes
     ----------
     false_alarms:
-        Good samples left out per record, expected.
+        Expected number of good samples left out per record.
     largest_share:
         Share of bad samples above which a record is refused.
     robust_rows:
-        Increments that the robust fit looks at.
+        Increments used by the robust fit.
     narrow_core:
-        Core of the residual increments over their spread below which bad samples are suspected; 1 for normal noise.
+        Ratio of core to spread of the residual increments below which bad samples are suspected; 1 for normal noise.
     least_miss:
-        Smallest miss [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout.
+        Smallest error [rad, or rad/s] of a bad sample: 0.02 arcsec, finer than any readout.
     least_counts:
-        Counts by which a bad sample must miss: one that toggles on a path known to half a count is not bad.
+        Smallest error of a bad sample in counts. A sample that toggles on a path known to half a count is not bad.
     misfit_pairs:
-        Neighbouring bad increments above which the model may be at fault.
+        Neighbouring bad increments above which the model is checked for misfit.
     misfit_share:
-        Share of them that miss to the same side, above which the model is at fault.
+        Share of these pairs with errors of the same sign, above which the model is at fault.
     moved_counts:
-        Counts by which a reading shall move between the ends of an increment of the robust fit.
+        Least motion of the reading within an increment of the robust fit [counts].
     parts_of_a_stretch:
-        Increments of that kind that a stretch must have.
+        Fewest such increments in a stretch.
     samples_for_motion:
-        Samples that are looked at for that.
+        Samples used to measure this motion.
     median_samples:
-        Increments that medians are taken of at most.
+        Most increments used for a median.
     stuck:
         Equal readings in a row, off the path, that count as stuck.
     listed:
-        Outliers that a result lists one by one; all are counted.
+        Most outliers listed one by one; all are counted.
     named:
-        Times named in an event.
+        Most times named in an event.
     slip_cost:
-        Chi-square that a slip of the counter must gain over wrong readings.
+        Chi-square that the choice of a counter slip must gain over wrong readings.
     wrong_cost:
-        Chi-square that wrong readings must gain for each share of their stretch: where phases do not tell, less than a
-        quarter of a stretch is taken for wrong.
+        Chi-square that the choice of wrong readings must gain per share of their stretch. If the phases do not decide,
+        less than a quarter of a stretch is taken as wrong.
     judged:
-        Stretches with jumps up to which phases are asked, and segments up to which noise is looked at for that.
+        Most stretches with jumps for the comparison of phases, and most segments for its noise levels.
     sweeps:
-        Rounds of asking one stretch after the other.
+        Rounds over all stretches.
     refits:
-        Fits that give the noise levels for it.
+        Fits for the noise levels of this comparison.
     """
 
     false_alarms: float = 0.05
@@ -103,7 +103,7 @@ OUTLIERS = OutlierSettings()
 
 @dataclass(frozen=True)
 class Misses:
-    """Residual increments (samples of a rate log) ``d`` (n,) and their intervals ``h``."""
+    """Residual increments ``d`` (n,) and their intervals ``h``; samples for a rate log."""
 
     d: Array
     h: Array
@@ -115,7 +115,7 @@ class Misses:
         return float(np.median(self._thinned(lambda rows: self.h[rows][self.h[rows] > 0.0])))
 
     def sizes(self, flags: Flags | None = None) -> Array:
-        """Absolute residuals of increments that were formed, thinned to about ``median_samples``; with ``flags`` of good ones."""
+        """Absolute residuals of formed increments, thinned to about ``median_samples``; with ``flags``, good ones only."""
 
         def chosen(rows: slice) -> Array:
             usable = self.h[rows] > 0.0
@@ -129,17 +129,18 @@ class Misses:
 
 
 def limit(count: int) -> float:
-    """Standard deviations beyond which a sample is bad: ``false_alarms`` of ``count`` normal ones are."""
+    """Standard deviations above which a sample is bad. Of ``count`` normal samples ``false_alarms`` exceed it."""
     from scipy.special import ndtri
 
     return float(-ndtri(0.5 * OUTLIERS.false_alarms / max(count, 100)))
 
 
 def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
-    """True when the residuals of a plain fit have tails, or a core, that normal noise has not.
+    """True if the residuals of a plain fit have tails or a core that normal noise does not have.
 
-    Cheap: one pass. Half the limit is enough for the tails where the core is narrower than the noise found,
-    for bad samples inflate that; so do equal ones without tails, which a core far narrower than all shows.
+    Needs one pass. Half the limit is enough for the tails if the core is narrower than the noise level, because bad
+    samples inflate that level. Equal bad samples without tails also inflate it; then the core is far narrower
+    than the noise level.
     """
     every = max(1, d.size // 100_000)
     whitener = Whitener("increments", noise, 1)
@@ -168,10 +169,10 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run) -> bool:
 
 
 def robust_values(design: Design) -> Array:
-    """Column coefficients (segments, m) of a fit that bad samples do not move.
+    """Column coefficients (segments, m) of a fit that bad samples do not affect.
 
-    Least absolute residuals by reweighting: a spike spoils two increments by opposite amounts, so that bad
-    increments are symmetric whatever the spikes are. Then the half that fits best, alone, twice.
+    Least absolute residuals by reweighting. A spike spoils two increments by opposite amounts. Bad increments are
+    therefore symmetric for any spikes. Then the better half of the increments is fitted alone, twice.
     """
     parts = _thinned(design)
     every = np.concatenate([columns[-1] for _, columns in parts])
@@ -191,9 +192,9 @@ def robust_values(design: Design) -> Array:
 
 
 def _thinned(design: Design) -> list[tuple[int, Array]]:
-    """Columns of at most about ``robust_rows`` increments, each divided by the root of its interval; with their segment.
+    """Columns of about ``robust_rows`` increments at most, each divided by the root of its interval; with segments.
 
-    Increments of a reading that mostly stands still are joined first: nothing moves their median.
+    If a reading mostly stands still, its increments are joined first. Otherwise their median would be zero.
     """
     count = 1 if design.point else _joined(design.run)
     every = max(1, design.rows // count // OUTLIERS.robust_rows)
@@ -207,7 +208,7 @@ def _thinned(design: Design) -> list[tuple[int, Array]]:
 
 
 def _joined(run: Run) -> int:
-    """Increments to be joined so that the reading moves by ``moved_counts`` in half of them; within a stretch."""
+    """Number of increments to join so that half of them move by ``moved_counts``; within a stretch."""
     least, starts = OUTLIERS.moved_counts * resolution_of(run), np.flatnonzero(run.begins)
     longest = int(np.median(np.diff(np.append(starts, run.size)))) // OUTLIERS.parts_of_a_stretch
     at = np.unique(np.linspace(0, run.size - 1, OUTLIERS.samples_for_motion).astype(np.int64))
@@ -227,7 +228,7 @@ def _miss(columns: Array, values: Array) -> Array:
 
 
 def _weighted(design: Design, parts: list[tuple[int, Array]], values: Array | None, scale: float) -> Array:
-    """One step towards the least absolute residuals; from the nominal instrument when there is none before."""
+    """One step towards the least absolute residuals; the first step starts from the nominal instrument."""
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
     for segment, columns in parts:
         weight = np.ones(columns.shape[1])
@@ -238,7 +239,7 @@ def _weighted(design: Design, parts: list[tuple[int, Array]], values: Array | No
 
 
 def _trimmed(design: Design, parts: list[tuple[int, Array]], values: Array, bound: float) -> Array:
-    """Least squares of the increments that missed by no more than ``bound``."""
+    """Least squares of the increments with residuals up to ``bound``."""
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
     for segment, columns in parts:
         near = np.abs(_miss(columns, values[segment])) <= bound
@@ -250,15 +251,15 @@ def _trimmed(design: Design, parts: list[tuple[int, Array]], values: Array, boun
 
 
 def misses_of(design: Design, values: Array) -> Misses:
-    """Residuals of the raw record under given column coefficients."""
+    """Residuals of the raw record for given column coefficients."""
     d, h = residual_increments(design, values)
     return Misses(d, h, design.point)
 
 
 def first_noise(misses: Misses) -> Noise:
-    """Levels for the first look: the core of the increments, half of it angle noise and half random walk.
+    """First noise levels: half the core of the increments is angle noise, half is random walk.
 
-    A core of equal readings has no width; the smallest miss that can be bad stands for it.
+    If equal readings give a core of no width, the smallest error of a bad sample replaces it.
     """
     sigma = max(float(np.quantile(misses.sizes(), 0.25)) / 0.3186, OUTLIERS.least_miss)
     if misses.point:
@@ -267,7 +268,7 @@ def first_noise(misses: Misses) -> Noise:
 
 
 def later_noise(misses: Misses, noise: Noise, flags: Flags) -> Noise:
-    """Levels of a fit without bad samples, by the core of what it leaves: none left over inflates them."""
+    """Noise levels of a fit without bad samples, from the core of its residuals; remaining bad samples have no effect."""
     if misses.point:
         good = misses.sizes(flags)
         return Noise(0.0, (float(np.median(good)) / 0.6745) ** 2)
@@ -300,10 +301,10 @@ def find_flags(misses: Misses, noise: Noise, resolution: float) -> Flags:
 
 
 def is_misfit(run: Run, misses: Misses, flags: Flags) -> bool:
-    """True when what was marked is the model's failure, not the reading's: it misses by smooth waves.
+    """True if the marked samples are errors of the model, not of the reading: smooth waves.
 
-    A bad reading changes sign from increment to increment or not at all; increments that go on missing to
-    the same side while the reading moves are of a motion that the model does not hold.
+    A bad reading changes the sign of the residual from increment to increment, or not at all. If the residuals keep one
+    sign while the reading moves, the model lacks a motion.
     """
     count = alike = 0
     for part in spans(flags.size):
@@ -322,7 +323,7 @@ def refuse_if_too_many(flags: Flags) -> None:
     Raises
     ------
     DataError
-        With the share.
+        Gives the share.
     """
     share = count_flags(flags, 1) / flags.size
     if share > OUTLIERS.largest_share:
@@ -334,12 +335,12 @@ def refuse_if_too_many(flags: Flags) -> None:
 
 
 def count_flags(flags: Flags, kind: int) -> int:
-    """Samples of a kind."""
+    """Number of samples with a flag."""
     return sum(int(np.count_nonzero(flags[part] == kind)) for part in spans(flags.size))
 
 
 def resolution_of(run: Run) -> float:
-    """Angle of a count, also where the record does not say so but repeats its readings."""
+    """Angle of one count, as stated in the record or as seen from repeated readings."""
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
     every = max(1, run.size // OUTLIERS.median_samples)

@@ -1,4 +1,4 @@
-"""Residuals of an estimate: per sample, per segment, and what they say about the model."""
+"""Residuals of an estimate: per sample and per segment, with tests of the model."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 LAG_PART = 8192
-"""Samples whose lagged products are formed at a time: 64 KiB."""
+"""Samples per step when lagged products are summed: 64 KiB."""
 LAGS = 20
 """Lags of the portmanteau test."""
 WHITE = 1e-3
-"""Probability below which whitened residuals are not called white."""
+"""Probability below which whitened residuals are called not white."""
 DRAWS = 32
-"""Draws of the counting that the correlations of a coarsely counted record are compared with."""
+"""Simulated countings for the correlations of a coarsely counted record."""
 DRAWN_ROWS = 1 << 16
-"""Rows, from the first on, that the counting is drawn for: 0.2 s of processor time."""
+"""First rows of the record used for this simulation: 0.2 s of processor time."""
 
 Products = Callable[[], "Array | None"]
-"""Gives lagged products of one run: of its whitened residuals, and of each draw of its counting (:func:`counted_products`)."""
+"""Function that gives lagged products of one run: residuals, then each simulated counting (:func:`counted_products`)."""
 
 
 def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Residuals:
     """Residual angle of every sample before and after calibration, and the whitened residual.
 
-    'Before' is the nominal instrument: ``alpha' = K a_x - Omega_x`` with the nominal K. In every stretch
-    the residual angle starts from its own mean (the zero of a stretch carries no information). For a
-    rate log the residuals are rates [rad/s].
+    'Before' is the nominal instrument: ``alpha' = K a_x - Omega_x`` with the nominal K. The residual angle of every
+    stretch has zero mean, because the zero of a stretch carries no information. For a rate log the residuals are rates
+    [rad/s].
     """
     run = design.run
     d, h = residual_increments(design, values)
@@ -69,7 +69,7 @@ def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:
 
 
 def _take_stated_rates(whitened: Array, own: Array, segment: NDArray[np.int32], noise: Noise) -> None:
-    """Make residuals white that are so but for the stated scatter of the segments; ``own`` are whitened intervals. In place."""
+    """Whiten residuals for the stated scatter of the segments; ``own`` are whitened intervals. In place."""
     size = len(noise.stated)
     square, product = np.zeros(size), np.zeros(size)
     for part in spans(whitened.size):
@@ -99,7 +99,7 @@ def _nominal_increments(design: Design) -> Array:
 
 
 def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
-    """Running sum of increments, with the mean of every stretch taken off; in place."""
+    """Running sum of increments; the mean of every stretch is subtracted. In place."""
     stretches = max(int(np.count_nonzero(begins)), 1)
     sums, counts = np.zeros(stretches), np.zeros(stretches)
     total = 0.0
@@ -114,7 +114,7 @@ def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
 
 
 def _stretch_parts(begins: NDArray[np.bool_]) -> Iterator[tuple[slice, Integers, Integers, Integers]]:
-    """Spans of a record, where the parts of stretches in each start, their sizes, and which stretches they are."""
+    """Spans of a record; in each, the starts of the parts of stretches, their sizes and the stretch numbers."""
     last = -1
     for part in spans(begins.size):
         starts = np.flatnonzero(begins[part])
@@ -165,12 +165,12 @@ def root_mean_square(values: Array) -> float:
 
 
 def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> SegmentScatter:
-    """How much the mean rates of the segments scatter, in units of what the noise explains.
+    """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 
-    The slope of the residual angle in a segment of duration T with n samples has, for white noise r and
-    random walk q, the variance ``12 r/(n T^2) + q/T`` (an upper bound for the second part is 6/5 of it); a bias
-    drift adds its variance since the middle of the record, a scatter of the segments, stated or found, its own.
-    The ratio is the root mean square of slope over expected.
+    In a segment of duration T with n samples, the slope of the residual angle has the variance ``12 r/(n T^2) + q/T`` for
+    white noise r and random walk q (an upper bound of the second part is 6/5 of it). A bias drift adds its variance
+    since the middle of the record. A scatter of the segments, stated or estimated, adds its own variance. The ratio
+    is the root mean square of slope over expected standard deviation.
     """
     slopes, expected, slow = [], [], []
     stated = noise.stated or (0.0,) * len(design.run.labels)
@@ -207,11 +207,11 @@ def _slope(t: Array, values: Array) -> float:
 
 
 def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...] = ()) -> Diagnostics:
-    """The diagnostics ``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
+    """``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
 
-    ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability; ``excess_kurtosis`` and
-    ``skewness`` are 0 for normal residuals. Where it fails and ``runs`` are counted, ``counting_probability`` is that of
-    correlations as far from those of the counting alone.
+    ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are
+    0 for normal residuals. If the test fails and ``runs`` are counted, ``counting_probability`` is the probability that
+    counting alone gives correlations as large.
     """
     from scipy.special import gammaincc
 
@@ -254,12 +254,11 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
 
 
 def counted_products(design: Design, noise: Noise, mode: str, residuals: Residuals) -> Array | None:
-    """Lagged products (1 + draws, lags + 1) of the whitened residuals, and of draws of what counting leaves.
+    """Lagged products (1 + draws, lags + 1) of the whitened residuals and of simulated countings; None without counts.
 
-    A draw is the path of the fit, from a random place within a count in every stretch, with the noise besides the
-    counting, read to whole counts and whitened as the record is. At a constant rate the output turns by the same
-    fraction of a count from sample to sample, so what counting leaves has lines of its own. None where nothing is
-    counted.
+    A draw starts the path of the fit at a random place within a count in every stretch. It adds the noise without counting
+    noise, rounds to whole counts and whitens as for the record. At a constant rate the output turns by the same
+    fraction of a count from sample to sample; the counting error then has spectral lines.
     """
     run, count = design.run, count_of(design.run)
     if count == 0.0 or mode != "increments":
@@ -294,10 +293,10 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
 
 
 def counting_probability(runs: tuple[Products, ...]) -> float:
-    """Probability of correlations as far from those of the counting alone; nan where a run is not counted.
+    """Probability that counting alone gives correlations as large; nan if a run is not counted.
 
-    The squared distance to the mean of the draws is compared with a chi-square distribution of the mean and variance
-    that the draws' own distances to the others have.
+    The squared distance to the mean of the draws is compared with a chi-square distribution. Its mean and variance
+    are those of the distances between each draw and the others.
     """
     from scipy.special import gammaincc
 

@@ -1,10 +1,10 @@
-"""The servo in the calibration: its columns at a phase, and the refusals of what a record cannot tell.
+"""The servo in the calibration: its columns at a phase, and refusal of terms that a record cannot determine.
 
-The terms ``servo`` and ``servo_damping`` turn with the output angle. Five columns that know nothing of the phase hold
-them; at a phase ``phi`` they combine to one column for each term. The model is then not linear in the phase. One Gauss-Newton
-step about the phase is a change of the two columns of the coupling alone: ``p = K tan_beta cos(phi)`` and ``q = K tan_beta
-sin(phi)`` carry the phase, which does not depend on their common size, so that the observation stays as it is
-(docs/theory/servo). At the phase that the step returns to, the linear fit is the fit of the model.
+The regressors of ``servo`` and ``servo_damping`` turn with the output angle. Five columns without a phase span them. At
+a phase ``phi`` they combine to one column per term. The model is then not linear in the phase. A Gauss-Newton
+step about the phase changes only the two columns of the coupling: ``p = K tan_beta cos(phi)`` and ``q = K tan_beta
+sin(phi)`` carry the phase, which does not depend on their common size. The observation stays as it is
+(docs/theory/servo). When a step returns the same phase, the linear fit is the fit of the model.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from piga.records.terms import SERVO_TERMS
 Array = NDArray[np.float64]
 
 ITERATIONS = 40
-"""Steps about the phase at most; four are usual."""
+"""Most steps about the phase; four are usual."""
 SETTLED = 1e-10
-"""Change of a phase [rad] at which the iteration ends."""
+"""Change of the phase [rad] that ends the iteration."""
 SCAN = 72
-"""Phases tried before the first step, where one phase serves the whole record."""
+"""Trial phases before the first step, if one phase serves the whole record."""
 SEEN = 4.0
-"""tan_beta over its uncertainty from which the phase is a function of the coupling; below, it is held."""
+"""Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
 SEPARATE = 1e-3
-"""Part of a term's column that the others leave, relative to its size, below which the record cannot tell it apart."""
+"""Smallest independent part of a term's column, relative to its size, for the term to be determined."""
 SHARE = 0.05
-"""Part of that column that another makes up, from which it is named."""
+"""Least share of that column for which another term is named."""
 
 
 def at_state(
     part: Reduction, wanted: Names, state: ServoState, group: int, known: dict[str, float] | None = None
 ) -> Reduction:
-    """The summary of a phase group with the terms of the servo in place of the columns without a phase.
+    """The summary of a phase group, with the columns without a phase combined to the terms of the servo.
 
     Parameters
     ----------
     part:
-        Summary whose columns are among ``PHASELESS`` where they belong to the servo.
+        Summary. Its servo columns are among ``PHASELESS``.
     wanted:
         Columns of the result.
     state, group:
-        Where they are combined.
+        State and phase group that give the phase.
     known:
-        K times the coefficients that are given (SI): taken off the observation.
+        K times the given coefficients (SI); they are subtracted from the observation.
     """
     return part.mixed(wanted, mixture(part.names, wanted, state, state.phases[group], known))
 
@@ -62,7 +62,7 @@ def at_state(
 def mixture(
     names: Names, wanted: Names, state: ServoState, phase: float, known: dict[str, float] | None = None
 ) -> Array:
-    """What columns without a phase, and the observation behind them, make of wanted ones: (m + 1, wanted + 1)."""
+    """Matrix (m + 1, wanted + 1) from columns without a phase, and the observation behind them, to wanted columns."""
     there = [name for name in PHASELESS if name in names]
     at = [names.index(name) for name in there]
     of = [PHASELESS.index(name) for name in there]
@@ -86,16 +86,16 @@ def mixture(
 def find_state(
     layout: Layout, parts: list[Reduction], wanted: Sequence[Names], known: dict[str, float] | None = None
 ) -> ServoState:
-    """The state that the estimate at it returns to.
+    """The state that reproduces itself: the estimate at its phase gives the same phase.
 
     Parameters
     ----------
     layout, wanted:
-        Of the model with its servo terms, and its columns in each phase group.
+        Layout of the model with its servo terms, and the columns of each phase group.
     parts:
-        Summary of each phase group, with the columns without a phase.
+        Summary of each phase group, with columns without a phase.
     known:
-        K times the coefficients that are given (SI).
+        K times the given coefficients (SI).
     """
     given = known or {}
     state = ServoState((0.0,) * len(parts), given.get("servo", 0.0), given.get("servo_damping", 0.0), 0.0)
@@ -136,7 +136,7 @@ def _state_of(layout: Layout, estimate: Estimate, known: dict[str, float], rows:
 def _first_phases(
     layout: Layout, parts: list[Reduction], wanted: Sequence[Names], state: ServoState, known: dict[str, float]
 ) -> tuple[float, ...]:
-    """Phases to begin with: of the coupling alone; where one serves the record, the best of a scan with all terms."""
+    """First phases: from the coupling alone, or the best of a scan with all terms if one phase serves the record."""
     if len(parts) == 1:
         return (_scanned(parts[0], wanted[0], known),)
     plain = [tuple(name for name in names if name not in SERVO_TERMS) for names in wanted]
@@ -145,7 +145,7 @@ def _first_phases(
 
 
 def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
-    """Phase of least sum of squares, the coupling bound to it."""
+    """Phase of least sum of squares; the coupling is bound to it."""
     best, chosen = np.inf, 0.0
     for phase in 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi:
         state = ServoState((float(phase),), 0.0, 0.0, 0.0)
@@ -161,7 +161,7 @@ def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
 
 
 def without_servo(layout: Layout) -> Layout:
-    """The layout less the terms of the servo."""
+    """The layout without the terms of the servo."""
     kept = [i for i, (name, _) in enumerate(layout.keys) if name not in SERVO_TERMS]
     number = {old: new for new, old in enumerate(kept)}
     tails = tuple(
@@ -171,12 +171,12 @@ def without_servo(layout: Layout) -> Layout:
 
 
 def settled_design(design: Design, mode: str, noise: Noise) -> Design:
-    """The design with the columns of the servo combined at the phases that the record tells; itself without such terms.
+    """The design with the servo columns combined at the phases of the record; unchanged without servo terms.
 
     Raises
     ------
     IdentifiabilityError
-        If the record cannot tell a term of the servo from the others; names them and the test that would.
+        If the record cannot tell a servo term from other terms; names the terms and a test that can.
     """
     if not design.turning_servo:
         return design
@@ -196,7 +196,7 @@ def settled_design(design: Design, mode: str, noise: Noise) -> Design:
 
 
 def with_mean_servo(design: Design) -> Design:
-    """The design with the mean of a known stiffness of the servo alone, where there is no phase."""
+    """The design with only the mean of a known stiffness of the servo, for a record without a phase."""
     if not design.turning_servo:
         return design
     stiffness = design.known_servo.get("servo", 0.0)
@@ -206,10 +206,10 @@ def with_mean_servo(design: Design) -> Design:
 def refuse_if_servo_confounded(
     layout: Layout, parts: list[Reduction], wanted: Sequence[Names], *, per_segment: bool = False, runs: int = 1
 ) -> None:
-    """Raise where the parts cannot tell a term of the servo from the other terms.
+    """Raise if the parts cannot tell a servo term from the other terms.
 
-    The mean of ``servo`` is looked at without its second harmonic: that is there in principle, and so small that an
-    error of the read-out at twice the turn would pass for it.
+    The mean of ``servo`` is tested without its second harmonic. The harmonic exists, but an error of the read-out at
+    twice the turn would look like it.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def refuse_if_servo_confounded(
 
 
 def _stiffness_alike(plain: Layout, parts: list[Reduction], names: Sequence[Names]) -> Names:
-    """Terms that make up the mean part of ``servo``; none where the parts tell it apart."""
+    """Terms that combine to the mean part of ``servo``; empty if the parts can tell it apart."""
     local, last = plain.local, len(plain.keys)
     rows, square = [], 0.0
     for group, (part, own) in enumerate(zip(parts, names, strict=True)):
@@ -255,7 +255,7 @@ def _stiffness_alike(plain: Layout, parts: list[Reduction], names: Sequence[Name
 def _damping_alike(
     plain: Layout, rest: list[Reduction], parts: list[Reduction], names: Sequence[Names]
 ) -> Names:
-    """Terms that make up ``servo_damping``, the phase of every group being free."""
+    """Terms that combine to ``servo_damping``, with a free phase in every group."""
     rows, square = [], 0.0
     phases = solve_parts(plain, rest).phases
     state = ServoState(tuple(float(phase) for phase in phases), 0.0, 0.0, 0.0)
@@ -275,9 +275,9 @@ def _damping_alike(
 
 
 def _made_of(rows: Array, size: float, names: list[str]) -> Names:
-    """Names of the columns that make up the last one, which was of this size; none where they leave a part of it.
+    """Names of the columns that combine to the last column of given size; empty if an independent part remains.
 
-    What its phase groups took of the column by themselves is that of ``tan_beta``.
+    The part of the column that the phase groups take up belongs to ``tan_beta``.
     """
     scale = np.linalg.norm(rows[:, :-1], axis=0)
     scale[scale == 0.0] = 1.0

@@ -1,8 +1,8 @@
-"""Noise that a run is not weighted by, in its summary: what it adds to the covariance of a joint calibration.
+"""Noise that is in the covariance of a run but not in its weights, for a joint calibration.
 
-With weights W of the clear noise the estimate is ``A^-1 X'W y``; noise of covariance ``v B B'`` besides it adds
-``v A^-1 (X'W B)(X'W B)' A^-1``, A the information of all runs together. ``X'W B`` of a run, its *scores*, is a small
-matrix, whatever the columns of the other runs (own derivation, docs/theory).
+The weights W are those of the significant noise; the estimate is ``A^-1 X'W y``. Further noise of covariance ``v B B'``
+adds ``v A^-1 (X'W B)(X'W B)' A^-1`` to the covariance, where A is the information of all runs together. ``X'W B`` of
+a run, its *scores*, is a small matrix. It does not depend on the other runs (own derivation, docs/theory).
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from piga.calibration.noise.weighting import reduce_segments
 Array = NDArray[np.float64]
 
 PROBE = 0.02
-"""Standard deviations of a walk by which the information is differentiated."""
+"""Finite-difference step of the walk for the derivative of the information [standard deviations]."""
 
 
 @dataclass(frozen=True)
 class AddedNoise:
-    """A noise that is in the covariance only: its variance, negative too, standard uncertainty of that, and scores.
+    """A noise that is in the covariance only: its variance (may be negative), the uncertainty of that, and its scores.
 
-    ``scores`` (m, K) per phase group, of a unit of it; ``together``: one noise moves all groups, else each has its own.
+    ``scores`` (m, K) per phase group, for unit variance. ``together``: True if one noise acts on all groups, False if each
+    group has its own.
     """
 
     name: str
@@ -38,22 +39,22 @@ class AddedNoise:
     scores: tuple[Array, ...] = field(repr=False)
 
     def select(self, held: tuple[str, ...], columns: tuple[str, ...]) -> AddedNoise:
-        """That of some of the columns."""
+        """The noise for some of the columns."""
         at = [held.index(name) for name in columns]
         return replace(self, scores=tuple(part[at] for part in self.scores))
 
     def mixed(self, matrices: list[Array]) -> AddedNoise:
-        """That of combinations of the columns: ``matrices`` (m, wanted) of the phase groups."""
+        """The noise for combinations of the columns: ``matrices`` (m, wanted) of the phase groups."""
         return replace(
             self, scores=tuple(matrix.T @ part for matrix, part in zip(matrices, self.scores, strict=True))
         )
 
     def scaled(self, information: float) -> AddedNoise:
-        """That of the rows with ``information`` times the weight."""
+        """The noise for rows with ``information`` times the weight."""
         return replace(self, scores=tuple(part * information for part in self.scores))
 
     def per_unit(self, jacobians: list[Array]) -> Array:
-        """``J' S S' J`` summed: of parameters whose column coefficients in each group have these derivatives."""
+        """Sum of ``J' S S' J``, where J are the derivatives of the column coefficients in each group by the parameters."""
         moved = [jacobian.T @ part for jacobian, part in zip(jacobians, self.scores, strict=True)]
         whole = sum(moved) if self.together else np.hstack(moved)
         added: Array = whole @ np.transpose(whole)
@@ -61,7 +62,7 @@ class AddedNoise:
 
 
 def added_noise(fit: Fit, design: Design) -> tuple[AddedNoise, ...]:
-    """What a fit has in its covariance and not in its weights, with the columns of ``design``."""
+    """The noise that is in the covariance of a fit but not in its weights, for the columns of ``design``."""
     noises = []
     if fit.slow_part is not None:
         drifting = fit.noise.drift > 0.0
@@ -85,9 +86,9 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
 
 
 def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
-    """``X'W B`` (m, count) of every segment for a unit of slow noise.
+    """``X'W B`` (m, count) of every segment for unit slow noise.
 
-    Where the weights know of a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
+    If the weights include a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
     """
     m, stated = len(design.names), fit.weights.stated if fit.counted is None else ()
     wide: NoiseColumns = BesideStated(SegmentBasis.of(design.run), basis) if stated else basis
@@ -106,7 +107,7 @@ def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
 
 
 def _walk_scores(design: Design, mode: str, noise: Noise, probe: float) -> tuple[Array, ...]:
-    """A root of ``X'W H W X`` (m, m), H the covariance of a unit of walk, of every group: minus the derivative of ``X'W X``."""
+    """A root of ``X'W H W X`` (m, m) of every group; H is the covariance of unit walk. It is minus d(``X'W X``)/d(walk)."""
     m = len(design.names)
     near = [
         _grouped([part.factor[:, :m].T @ part.factor[:, :m] for part in parts], design.groups)
@@ -118,7 +119,7 @@ def _walk_scores(design: Design, mode: str, noise: Noise, probe: float) -> tuple
 
 
 def _root(matrix: Array) -> Array:
-    """S with ``S S'`` a positive semidefinite matrix, its diagonal scaled to one for that."""
+    """S with ``S S'`` equal to a positive semidefinite matrix; the diagonal is scaled to one for the computation."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))

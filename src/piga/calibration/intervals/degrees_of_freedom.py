@@ -1,8 +1,8 @@
-"""Effective degrees of freedom: how well the noise levels, and so the standard uncertainties, are known.
+"""Effective degrees of freedom of the standard uncertainties, from the uncertainty of the noise levels.
 
-The variance of a coefficient is a function of the noise levels found in the record. Their covariance is the
-inverse Fisher information of the restricted likelihood; first-order propagation gives the variance of the
-variance, and Satterthwaite's rule (JCGM 100, G.4.1) the degrees of freedom ``2 v^2 / var(v)``.
+The variance of a coefficient is a function of the estimated noise levels. Their covariance is the inverse
+Fisher information of the restricted likelihood. First-order propagation gives the variance of the variance.
+Satterthwaite's rule (JCGM 100, G.4.1) gives the degrees of freedom ``2 v^2 / var(v)``.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ Array = NDArray[np.float64]
 LARGE = 200_000
 """Increments above which the noise levels are known so well that only the least degrees of freedom are given."""
 STEP = 0.05
-"""Relative step of a noise level for the derivative of the variances."""
+"""Finite-difference step for d(variance)/d(noise level), relative."""
 SEEN = 0.05
-"""Random walk over its standard uncertainty up to which it makes no difference to the weights."""
+"""Ratio of the random walk to its standard uncertainty below which it does not affect the weights."""
 
 
 def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:
-    """Fisher information (2, 2) of white noise [rad^2] and random walk [rad^2/s] in stretches of so many samples.
+    """Fisher information (2, 2) of white noise [rad^2] and random walk [rad^2/s]; ``lengths`` are samples per stretch.
 
     The cosine transform of the angle in a stretch has independent values of variance ``r + q h/(4 sin^2(pi
-    k/2n))``, k from 1 to n - 1. Each fitted coefficient takes one value out: the most telling ones are
-    left out, one for each.
+    k/2n))``, k from 1 to n - 1. Each fitted coefficient removes one value; the most informative values are
+    removed.
     """
     sizes, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
     information, slow = np.zeros((2, 2)), np.zeros(0)
@@ -54,7 +54,7 @@ def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int
 
 
 def _information(gain: Array, noise: Noise) -> Array:
-    """Of values of variance ``white + walk gain``."""
+    """Fisher information of values with variance ``white + walk gain``."""
     variance = noise.white + noise.walk * gain
     rows = np.stack([np.ones(gain.size), gain]) / np.where(variance > 0.0, variance, np.inf)
     return 0.5 * rows @ rows.T
@@ -117,9 +117,9 @@ def _satterthwaite(
 
 
 def _by_precision(fit: Fit, walks: Array, weights: Array, rest: float) -> Array:
-    """``2 m^2/var`` of the precision 1/v, m its mean, over the random walks that the record allows.
+    """``2 m^2/var`` of the precision 1/v with mean m, over the random walks that the record allows.
 
-    Exact, Student's t, where the variance is that of the random walk alone.
+    Exact (Student's t) if the variance comes from the random walk alone.
     """
     variances = _variances(fit)
     precision = np.array([1.0 / variances(replace(fit.noise, walk=walk)) for walk in walks])

@@ -1,12 +1,12 @@
-"""A random walk that is not clear: its variance as the record tells it, negative too, in the covariance alone.
+"""A random walk that is not significant: its estimated variance, which may be negative, enters the covariance only.
 
-Where the slow noise of a record may or may not hold a random walk beside white noise, weights stay those of white
-noise (they lose little), and what the walk adds to the covariance is its likely variance times what a unit adds. A
-variance that must not be negative is too large on average where there is none; one that is set to zero below a limit,
-too small where there is a little. The restricted likelihood is therefore searched wherever the covariance
-of the record is one, down to some negative variance (LEAST): the slow values of a record scatter less than its white
-noise says as often as they scatter more. With the uncertainty of that variance in the degrees of freedom intervals hold for
-any walk, after [Kenward1997]; own derivation, docs/theory.
+If it is unclear whether a record holds a random walk beside white noise, the weights stay those of white noise; they
+lose little. The walk adds its likely variance times the covariance per unit walk. A variance that must not be
+negative is too large on average if there is no walk. A variance that is set to zero below a limit is too small if
+there is a small walk. The restricted likelihood is therefore searched wherever the covariance of the record is
+positive definite, down to a negative variance (LEAST): the slow values of a record scatter less than its white
+noise says as often as they scatter more. The uncertainty of that variance enters the degrees of freedom. The
+intervals are then valid for any walk, after [Kenward1997]; own derivation, docs/theory.
 """
 
 from __future__ import annotations
@@ -26,28 +26,27 @@ from piga.calibration.noise.weighting import Whitener, reduce_segments
 Array = NDArray[np.float64]
 
 LEAST, MOST = 0.4, 30.0
-"""Range of the variance of the slowest value of the longest stretch, over that of white noise alone: not less, for
-white noise is known from the fast values, and slow ones that scatter far less than it explains do so by luck."""
+"""Search range for the variance of the slowest value of the longest stretch, relative to white noise alone. White
+noise is known from the fast values; slow values that scatter far less than it predicts do so by chance."""
 NODES = 6
-"""Levels in it at which the information of the coefficients is computed."""
+"""Number of walks in this range at which the information of the coefficients is computed."""
 PASSES = 2
 """Passes over the residuals."""
 UNCLEAR = 0.02
-"""Share of a walk in the variance of the slowest value up to which the weights are those of white noise."""
+"""Share of a walk in the variance of the slowest value up to which white-noise weights are used."""
 PROBE = 0.01
-"""The same share, moved by which the covariance is differentiated."""
+"""Finite-difference step of this share for d(covariance)/d(walk)."""
 TWIST = 0.1
-"""Step of the logarithm of that variance, by which the likelihood is differentiated."""
+"""Finite-difference step of the logarithm of this variance for derivatives of the likelihood."""
 ENOUGH = 3.0
-"""Slow values that the coefficients must leave; with fewer nothing is learnt of a walk, and none is assumed."""
+"""Fewest slow values left by the coefficients. With fewer, the record says nothing about a walk; none is assumed."""
 
 
 def include_faint_walk(fit: Fit) -> Fit:
-    """The same fit with a random walk that is not clear in its covariance; unchanged where it is clear.
+    """The fit with a random walk that is not significant in its covariance; unchanged if the walk is significant.
 
-    Left out beside a slow noise, with coarse counts, given noise levels and methods other than
-    whitened least squares in one go, in records of more than ``fit.SMALL`` increments, and
-    where the coefficients leave no slow values.
+    Not done with slow noise, coarse counts, given noise levels, methods other than whitened least squares in one go,
+    more than ``fit.SMALL`` increments, or if the coefficients leave no slow values.
     """
     request, noise = fit.design.request, fit.noise
     able = fit.mode == "increments" and request.method == "information" and fit.counted is None
@@ -67,10 +66,10 @@ def include_faint_walk(fit: Fit) -> Fit:
 
 
 def slowest(fit: Fit) -> float:
-    """Walk over white noise [1/s] that is as strong as it in the slowest value of the longest stretch.
+    """Walk over white noise [1/s] at which both are equal in the slowest value of the longest stretch.
 
-    The least eigenvalue of white noise in the increments of N samples is ``4 sin^2(pi/2N)``; the covariance is
-    one for any walk above minus this, intervals of the longest taken for all.
+    The least eigenvalue of white noise in the increments of N samples is ``4 sin^2(pi/2N)``. The covariance is positive
+    definite for any walk above minus this value, if all intervals equal the longest.
     """
     edges = np.append(np.flatnonzero(fit.design.run.begins), fit.design.run.size)
     longest = max(int(np.diff(edges).max()), 2)
@@ -97,8 +96,8 @@ def _likely_share(fit: Fit) -> float:
 def _walk_information(fit: Fit, share: float) -> Array:
     """Fisher information (2, 2) of white noise and walk for unit white noise, exact for this record.
 
-    That of the restricted likelihood is minus half the second derivative of its logarithms alone, ``(n - m) log r + F(q/r)``,
-    for the covariance is linear in both.
+    For the restricted likelihood it is minus half the second derivative of its logarithmic terms alone,
+    ``(n - m) log r + F(q/r)``, because the covariance is linear in both.
     """
     ratio, at = slowest(fit) * share, math.log1p(share)
     grid = at + TWIST * np.linspace(-1.0, 1.0, 3)
@@ -120,10 +119,10 @@ def _logarithms(fit: Fit, grid: Array) -> Array:
 
 
 def _sums(fit: Fit, walks: Array) -> tuple[Array, Array]:
-    """Sums of the likelihood for unit white noise at these walks, beside a stated scatter of the segments if there is one.
+    """Sums of the likelihood for unit white noise at these walks, including a stated scatter of the segments.
 
-    With ``V`` of white noise and walk, ``b`` the intervals of a segment and ``v`` its stated variance: ``log(1 + v b'V^-1 b)``
-    more, and ``v (b'V^-1 d)^2/(1 + v b'V^-1 b)`` less of the squares.
+    V is the covariance of white noise and walk, ``b`` the intervals of a segment, ``v`` its stated variance. The scatter
+    adds ``log(1 + v b'V^-1 b)`` and subtracts ``v (b'V^-1 d)^2/(1 + v b'V^-1 b)`` from the squares.
     """
     log, square = deviance_sums(fit.d, fit.h, walks)
     if not fit.noise.stated:
@@ -144,7 +143,7 @@ def _freedom(fit: Fit) -> int:
 
 
 def _per_walk(fit: Fit, probe: float) -> Array:
-    """What a unit of walk adds to the covariance with the weights of the fit: to first order all weights agree."""
+    """Covariance per unit walk with the weights of the fit; to first order all weights give the same."""
     above, below = (
         _at_the_fit(fit, _weighted(fit, replace(fit.noise, walk=fit.noise.walk + moved)))
         for moved in (probe, -probe)
@@ -154,7 +153,7 @@ def _per_walk(fit: Fit, probe: float) -> Array:
 
 
 def _at_the_fit(fit: Fit, solution: Solution) -> Array:
-    """Covariance of a solution linearised where the fit is: near tan_beta of zero each has another phase."""
+    """Covariance of a solution, linearised at the fit: near tan_beta = 0 each solution has another phase."""
     if fit.solution.phases.size != 1:
         return solution.covariance
     turn = np.linalg.solve(fit.solution.jacobians[0], solution.jacobians[0])
