@@ -1,10 +1,10 @@
-"""Results on the disk: whole or not there, never in place of an input, the files of two runs never together.
+"""Write results to disk. They are complete or absent, never overwrite an input, and never mix the files of two runs.
 
-One file is filled under a hidden name, made to last, and given its name. The files of one run are filled in a hidden
-folder; when all are there, that folder becomes the folder of results, or, in a folder that exists, its files are put in
-place one after another. A stop in between is seen by the hidden folder, which now ends in ``.whole``: who reads or writes
-there next puts the rest in place (:func:`settle`). A killed run leaves its hidden file or folder behind; the next run that
-writes there removes it. A lock tells a run that is still at work from one that is gone.
+A single file is written under a hidden name, synchronised to disk, and renamed. The files of one run are written in a
+hidden folder. When all are complete, that folder is renamed to the folder of results. If the folder of results exists,
+the files are moved into it one by one; meanwhile the hidden folder ends in ``.whole``. After a stop, the next reader or
+writer moves the rest (:func:`settle`). A killed run leaves its hidden file or folder behind; the next run that writes
+there removes it. A lock distinguishes a running process from one that ended.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from piga.errors import ArgumentError, PigaError
 
 _MARK, _JOURNAL = ".piga-part", "-journal"
 MOST_NAME = 100
-"""Bytes of a file's name, and of its ending, that its temporary file bears: file systems take 255 in all."""
+"""Most bytes of a file's name, and of its ending, that are used in the name of its temporary file. The limit of file
+systems is 255 in all."""
 _STAGE, _WHOLE = ".piga-stage-", ".whole"
 _WINDOWS = os.name == "nt"
-"""There a renamed file must not be open, an open file is its own lock, and renames last by themselves."""
+"""On Windows a file must be closed before it is renamed, an open file is its own lock, and renames need no sync."""
 
 
 def write_whole(
@@ -38,23 +39,23 @@ def write_whole(
     remedy: str = "check space and rights",
     kind: type[PigaError] = PigaError,
 ) -> Path:
-    """Let ``write`` fill a temporary file, make it last, and give it its name.
+    """Let ``write`` fill a temporary file, sync it to disk, and rename it to ``target``.
 
     Parameters
     ----------
     target:
-        File to be.
+        The final file.
     write:
-        Fills the file whose path it gets; that ends as ``target`` does.
+        Function that writes the file at the path it gets. The path has the same ending as ``target``.
     replace:
-        False: an existing ``target`` is never touched.
+        False: an existing ``target`` is never replaced.
     remedy, kind:
-        What to do about a file that cannot be written, and the kind of the error.
+        Remedy and class of the error if the file cannot be written.
 
     Raises
     ------
     PigaError
-        If the file cannot be written; ``target`` is as it was.
+        If the file cannot be written. ``target`` is then unchanged.
     """
     try:
         remove_leftovers(target)
@@ -83,12 +84,12 @@ def write_whole(
 
 
 def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
-    """Make a complete file beside ``target`` last, and give it that name.
+    """Sync a complete file beside ``target`` to disk, and rename it to ``target``.
 
     Raises
     ------
     OSError
-        If it cannot be done; FileExistsError where ``target`` is there and is not to be replaced.
+        If it fails; FileExistsError if ``target`` exists and must not be replaced.
     """
     _sync(part)
     if replace or _WINDOWS:
@@ -106,7 +107,7 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
 
 
 def remove_leftovers(target: Path) -> None:
-    """Remove temporary files of runs that were killed while they wrote ``target``."""
+    """Remove the temporary files of runs that were killed while writing ``target``."""
     pattern = f".{_escaped(_short(target.name))}.*{_MARK}*"
     for path in target.parent.glob(pattern):
         if not path.name.endswith(_JOURNAL):
@@ -122,18 +123,18 @@ def remove_leftovers(target: Path) -> None:
 def check_outputs(
     outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool, ours: Callable[[Path], bool] | None = None
 ) -> None:
-    """Refuse to write over inputs, and, unless ``force``, over what is there; a person at a terminal is asked.
+    """Refuse to overwrite inputs and, unless ``force``, existing files. At a terminal the user is asked.
 
     Parameters
     ----------
     outputs:
         Files to be written.
     inputs:
-        Files that the command reads, under whatever name.
+        Files that the command reads. They are recognised under any name.
     force:
-        True: what is there may be replaced. An input never is.
+        True: existing files may be replaced. An input is never replaced.
     ours:
-        Says of a file that it may be replaced in any case.
+        Function that is True for a file that may be replaced in any case.
 
     Raises
     ------
@@ -174,28 +175,28 @@ def results(
     force: bool,
     option: str = "--out",
 ) -> Iterator[Path]:
-    """A folder to fill with the results of one run; they appear in ``folder`` together, or not at all.
+    """A folder to fill with the results of one run. They appear in ``folder`` together, or not at all.
 
     Parameters
     ----------
     folder:
-        Where the results go; made when it is not there.
+        Folder of the results; created if it does not exist.
     command:
-        What makes them, as it stands in a file name.
+        Name of the command, in a form that fits into a file name.
     names:
-        Patterns of the names of all results that the command can leave: older ones go when the new ones come.
+        Patterns of the names of all results of the command. Older files with such names are removed.
     inputs:
-        Files that the command reads. Results of the same command and inputs that nobody changed since are replaced without
-        a word; for all else see :func:`check_outputs`.
+        Files that the command reads. Unchanged results of the same command and the same inputs are replaced without a
+        question. For other files see :func:`check_outputs`.
     force:
-        True: what is there may be replaced.
+        True: existing files may be replaced.
     option:
         The option that names ``folder``.
 
     Raises
     ------
     PigaError
-        If the folder cannot be written, a result would replace an input, or other results are there.
+        If the folder cannot be written, a result would replace an input, or the folder holds other results.
     """
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 - symbolic links stay as they are named
     key = _key(command, inputs)
@@ -237,7 +238,7 @@ def results(
 
 
 def _check_places(paths: Iterable[Path]) -> None:
-    """Refuse a folder where a result goes, before anything is in place: it could never be put there.
+    """Refuse a folder that has the name of a result file, before any file is moved: it could not be replaced.
 
     Raises
     ------
@@ -252,12 +253,12 @@ def _check_places(paths: Iterable[Path]) -> None:
 
 
 def settle(folder: Path) -> None:
-    """Put results in place that a stopped run had completed, and remove what others left unfinished.
+    """Finish moving the results of a stopped run that were complete, and remove unfinished ones.
 
     Raises
     ------
     PigaError
-        If the folder cannot be written to: it holds the files of two runs.
+        If the folder cannot be written. It then holds the files of two runs.
     """
     waiting = sorted(folder.glob(f"{_STAGE}*"))
     if not waiting:
@@ -276,12 +277,12 @@ def settle(folder: Path) -> None:
 
 
 def is_staged(folder: Path) -> bool:
-    """True for the hidden folder of results that are not in place yet."""
+    """True for the hidden folder of results that are not moved yet."""
     return _STAGE in folder.name
 
 
 def _put_in_place(stage: Path, folder: Path) -> None:
-    """Move the results of a whole stage into the folder, those that they replace away; its mark comes last."""
+    """Move the results of a complete hidden folder into the folder and remove those they replace. The mark file comes last."""
     marks = [path for path in stage.iterdir() if path.name.startswith(".piga-results-")]
     if marks:
         mark = json.loads(marks[0].read_text(encoding="utf-8"))
@@ -298,7 +299,7 @@ def _put_in_place(stage: Path, folder: Path) -> None:
 
 
 def _finish_stage(stage: Path, command: str, key: str, names: Sequence[str]) -> None:
-    """Bring the files of a stage to the disk, and note what they are."""
+    """Sync the files of a hidden folder to disk, and write their sizes and times into the mark file."""
     files = {}
     for path in sorted(stage.rglob("*")):
         if path.is_file():
@@ -312,7 +313,7 @@ def _finish_stage(stage: Path, command: str, key: str, names: Sequence[str]) -> 
 
 @contextmanager
 def _staged(home: Path, prefix: str) -> Iterator[Path]:
-    """A hidden folder of this process; removed unless it was renamed."""
+    """A hidden folder of this process. It is removed at the end unless it was renamed."""
     stage = home / f"{prefix}{_STAGE}{secrets.token_hex(4)}"
     stage.mkdir()
     handle = None if _WINDOWS else os.open(stage, os.O_RDONLY)
@@ -327,7 +328,7 @@ def _staged(home: Path, prefix: str) -> Iterator[Path]:
 
 
 def _clear(home: Path, pattern: str) -> None:
-    """Remove the hidden folders of runs that are gone."""
+    """Remove the hidden folders of processes that ended."""
     if _WINDOWS:
         return
     for stage in home.glob(pattern):
@@ -344,7 +345,7 @@ def _clear(home: Path, pattern: str) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """One process at a time, the others wait; where the file system has locks."""
+    """Let one process work at a time; the others wait. Without effect on Windows and on a file system without locks."""
     if _WINDOWS:
         yield
         return
@@ -360,12 +361,12 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def hold(path: Path) -> Callable[[], None]:
-    """Lock a file for this process, made when it is not there; returns what lets it go.
+    """Lock a file for this process; create it if it does not exist. Returns the function that unlocks it.
 
     Raises
     ------
     OSError
-        When another process holds it, or the file system has no locks.
+        If another process holds the lock, or the file system has no locks.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
@@ -394,7 +395,7 @@ def _key(command: str, inputs: Sequence[Path]) -> str:
 
 
 def _read_marks(path: Path, key: str) -> dict[str, Any]:
-    """Size and time of the results that the same command and inputs left there, by name."""
+    """Size and time, by name, of the results from an earlier run with the same command and inputs."""
     try:
         mark = json.loads(path.read_text(encoding="utf-8"))
         return dict(mark["files"]) if mark["key"] == key else {}
@@ -420,14 +421,14 @@ def _identity(path: Path) -> tuple[int, int] | str:
 
 
 def _remove(temporary: Path) -> None:
-    """Remove a temporary file, and the journal that SQLite keeps beside one that becomes a store."""
+    """Remove a temporary file, and its SQLite journal if it is a store."""
     for path in (temporary, temporary.with_name(temporary.name + _JOURNAL)):
         with suppress(OSError):
             path.unlink(missing_ok=True)
 
 
 def sync_directory(folder: Path) -> None:
-    """Make renames in a directory last."""
+    """Sync a directory, so that renames in it are on disk."""
     if _WINDOWS:
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -443,7 +444,7 @@ def _sync(path: Path) -> None:
 
 
 def _lock(handle: int) -> None:
-    """Lock a file, or raise OSError when another process holds it."""
+    """Lock a file; raise OSError if another process holds it."""
     if not _WINDOWS:
         import fcntl
 

@@ -1,7 +1,7 @@
-"""The administrative part of a certificate (TOML), and what is missing for one by ISO/IEC 17025:2017.
+"""The administrative part of a certificate (TOML), and the check for items missing by ISO/IEC 17025:2017.
 
-Every key may be left out when the file is read; :func:`missing_items` lists all that a certificate lacks, with
-the clause that asks for it, so that nothing is found one at a time.
+The reader accepts a file without any key. :func:`missing_items` then lists all missing items at once, with the
+clauses that demand them.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from piga.records.text_files import read_toml
 from piga.units import to_si
 
 MASKED = 0.05
-"""Largest share of masked rows that a certificate is given for, unless the file allows more."""
+"""Largest share of masked rows for which a certificate is issued, unless the file allows more."""
 Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
 WORST: tuple[Status, ...] = ("pass", "conditionalPass", "conditionalFail", "fail")
-"""Verdicts on conformity, the worst last."""
+"""Conformity verdicts; the worst is last."""
 _RANGE_NAMES = {
     "a_x": ("axial specific force", "m/s^2"),
     "a_t": ("transverse specific force", "m/s^2"),
@@ -41,7 +41,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 class CertificateTable(_Table, frozen=True):
     """``[certificate]``: its unique number, date of issue, and what it replaces.
 
-    ``piga certificate`` puts today where the file has no ``issued``; in Python it must be set.
+    If ``issued`` is missing, ``piga certificate`` sets today's date. In Python it must be set.
     """
 
     number: str = ""
@@ -73,7 +73,7 @@ class PartyTable(_Table, frozen=True):
 
 
 class ItemTable(_Table, frozen=True):
-    """``[item]``: what was calibrated, and in which condition it came."""
+    """``[item]``: the calibrated item, and its condition at receipt."""
 
     description: str = ""
     manufacturer: str = ""
@@ -85,7 +85,7 @@ class ItemTable(_Table, frozen=True):
 
 
 class CalibrationTable(_Table, frozen=True):
-    """``[calibration]``: when and where, for which order."""
+    """``[calibration]``: dates, place and order of the calibration."""
 
     begin: dt.date | None = None
     end: dt.date | None = None
@@ -95,7 +95,7 @@ class CalibrationTable(_Table, frozen=True):
 
 
 class MethodTable(_Table, frozen=True):
-    """``[method]``: procedure, what was done otherwise, sampling, and results from elsewhere."""
+    """``[method]``: procedure, deviations from it, sampling, and results from external providers."""
 
     name: str = ""
     documents: tuple[str, ...] = ()
@@ -106,7 +106,7 @@ class MethodTable(_Table, frozen=True):
 
 
 class ConditionTable(_Table, frozen=True):
-    """``[[environment]]``: a condition that influences the results, its value and expanded uncertainty."""
+    """``[[environment]]``: a condition that influences the results, with its value and expanded uncertainty."""
 
     name: str
     value: str
@@ -114,7 +114,7 @@ class ConditionTable(_Table, frozen=True):
 
 
 class StandardTable(_Table, frozen=True):
-    """``[[traceability.standard]]``: a standard that was used, its identification and certificate."""
+    """``[[traceability.standard]]``: a standard used, with its identification and certificate."""
 
     name: str
     identification: str = ""
@@ -123,7 +123,7 @@ class StandardTable(_Table, frozen=True):
 
 
 class TraceabilityTable(_Table, frozen=True):
-    """``[traceability]``: the statement, and the standards behind it."""
+    """``[traceability]``: the statement of traceability, and its standards."""
 
     statement: str = ""
     standard: tuple[StandardTable, ...] = ()
@@ -137,14 +137,14 @@ class PersonTable(_Table, frozen=True):
 
 
 class PeopleTable(_Table, frozen=True):
-    """``[people]``: who authorises the certificate, and who did the work."""
+    """``[people]``: the person who authorises the certificate, and those who did the work."""
 
     authorised: PersonTable = PersonTable()
     performed: PersonTable = PersonTable()
 
 
 class AdjustmentTable(_Table, frozen=True):
-    """``[adjustment]``: whether the item was adjusted or repaired; then its results before."""
+    """``[adjustment]``: whether the item was adjusted or repaired and, if so, its results before."""
 
     performed: bool | None = None
     before: str = ""
@@ -152,7 +152,7 @@ class AdjustmentTable(_Table, frozen=True):
 
 
 class ConformityTable(_Table, frozen=True):
-    """``[conformity]``: specification, decision rule, and limits (lower, upper) of coefficients with units."""
+    """``[conformity]``: specification, decision rule, and lower and upper limits of coefficients, with units."""
 
     specification: str = ""
     rule: Literal["simple", "guarded"] | None = None
@@ -161,7 +161,7 @@ class ConformityTable(_Table, frozen=True):
 
 
 class StatementsTable(_Table, frozen=True):
-    """``[statements]``: opinions with their author; an interval only where the customer agreed to one."""
+    """``[statements]``: opinions with their author; a recalibration interval only if the customer agreed to it."""
 
     opinions: str = ""
     opinions_by: str = ""
@@ -171,7 +171,7 @@ class StatementsTable(_Table, frozen=True):
 
 
 class CertificateFile(_Table, frozen=True):
-    """A whole file."""
+    """A whole certificate file."""
 
     certificate: CertificateTable = CertificateTable()
     laboratory: PartyTable = PartyTable()
@@ -193,7 +193,7 @@ def read_certificate_file(path: str | Path) -> CertificateFile:
     Raises
     ------
     RunFileError
-        If the file is no TOML, has an unknown key or a value of the wrong type.
+        If the file is not TOML, has an unknown key or a value of the wrong type.
     """
     return read_toml(Path(path), CertificateFile)
 
@@ -231,16 +231,16 @@ _NEEDED = (
 def missing_items(
     data: CertificateFile, calibration: Calibration, before: Calibration | None = None
 ) -> list[str]:
-    """All that keeps a certificate from being issued, one sentence each; empty when it can be.
+    """List everything that prevents a certificate, one sentence each. Empty if it can be issued.
 
     Parameters
     ----------
     data:
         The administrative part.
     calibration:
-        The calibration that is certified.
+        The calibration to certify.
     before:
-        The calibration before adjustment, where there is one.
+        The calibration before adjustment, if there is one.
     """
     missing = [
         f"[{table}] {key} ({clause}): {what}"
@@ -316,7 +316,7 @@ def _order_of_dates(data: CertificateFile) -> Iterator[str]:
 
 
 def _evaluated_before(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
-    """The date of issue against that of the evaluation, which is in UTC: no date line is so far west as 12 h."""
+    """Check that the date of issue is not before the evaluation. The evaluation is in UTC; local time is at most 12 h behind."""
     evaluated = dt.datetime.fromisoformat(calibration.provenance.created) - dt.timedelta(hours=12)
     issued = data.certificate.issued
     if issued is not None and issued < evaluated.date():
@@ -336,7 +336,7 @@ def _adjustment(data: CertificateFile, calibration: Calibration, before: Calibra
 
 
 def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
-    """What the calibration itself must have."""
+    """Items that the calibration itself must have."""
     if data.item.serial and data.item.serial != calibration.serial:
         yield f"[item] serial (7.8.2.1 g): '{data.item.serial}', but the calibration is of '{calibration.serial}'"
     for c in calibration.coefficients:
@@ -359,7 +359,7 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
 
 
 def _budget_sums(calibration: Calibration) -> Iterator[str]:
-    """The budget of each coefficient must add up to its standard uncertainty."""
+    """Check that the budget of each coefficient adds up to its standard uncertainty."""
     for c in calibration.coefficients:
         total = math.hypot(*(row.contribution(c) for row in calibration.budget))
         if abs(total - c.std) > 1e-6 * c.std:
@@ -398,7 +398,7 @@ def limits_in_file_units(key: str, pair: tuple[str, str]) -> tuple[float, float]
     Raises
     ------
     UnitError
-        If a limit has no unit or one of another kind.
+        If a limit has no unit or a unit of the wrong dimension.
     """
     unit = unit_of(key)
     one = to_si(f"1 {unit}", unit)
@@ -407,12 +407,12 @@ def limits_in_file_units(key: str, pair: tuple[str, str]) -> tuple[float, float]
 
 
 def overall(worst: Status) -> str:
-    """What the worst verdict on a coefficient says of the item, in words."""
+    """Verdict on the item in words: the worst verdict on its coefficients."""
     return {"pass": "conforms", "fail": "does not conform"}.get(worst, "cannot be decided for every result")
 
 
 def validity_ranges(calibration: Calibration) -> tuple[tuple[str, float, float, str], ...]:
-    """Ranges in which the results hold, from the record: name, lower end, upper end, SI unit."""
+    """Ranges in which the results are valid, from the record: name, lower end, upper end, SI unit."""
     stated = calibration.diagnostics.range
     return tuple(
         (_RANGE_NAMES[name][0], float(ends[0]), float(ends[1]), _RANGE_NAMES[name][1])
@@ -422,13 +422,13 @@ def validity_ranges(calibration: Calibration) -> tuple[tuple[str, float, float, 
 
 
 def range_sentence(ranges: tuple[tuple[str, float, float, str], ...]) -> str:
-    """The ranges as a certificate declares them."""
+    """The ranges as a sentence of the certificate."""
     words = "; ".join(f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)
     return f"The results were found, and hold, in this range: {words}.".replace("^2", "²")
 
 
 def title_of(c: Coefficient) -> str:
-    """A coefficient in words, as the heading of its result."""
+    """Heading of a coefficient's result."""
     words = meaning_of(c.name)
     where = "" if c.segment is None else f", segment {c.segment}"
     return f"{words[:1].upper()}{words[1:]}{where}"

@@ -1,7 +1,7 @@
-"""The calibration certificate by ISO/IEC 17025:2017, 7.8.2 and 7.8.4, as one HTML file that prints on A4.
+"""The calibration certificate by ISO/IEC 17025:2017, 7.8.2 and 7.8.4, as one HTML file for print on A4.
 
-The unique number stands on every printed page (running head, and page foot with "page n of m"), and a line
-marks the end. Nothing is issued while an item is missing: :func:`certificate_html` refuses with the whole list.
+Every printed page shows the unique number (header, and footer with "page n of m"). A line marks the end. If items are
+missing, :func:`certificate_html` issues nothing and lists all of them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from piga.reports.render.numbers import count, pretty_unit, printed, relative, r
 from piga.reports.render.page import Table, TableColumn, resource, template
 
 _ACROSS = 5
-"""Coefficients side by side in a table of the certificate."""
+"""Most coefficients side by side in a table of the certificate."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def require_complete(
     Raises
     ------
     CalibrationError
-        With everything that is missing, and the clause that asks for it.
+        If an item is missing. The message lists all missing items and the clauses that demand them.
     """
     missing = missing_items(data, calibration, before)
     if missing:
@@ -69,10 +69,10 @@ def certificate_html(
     record_sha256: str = "",
     working_copy: bool = False,
 ) -> str:
-    """The certificate as HTML text; the same input always gives the same bytes.
+    """The certificate as HTML text. The same input always gives the same bytes.
 
-    ``working_copy`` makes the page that stays in the laboratory: marked as such, with the cautions of the calibration
-    in front, for the person who authorises the certificate.
+    ``working_copy`` gives the copy for the laboratory. It is marked as such and begins with the cautions of the
+    calibration, for the person who authorises the certificate.
 
     Raises
     ------
@@ -93,19 +93,19 @@ def certificate_html(
 
 
 def _cautions(calibration: Calibration) -> tuple[str, list[str]]:
-    """The verdict on the calibration, and what does not hold, for the laboratory."""
+    """The verdict on the calibration and its doubts, for the laboratory."""
     verdict = calibration.verdict
     return verdict.headline, [f"{sentence(doubt.words)}." for doubt in verdict.doubts]
 
 
 def write_certificate(html: str, path: Path) -> Path:
-    """Write the page in UTF-8, line ends as they are on every system; returns ``path``."""
+    """Write the page in UTF-8, with the same line ends on every system. Returns ``path``."""
     path.write_bytes(html.encode("utf-8"))
     return path
 
 
 def _css_string(text: str) -> str:
-    """Text for a CSS string: everything but letters, digits and some marks is escaped."""
+    """Text for a CSS string. Everything except letters, digits and some marks is escaped."""
     return "".join(c if c.isascii() and (c.isalnum() or c in " -_.:") else f"\\{ord(c):x} " for c in text)
 
 
@@ -165,7 +165,7 @@ def _conditions_table(data: CertificateFile) -> Table:
 
 
 def _quantity(text: str) -> str:
-    """A quantity that a person wrote, as it is printed."""
+    """A quantity written by a person, as it is printed."""
     number, _, unit = text.partition(" ")
     return f"{printed(number.lower())} {pretty_unit(unit)}".strip()
 
@@ -217,7 +217,7 @@ def _result_table(calibration: Calibration, caption: str) -> Table:
 
 
 def _monte_carlo(calibration: Calibration) -> list[str]:
-    """The intervals of the coefficients that the first order does not hold for, in words."""
+    """Sentences on the Monte Carlo intervals, for coefficients whose first-order interval is not valid."""
     intervals = [(c.key, monte_carlo_interval(c)) for c in common_coefficients(calibration) if c.interval]
     if not intervals:
         return []
@@ -287,7 +287,7 @@ def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
 
 
 def _record(calibration: Calibration, record_sha256: str) -> list[tuple[str, Any]]:
-    """What ties the certificate to data and software."""
+    """Digests and versions that link the certificate to data and software."""
     quality = calibration.quality
     rows = [
         ("Software", calibration.provenance.software),

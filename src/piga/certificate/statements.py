@@ -1,4 +1,4 @@
-"""What a certificate declares, in sentences with the clause of ISO/IEC 17025:2017 that asks for them."""
+"""The statements of a certificate, with the clauses of ISO/IEC 17025:2017 that demand them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _RULES = {
 
 @dataclass(frozen=True)
 class Statement:
-    """One declaration; ``ranges`` are (name, low, high, SI unit), ``ref_type`` names it in a DCC."""
+    """One statement. ``ranges`` are (name, low, high, SI unit). ``ref_type`` identifies it in a DCC."""
 
     title: str
     text: str
@@ -46,7 +46,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Conformity:
-    """Conformity of one coefficient: limits and values in its file unit."""
+    """Conformity of one coefficient. Limits and values are in its file unit."""
 
     key: str
     unit: str
@@ -63,7 +63,7 @@ class Conformity:
 
     @property
     def dcc(self) -> str:
-        """The verdict as a DCC writes it."""
+        """The verdict as written in a DCC."""
         return self.status
 
 
@@ -83,7 +83,7 @@ def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformit
 
 
 def _status(value: float, least: float, most: float, low: float, high: float) -> Status:
-    """Verdict on an interval ``least`` to ``most`` around a value, against the limits ``low`` and ``high``."""
+    """Verdict on the interval ``least`` to ``most`` of a value, for the limits ``low`` and ``high``."""
     if low <= least and most <= high:
         return "pass"
     if most < low or least > high:
@@ -97,7 +97,7 @@ def decision_rule(data: CertificateFile) -> str:
 
 
 def statements(data: CertificateFile, calibration: Calibration) -> tuple[Statement, ...]:
-    """All declarations that apply, in the order of the standard."""
+    """All applicable statements, in the order of the standard."""
     declarations = [
         Statement(
             "Scope of the results",

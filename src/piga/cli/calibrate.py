@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from piga.records import Calibration, Run
 
 RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
-"""What the command can leave."""
+"""Names of the result files."""
 RunFilesArgument = Annotated[
     list[Path],
     typer.Argument(
@@ -102,7 +102,7 @@ def _names(text: str | None) -> list[str] | None:
 
 
 def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummary]:
-    """The one run with the wish to compare these sets of terms."""
+    """The run, with these sets of terms to compare. Only one run is allowed."""
     from dataclasses import replace
 
     from msgspec.structs import replace as replaced
@@ -123,7 +123,7 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
 
 def read_items(paths: list[Path]) -> list[Run | RunSummary]:
-    """The runs, and the summaries of runs, that the command names."""
+    """The runs and summaries of runs that the command names."""
     from piga.calibration.joint.summary import RunSummary
     from piga.stand import read_run
 
@@ -154,7 +154,7 @@ def run_calibration(
 
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:
-    """Write the summary of every run whose data were read, with the wishes of its run file."""
+    """Write the summary of every run whose data were read, with the options of its run file."""
     from piga.calibration.joint.summary import RunSummary
 
     written = []
@@ -218,7 +218,7 @@ def demo(
 
 
 def copy_example(folder: Path) -> Path:
-    """Copy the shipped record and its run file into ``folder``; returns the run file."""
+    """Copy the shipped record and its run file into ``folder``. Returns the run file."""
     source = files("piga.data")
     (folder / f"{EXAMPLE}.csv").write_bytes(gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes()))
     run = folder / f"{EXAMPLE}.toml"

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 
 RESULTS = ("certificate.html", "working-copy.html", "certificate.xml")
-"""What issuing can leave."""
+"""Names of the result files of ``issue``."""
 
 
 class _IssueByDefault(CommandGroup):
     """``piga certificate CALIBRATION.json ...`` is ``piga certificate issue CALIBRATION.json ...``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the default command before an argument that is not a command."""
+        """Insert the default command before an argument that is not a command."""
         if args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
             args = ["issue", *args]
         return super().parse_args(ctx, args)
@@ -135,7 +135,7 @@ def issue(
 
 
 def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
-    """The administrative part with its date of issue: the one asked for, else the file's own, else today."""
+    """The administrative part with its date of issue: from the option, else from the file, else today."""
     from msgspec.structs import replace
 
     if date is None:
@@ -150,7 +150,7 @@ def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
 
 
 def _bytes(path: Path) -> bytes:
-    """The bytes of a calibration.json, read once: the digest on the certificate is of what was certified."""
+    """The bytes of a calibration.json. They are read once, so the certificate shows the digest of the certified record."""
     from piga.output import settle
     from piga.records.calibration_json import MAX_BYTES
     from piga.records.limits import read_whole
@@ -160,7 +160,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _before(file: CertificateFile, data: Path) -> Calibration | None:
-    """The calibration before adjustment; its path is relative to the TOML file."""
+    """The calibration before adjustment. Its path is relative to the TOML file."""
     from piga.records.calibration_json import read_calibration
 
     return read_calibration(data.parent / file.adjustment.before) if file.adjustment.before else None
@@ -237,7 +237,7 @@ def verify(
 
 
 def _day(at: str | None) -> dt.datetime:
-    """Now, or noon UTC of the day that was given."""
+    """Now, or noon UTC of the given day."""
     if at is None:
         return dt.datetime.now(dt.UTC)
     try:

@@ -104,7 +104,7 @@ def _print_check(run: Path, record: Run, document: dict[str, Any]) -> None:
 
 
 def _print_suggestions(suggestions: list[Any]) -> None:
-    """Lines in the run file's own syntax, with the reason as a comment."""
+    """Print suggested lines in run-file syntax, with the reason as a comment."""
     if not suggestions:
         say("# no run-file line would change what was found")
     for item in dict.fromkeys(suggestions):

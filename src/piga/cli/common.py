@@ -1,4 +1,4 @@
-"""What every command shares: console, JSON output, results by rename, options, groups whose help comes quickly."""
+"""Code shared by all commands: console, JSON output, writing of results, options, groups with fast help."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 def clean(text: str) -> str:
-    """Text without terminal control sequences (file names and headers may carry them)."""
+    """Text without terminal control sequences (file names and headers may contain them)."""
     return _CONTROL.sub("?", text)
 
 
 class _Nowhere(io.TextIOBase):
-    """A stream that drops what is written: it replaces a standard output that cannot be written."""
+    """A stream that discards its text. It replaces a standard output that cannot be written."""
 
     def write(self, text: str, /) -> int:
-        """Take the text and drop it."""
+        """Discard the text."""
         return len(text)
 
 
 def check_pipes() -> None:
-    """Refuse a live stream whose standard input or output is closed: nothing comes in, or the result is lost.
+    """Refuse a live stream if standard input or output is closed.
 
     Raises
     ------
     PigaError
-        Naming the one that is closed.
+        If one is closed. The message names it.
     """
     closed = "input" if sys.stdin is None else "output" if isinstance(sys.stdout, _Nowhere) else ""
     if closed:
@@ -47,30 +47,30 @@ def check_pipes() -> None:
 
 
 LOST = 1
-"""Exit code when a JSON document could not be written on stdout."""
+"""Exit code if a JSON document could not be written on stdout."""
 
 
 def prepare_output() -> None:
-    """Make stdout and stderr take any text: characters that the terminal or the pipe lacks are replaced."""
+    """Let stdout and stderr accept any text. Characters that their encoding lacks are replaced."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is None:  # closed by who started the command
+        if stream is None:  # the parent process closed it
             setattr(sys, name, _Nowhere())
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
 def write_out(text: str, *, needed: bool) -> None:
-    """Write on stdout; where it is full or closed, what the command did stays done and is not reported as failed.
+    """Write on stdout. If stdout is full or closed, the command has still done its work, and no error is reported.
 
-    ``needed``: the text is the result itself (JSON), and a full disk behind stdout ends with exit code 1.
-    It is not an error when the reader has gone.
+    ``needed``: the text is the result itself (JSON), so a full disk behind stdout gives exit code 1.
+    A closed pipe is not an error.
     """
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
     except OSError as error:
-        sys.stdout = _Nowhere()  # nor at the end of the process
+        sys.stdout = _Nowhere()  # no error at the end of the process either
         if isinstance(error, BrokenPipeError):
             return
         note(f"piga: standard output cannot be written ({error.strerror}); what the command did is done")
@@ -79,7 +79,7 @@ def write_out(text: str, *, needed: bool) -> None:
 
 
 def as_json(document: Any) -> str:
-    """Indented JSON; with escapes where stdout takes no UTF-8, so that nothing is replaced in it."""
+    """Indented JSON. If stdout is not UTF-8, other characters are escaped, so that none is replaced."""
     plain = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") not in (
         "utf8",
         "utf8sig",
@@ -93,7 +93,7 @@ def print_json(document: Any) -> None:
 
 
 def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -> None:
-    """Write ``document`` with a last entry ``name``, the list of ``items``, one by one as they come."""
+    """Write ``document`` with a last entry ``name``: the list of ``items``, written one by one as they come."""
     start = as_json(document).removesuffix("\n}")
     write_out(f"{start},\n {json.dumps(name)}: [", needed=True)
     between = "\n"
@@ -105,19 +105,19 @@ def print_json_list(document: dict[str, Any], name: str, items: Iterable[Any]) -
 
 
 def say(text: str) -> None:
-    """A line for people on stdout."""
+    """Print a line for people on stdout."""
     write_out(clean(text) + "\n", needed=False)
 
 
 def note(text: str) -> None:
-    """A line for people on stderr (warnings, progress summaries)."""
-    with suppress(OSError):  # nobody is left to be told
+    """Print a line for people on stderr (warnings, progress summaries)."""
+    with suppress(OSError):  # stderr is closed: nobody reads the message
         sys.stderr.write(clean(text) + "\n")
         sys.stderr.flush()
 
 
 def output_directory(path: Path, option: str = "--out") -> Path:
-    """Create the output directory that ``option`` names, or say why it cannot be.
+    """Create the output directory that ``option`` names.
 
     Raises
     ------
@@ -135,19 +135,19 @@ def output_directory(path: Path, option: str = "--out") -> Path:
 
 
 def files_named_in(path: Path) -> list[Path]:
-    """A TOML file and all files that it leads to: what a command may read, and must not write over."""
+    """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
     from piga.records.text_files import files_named_in
 
     return files_named_in(path)
 
 
 def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, then rename it: never a half-written result.
+    """Let ``write`` fill a temporary file beside ``path``, then rename it. So no result is half written.
 
     Raises
     ------
     PigaError
-        If it cannot be written; names the ``option`` that the path comes from.
+        If it cannot be written. The message names the ``option`` of the path.
     """
     return write_whole(path, write, remedy=f"choose another {option}")
 
@@ -159,15 +159,15 @@ def write_text(path: Path, text: str) -> Path:
 
 
 class Advance(Protocol):
-    """Tells a progress bar how much was done since the last call, and how much there is, where that is known."""
+    """Function that advances a progress bar: work done since the last call, and total work if known."""
 
     def __call__(self, count: int, total: int | None = None, /) -> None:
-        """``count`` more are done, of ``total``."""
+        """``count`` more of ``total`` are done."""
 
 
 @contextmanager
 def progress(title: str, total: int | None = None) -> Iterator[Advance]:
-    """Progress bar on stderr, shown only on a terminal and after a second; yields ``advance(n, total)``."""
+    """Progress bar on stderr, shown only on a terminal and after one second. Yields ``advance(n, total)``."""
     if not sys.stderr.isatty():
         yield lambda _count, _total=None: None
         return
@@ -198,14 +198,14 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing res
 
 
 class CommandGroup(TyperGroup):
-    """A group that does not load pydantic to learn that ``--help`` was not given.
+    """A group whose ``--help`` option does not load pydantic.
 
-    Typer converts every value that is not of its type yet through pydantic (0.1 s to import). A flag that was not given
-    is None, no truth value, so that ``piga check --help`` paid for the ``--help`` that ``piga`` was not given.
+    Typer converts every value of the wrong type with pydantic, whose import takes 0.1 s. A missing flag is None, not a
+    bool, so the ``--help`` of the group, when not given, caused this import. Here a missing ``--help`` is False.
     """
 
     def get_help_option(self, ctx: Any) -> TyperOption | None:
-        """The option ``--help``, False when it is not given."""
+        """The option ``--help``. It is False if not given."""
         option = super().get_help_option(ctx)
         if option is not None:
             option.default = False

@@ -125,7 +125,7 @@ def compensate(
 
 
 def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
-    """What does not hold of the calibrations that were used."""
+    """Print the doubts about the calibrations used."""
     return [
         {
             "serial": one.serial,
@@ -143,7 +143,7 @@ ONE_RECORD = {
     "rate": ("live", "", "resample with piga.compensation.Resampler"),
     "report": ("live", "", "record the stream, then compensate the record"),
 }
-"""Options that a live stream or several instruments do not take, and what to do instead."""
+"""Options that are not allowed for a live stream or several instruments, and the alternative."""
 
 
 def _refuse(live: bool, **options: object) -> None:
@@ -157,7 +157,7 @@ def _refuse(live: bool, **options: object) -> None:
 
 
 def _page(report: Path | None, resume: bool) -> Path | None:
-    """Path of the page; None without a page."""
+    """Path of the report page; None without a page."""
     if report is None:
         return None
     if resume:
@@ -183,7 +183,7 @@ def _one(calibrations: list[Calibration]) -> Calibration:
 
 @dataclass(frozen=True)
 class _Options:
-    """How a record is compensated; ``period`` [s] of another rate."""
+    """Options of a compensation. ``period`` [s] is the interval of another output rate."""
 
     method: str | None
     phase: Phase | None
@@ -203,7 +203,7 @@ class _Options:
         }
 
     def in_words(self, calibration: Calibration) -> dict[str, str]:
-        """Options as label-value pairs for the page."""
+        """Options as label-value pairs for the report."""
         from piga.compensation.model import check_method
 
         phase = "of the calibration"
@@ -212,7 +212,7 @@ class _Options:
         return {"method": check_method(self.method, calibration), "phase used": phase} | self.common()
 
     def common(self) -> dict[str, str]:
-        """What a page says of one instrument and of a set alike."""
+        """Label-value pairs that the reports of one instrument and of a set share."""
         return {
             "rate": "as recorded"
             if self.period is None
@@ -226,7 +226,7 @@ class _Options:
 
 @dataclass(frozen=True)
 class _Target:
-    """Where the result and the page go; ``resume`` from whole parts, unless ``restart``: then parts of another run go."""
+    """Places of result and report. ``resume``: continue from complete parts. ``restart``: remove the parts of other runs."""
 
     out: Path
     page: Path | None
@@ -242,10 +242,10 @@ def _single(
     options: _Options,
     rest: float | None,
 ) -> dict[str, Any]:
-    """One recorded run, of any length.
+    """Compensate one recorded run of any length.
 
-    ``sources`` are the file of the calibration, and the SHA-256 of what was read; ``rest`` [s] is the first time at
-    rest, from which the phase is taken.
+    ``sources`` are the calibration file and its SHA-256 as read. ``rest`` [s] is the initial time at rest, which gives
+    the phase.
     """
     from piga.compensation import Resampler, identify_phase
     from piga.compensation.compensate import compensate
@@ -310,7 +310,7 @@ def _single(
 
 
 def _with_phase(options: _Options, phase: Phase | None) -> _Options:
-    """The options with the phase that was found, if one was looked for."""
+    """The options with the estimated phase, if one was estimated."""
     if phase is None:
         return options
     note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
@@ -318,7 +318,7 @@ def _with_phase(options: _Options, phase: Phase | None) -> _Options:
 
 
 def _spare_memory() -> None:
-    """Let PyArrow take its memory from the system: its own allocator keeps 30 MB that are not in use."""
+    """Let PyArrow use the system allocator: its own allocator keeps 30 MB of unused memory."""
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 
@@ -362,7 +362,7 @@ def _together(
 
 
 class _Report:
-    """Watches one compensation; ``files`` are those of the page: name, and SHA-256 of what was read."""
+    """Collects the report of one compensation. ``files``: name and SHA-256 of each file read."""
 
     def __init__(self, page: Path, kind: str, calibration: Calibration, files: list[tuple[str, str]]) -> None:
         self._page, self._calibration, self._files = page, calibration, files
@@ -372,7 +372,7 @@ class _Report:
         self.outline = outline_of(kind, calibration)
 
     def take(self, record: Run, result: Compensated) -> None:
-        """Take a whole record."""
+        """Add a whole record."""
         from piga.records.spool import give_back
 
         give_back()
@@ -380,7 +380,7 @@ class _Report:
         self.outline.record(record, result)
 
     def write(self, options: dict[str, str], repairs: dict[str, int]) -> None:
-        """Write the page by rename."""
+        """Write the report by rename."""
         from piga.records.spool import give_back
         from piga.reports.compensation.page import CompensationFacts, write_compensation_report
 
@@ -394,7 +394,7 @@ class _Report:
 
 
 class _SetReport:
-    """Watches the compensation of a set; ``runs`` are its run files."""
+    """Collects the report of a set. ``runs`` are its run files."""
 
     def __init__(self, page: Path, runs: list[Path], mounted: list[Mounted]) -> None:
         from piga.records import read_run_file
@@ -409,7 +409,7 @@ class _SetReport:
         self.outline = SetOutline("rate" if kinds[0].output.kind == "rate" else "angle", mounted)
 
     def write(self, options: dict[str, str], inputs: list[dict[str, str]]) -> None:
-        """Write the page by rename; ``inputs`` as the summary lists them."""
+        """Write the report by rename. ``inputs`` are those of the summary."""
         from piga.records.spool import give_back
         from piga.reports.compensation.page import SetFacts, write_set_report
 

@@ -1,4 +1,4 @@
-"""Entry point of the command ``piga``: exit 0 done, 2 wrong use or bad input, 1 internal error."""
+"""Entry point of the command ``piga``. Exit codes: 0 done, 2 wrong use or bad input, 1 internal error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from piga.cli.simulate import simulate
 from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-"""The matrices here are small: more threads would only wait for each other, for seconds when the machine is busy."""
+"""One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""
 
 _ROOM = "make room on the disk (TMPDIR names the folder for temporary files), then run the command again"
 _RIGHTS = "name a file or folder that you may use"
@@ -33,7 +33,7 @@ _DISK = {
     errno.EIO: "check the disk, then run the command again",
     errno.ENAMETOOLONG: "use a shorter name",
 }
-"""What the disk can refuse wherever a command writes, and what to do."""
+"""Disk errors that can occur wherever a command writes, and their remedies."""
 
 app = typer.Typer(
     name="piga",
@@ -73,7 +73,7 @@ app.add_typer(certificate.app)
 def main() -> None:
     """Run the command line and turn errors into exit codes.
 
-    Doubts about a calibration are printed with its result; other warnings of piga are lines on stderr.
+    Doubts about a calibration are printed with its result. Other warnings of piga are lines on stderr.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
@@ -114,7 +114,7 @@ def _run() -> None:
     except (KeyboardInterrupt, MemoryError) as error:
         note(f"piga: stopped ({type(error).__name__})")
         sys.exit(1)
-    except Exception:  # the one place where anything unforeseen ends
+    except Exception:  # any unexpected error ends here
         traceback.print_exc()
         note("piga: internal error; please report it with the lines above")
         sys.exit(1)

@@ -11,7 +11,7 @@ from piga.cli.common import ForceOption, JsonOption, files_named_in, print_json,
 from piga.output import results
 
 RESULTS = ("scenario.toml", "plan.json", "report.html")
-"""What the command can leave."""
+"""Names of the result files."""
 
 
 def plan(

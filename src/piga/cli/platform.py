@@ -235,7 +235,7 @@ def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:
 
 
 def _results(out: Path, command: str, scenario: Path, force: bool, *names: str) -> AbstractContextManager[Path]:
-    """A folder for the results of a command and its page."""
+    """A folder for the results and the page of a command."""
     return results(out, f"platform-{command}", (*names, "report.html"), files_named_in(scenario), force=force)
 
 

@@ -30,19 +30,19 @@ if TYPE_CHECKING:
 
 
 def store_name(where: str) -> str:
-    """Store as printed: a password in a URL is not shown."""
+    """Name of the store as printed, without the password of a URL."""
     from piga.ledger.store.database import is_url, postgresql_database
 
     return postgresql_database(where).name if is_url(where) else where
 
 
 def say_head(records: int, head: str) -> None:
-    """Number of records and the head that vouches for them."""
+    """Print the number of records and the head that proves them."""
     say(f"{records} record{'' if records == 1 else 's'}, head {head}")
 
 
 def record_document(record: Record) -> dict[str, Any]:
-    """A record as JSON values: its place here, then the document as written."""
+    """A record as JSON values: its place in this store, then its document."""
     from msgspec import to_builtins
 
     place = {"number": record.number, "head": record.head, "added": record.link.added}
@@ -51,7 +51,7 @@ def record_document(record: Record) -> dict[str, Any]:
 
 
 def print_added(store: Store, record: Record, *, as_json: bool) -> None:
-    """The record that was kept."""
+    """Print the stored record."""
     if as_json:
         print_json({"store": store.name, **record_document(record)})
         return
@@ -60,7 +60,7 @@ def print_added(store: Store, record: Record, *, as_json: bool) -> None:
 
 
 def print_records(store: Store, where: str, serial: str | None, *, as_json: bool) -> None:
-    """All records, or those of one instrument, one by one: a line or a document for each."""
+    """Print all records, or those of one instrument: a line or a document for each."""
     head = store.head()
     if as_json:
         print_json_list(
@@ -79,7 +79,7 @@ def print_records(store: Store, where: str, serial: str | None, *, as_json: bool
 
 
 def say_record(record: Record) -> None:
-    """Who, when, why, with what, and the files."""
+    """Print operator, time, reason, software and files of a record."""
     document = record.document
     say(f"record {record.id}, number {record.number}, head {record.head}")
     facts = [
@@ -117,14 +117,14 @@ def difference_document(difference: Difference) -> dict[str, Any]:
 
 
 def _type_a_only(difference: Difference) -> list[str]:
-    """What is to be said of the uncertainties."""
+    """Remark on records whose uncertainties are of Type A only."""
     from piga.records.coverage import TYPE_A_ONLY
 
     return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
 
 
 def say_difference(difference: Difference) -> None:
-    """Each coefficient's difference with its uncertainty, then the facts that differ."""
+    """Print the difference of each coefficient with its uncertainty, then the other differences."""
     from piga.records.terms import shown_unit
     from piga.reports.render.numbers import rounded, signed
 
@@ -146,7 +146,7 @@ def say_difference(difference: Difference) -> None:
 
 
 def print_verification(verification: Verification, *, as_json: bool) -> None:
-    """What a check of the chain found."""
+    """Print the result of a verification."""
     if as_json:
         document = {
             "store": verification.name,
@@ -173,7 +173,7 @@ def print_verification(verification: Verification, *, as_json: bool) -> None:
 
 
 def print_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
-    """The file that was written and read back."""
+    """Print the file that was written and verified."""
     if as_json:
         print_json({"file": str(path), "records": records, "head": head})
         return
@@ -194,7 +194,7 @@ def reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
 
 
 def say_reproduced(reproduced: Reproduced) -> None:
-    """Whether a recomputed record is the same, and what changed since."""
+    """Print whether a recomputed record is the same, and the changes since."""
     where = (
         "same software and platform" if reproduced.same_platform else f"then and now: {_changes(reproduced)}"
     )
@@ -241,7 +241,7 @@ ReasonOption = Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why
 
 @contextmanager
 def opened(where: str, *, create: bool = False) -> Iterator[Store]:
-    """The store that a command works on."""
+    """Open the store of a command."""
     from piga.ledger.store import open_store
 
     with open_store(where, create=create) as store:
@@ -296,7 +296,7 @@ def add(
 
 
 def _check_usable(where: str) -> None:
-    """Refuse a store that cannot be used before the work begins; a new one is made only when there is a record."""
+    """Refuse an unusable store before the work begins. A new store is created only when there is a record."""
     from piga.ledger.store.database import is_url
 
     if is_url(where) or Path(where).exists():

@@ -1,4 +1,4 @@
-"""``piga reproduce``: every published case beside ours, judged."""
+"""``piga reproduce``: compare every published case with piga's result."""
 
 from __future__ import annotations
 

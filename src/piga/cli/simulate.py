@@ -11,7 +11,7 @@ from piga.cli.common import ForceOption, files_named_in, print_json, progress, s
 from piga.output import results
 
 RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
-"""What the command can leave."""
+"""Names of the result files."""
 
 
 def simulate(

@@ -1,4 +1,4 @@
-"""``piga records trend``: how the coefficients of an instrument move over the years."""
+"""``piga records trend``: drift of an instrument's coefficients over the years."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MOST_RECORDS = 10_000
 RARELY = (100_000, 50, 100)
-"""Thresholds of the garbage collector: thousands of records are many small objects, and none is garbage."""
+"""Thresholds that make garbage collection rare: thousands of records are many small objects, and none is garbage."""
 
 
 def register(app: typer.Typer) -> None:
@@ -85,7 +85,7 @@ def trend(
 
 
 def _written(out: Path, inputs: list[Path], drifts: Trend, date: dt.datetime, force: bool) -> list[Path]:
-    """Write trend.json and trend.html; return their paths."""
+    """Write trend.json and trend.html. Returns their paths."""
     from piga.reports.trend import trend_document, write_trend_report
 
     text = json.dumps(trend_document(drifts, at=date), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
@@ -132,7 +132,7 @@ def _files(sources: list[Path]) -> list[Path]:
 
 
 def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:
-    """A file as a record: its path is the id, the time is when it was evaluated."""
+    """A file as a record. Its path is the id; the time is that of the evaluation."""
     from piga.records.calibration_json import read_calibration
 
     calibration = read_calibration(path)

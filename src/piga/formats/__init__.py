@@ -1,1 +1,1 @@
-"""One reader and one writer for each file format; every file is a stream of chunks."""
+"""Readers and writers of data files. Each format has one reader, which gives the file in chunks."""

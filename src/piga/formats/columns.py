@@ -1,4 +1,4 @@
-"""A data file in memory: its columns, chunk by chunk or whole, and Arrow arrays as NumPy."""
+"""Columns of a data file in memory, in chunks or whole, and conversion of Arrow arrays to NumPy."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from piga.records.calibration import Event
 from piga.records.spool import Arrays, Growing
 
 CHUNK_ROWS = 1 << 16
-"""Rows of a chunk of Parquet or a container."""
+"""Rows per chunk of a Parquet file or a container."""
 
 
 @dataclass(frozen=True)
 class FileChunk:
-    """Rows that follow each other in a file.
+    """Consecutive rows of a file.
 
     Attributes
     ----------
     numbers:
-        Column name to float64 values, shape (n,), in the unit of the file; a missing value is nan.
+        float64 values (n,) by column name, in the unit of the file. A missing value is nan.
     codes:
-        Index into the stream's ``label_names`` for the segment column (-1 where there is none), or None.
+        Segment column as indices into the stream's ``label_names`` (-1: no label), or None.
     rows:
-        1-based file row of each.
+        1-based file row of each row.
     """
 
     numbers: dict[str, NDArray[np.float64]]
@@ -42,8 +42,8 @@ class FileChunk:
 class RecordStream(Protocol):
     """A data file being read.
 
-    ``units``: unit of a column where the file has one. ``label_names``: segment labels met so far, in order of
-    appearance. ``chunks()`` gives the rows once; ``events()``, after the last chunk, what was found and left out.
+    ``units``: unit of each column for which the file states one. ``label_names``: segment labels so far, in order of
+    appearance. ``chunks()`` gives the rows once. ``events()``, called after the last chunk, gives faults and omissions.
     """
 
     units: dict[str, str]
@@ -51,7 +51,7 @@ class RecordStream(Protocol):
 
     @property
     def expected_rows(self) -> int:
-        """About how many rows there will be; 0 when nothing is known."""
+        """Approximate number of rows; 0 if unknown."""
         ...
 
     def chunks(self) -> Iterator[FileChunk]:
@@ -59,17 +59,17 @@ class RecordStream(Protocol):
         ...
 
     def events(self) -> list[Event]:
-        """What was found, after the last chunk."""
+        """Faults and omissions; complete after the last chunk."""
         ...
 
 
 @dataclass(frozen=True)
 class RawTable:
-    """Columns as read, before units.
+    """Columns as read, before unit conversion.
 
-    ``numbers`` maps column name to float64 or int64, all of one length; missing values are NaN.
+    ``numbers`` maps column names to float64 or int64 arrays of equal length. Missing values are NaN.
     ``labels`` maps the segment column to (codes, names). ``first_row`` is the 1-based file row of the
-    first data row (a header counts), so that messages can point into the file.
+    first data row (the header counts). Messages use it to name file rows.
     """
 
     path: Path
@@ -99,16 +99,16 @@ def column_letter(index: int) -> str:
 
 
 def plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """Copy of the memory of an Arrow array, anything where it is null.
+    """Copy of the memory of an Arrow array. Null entries have arbitrary values.
 
-    Its own ``to_numpy`` and ``fill_null`` would load pandas where there is one, and 40 MB with it.
+    Arrow's ``to_numpy`` and ``fill_null`` would load pandas, if it is installed, and take 40 MB.
     """
     values = np.frombuffer(column.buffers()[1] or b"", dtype=kind, count=column.offset + len(column))
     return np.array(values[column.offset :])
 
 
 def numbers_of(column: Any) -> NDArray[np.float64]:
-    """Values of an Arrow array of numbers as float64; nan where it is null."""
+    """Values of an Arrow array of numbers as float64; null becomes nan."""
     import pyarrow as pa
 
     whole = column if str(column.type) == "double" else column.cast(pa.float64(), safe=False)
@@ -119,7 +119,7 @@ def numbers_of(column: Any) -> NDArray[np.float64]:
 
 
 def nulls_of(column: Any) -> NDArray[np.bool_]:
-    """Where an Arrow array is null."""
+    """True for null entries of an Arrow array."""
     bitmap = column.buffers()[0]
     if bitmap is None:
         return np.zeros(len(column), dtype=np.bool_)
@@ -129,7 +129,7 @@ def nulls_of(column: Any) -> NDArray[np.bool_]:
 
 @dataclass
 class LabelCodes:
-    """Codes of label cells, the same name the same code through all chunks; fills ``names``."""
+    """Codes of label cells. A name has the same code in all chunks. New names are appended to ``names``."""
 
     names: list[str]
     known: dict[str, int] = field(default_factory=dict)
@@ -152,7 +152,7 @@ class LabelCodes:
         return table[index]
 
     def code(self, word: str) -> int:
-        """Code of a label, a new one at the end."""
+        """Code of a label. A new label gets the next code."""
         if word not in self.known:
             self.known[word] = len(self.names)
             self.names.append(word)
@@ -161,7 +161,7 @@ class LabelCodes:
 
 @dataclass
 class MissingCount:
-    """Missing values by column: how many, and the file row of the first."""
+    """Missing values by column: their number and the file row of the first."""
 
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
 
@@ -181,7 +181,7 @@ _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
 Label = tuple[NDArray[np.int32], tuple[str, ...]]
 
 PIECE_ROWS = 1 << 18
-"""Rows that are unpacked at a time; as many are held in memory in any case."""
+"""Rows unpacked at a time. A column of up to this many rows always stays in memory."""
 
 
 def split_name(name: str) -> tuple[str, int | None]:
@@ -191,7 +191,7 @@ def split_name(name: str) -> tuple[str, int | None]:
 
 
 def no_column(path: Path, name: str, present: Iterable[str]) -> DataError:
-    """The error for a column that is not in the file; lists what is."""
+    """The error for a column that is not in the file. It lists the columns of the file."""
     names = list(present)
     shown = ", ".join(names[:40]) + (f" and {len(names) - 40} more" if len(names) > 40 else "")
     return DataError(
@@ -201,12 +201,12 @@ def no_column(path: Path, name: str, present: Iterable[str]) -> DataError:
 
 
 def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArray:
-    """One column of an array: a vector, or column ``column`` of a matrix.
+    """One column of an array: the array itself if it is a vector, or column ``column`` of a matrix.
 
     Raises
     ------
     DataError
-        If the array has more dimensions, or the matrix needs a column to be named.
+        If the array has more than two dimensions, or is a matrix and no column is given.
     """
     if values.ndim == 2 and column is not None:
         if not 1 <= column <= values.shape[1]:
@@ -225,7 +225,7 @@ def vector(path: Path, name: str, values: NDArray, column: int | None) -> NDArra
 
 
 def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | NDArray[np.int64]:
-    """A number column as float64, or int64 where it holds integers.
+    """A number column as float64, or as int64 if it holds integers.
 
     Raises
     ------
@@ -248,14 +248,14 @@ def as_numbers(path: Path, name: str, values: NDArray) -> NDArray[np.float64] | 
 
 
 def long_column(dtype: np.dtype) -> Growing:
-    """What :func:`as_numbers` makes of pieces of a column of this kind; a long one lies on disk."""
+    """An array for the pieces of a column, of the type that :func:`as_numbers` gives. A long column lies on disk."""
     return Arrays(Path(tempfile.gettempdir())).growing(
         np.float64 if dtype.kind == "f" else np.int64, PIECE_ROWS
     )
 
 
 def as_label(values: Iterable[object]) -> Label:
-    """Codes and names of a label column; whole numbers are written without a point, empty cells are -1."""
+    """Codes and names of a label column. Whole numbers are written without a decimal point. Empty cells have code -1."""
     names: dict[str, int] = {}
     codes = [
         -1 if (text := label_text(value)) == "" else names.setdefault(text, len(names)) for value in values
@@ -264,7 +264,7 @@ def as_label(values: Iterable[object]) -> Label:
 
 
 def label_text(value: object) -> str:
-    """A segment label from any cell: bytes decoded, whole numbers without a point, nothing for None and nan."""
+    """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text."""
     if value is None:
         return ""
     if isinstance(value, bytes):
@@ -278,12 +278,12 @@ def label_text(value: object) -> str:
 def make_table(
     path: Path, numbers: dict[str, NDArray], labels: dict[str, Label], units: dict[str, str]
 ) -> RawTable:
-    """A table of columns that must be of one length.
+    """A table of columns of equal length.
 
     Raises
     ------
     DataError
-        If lengths differ or there is no row.
+        If lengths differ or there are no rows.
     """
     lengths = {name: int(column.shape[0]) for name, column in numbers.items()}
     lengths |= {name: int(codes.size) for name, (codes, _) in labels.items()}

@@ -1,4 +1,4 @@
-"""Parquet files of a run and of its residuals, and Arrow arrays made from the memory of columns."""
+"""Write a run and its residuals as Parquet, and make Arrow arrays from the memory of columns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def number_column(values: NDArray, empty_cells: bool = False) -> pa.Array:
-    """Array over the memory of numbers (n,); with ``empty_cells`` it is null where they are nan."""
+    """Array that shares the memory of numbers (n,). With ``empty_cells``, nan becomes null."""
     import pyarrow as pa
 
     held = np.ascontiguousarray(values)
@@ -39,21 +39,21 @@ def text_column(values: Sequence[str]) -> pa.StringArray:
 
 
 def label_column(codes: NDArray, labels: Sequence[str]) -> pa.DictionaryArray:
-    """Array of texts by their index (n,) in ``labels``."""
+    """Array of texts, given by indices (n,) into ``labels``."""
     import pyarrow as pa
 
     return pa.DictionaryArray.from_arrays(number_column(codes), text_column(labels))
 
 
 GROUP_ROWS = 1 << 20
-"""Rows written at a time, as a row group."""
+"""Rows of a row group."""
 
 
 def write_run_parquet(run: Run, path: Path) -> None:
     """Write the used samples of a run.
 
-    Every column's field has ``unit``; the schema holds ``serial``, ``source``, ``input_sha256`` and
-    ``quality`` (everything that was found and repaired, as JSON).
+    The field of every column has ``unit``. The schema holds ``serial``, ``source``, ``input_sha256`` and
+    ``quality`` (all detected and repaired faults, as JSON).
     """
     import pyarrow as pa
     from pyarrow import parquet

@@ -1,9 +1,9 @@
-"""Any data file as chunks of columns: the one way that record files are read.
+"""Read any data file as chunks of columns. All record files are read here.
 
-:func:`open_stream` gives a :class:`RecordStream`; its ``chunks()`` are the rows in order, in the units of the file.
-Text and Parquet are read piece by piece, so that a file of any length needs a bounded memory; containers (HDF5,
-MATLAB, TDMS, XLSX), which cannot be larger than 2 GiB, are read in a process of their own and then handed on in
-chunks. What is read, what is found and what is refused do not depend on the size of the pieces.
+:func:`open_stream` returns a :class:`RecordStream`. Its ``chunks()`` are the rows in order, in the units of the file.
+Text and Parquet are read piece by piece, so a file of any length needs a bounded memory. Containers (HDF5,
+MATLAB, TDMS, XLSX) cannot be larger than 2 GiB. A separate process reads them whole; then they are given in
+chunks. Results, events and errors do not depend on the size of the pieces.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ def open_stream(
     Parameters
     ----------
     folder:
-        Where the run file lies; the data file is looked for there.
+        Folder of the run file. The data file is relative to it.
     data:
         The run file's ``[data]`` table: ``read_run_file(path).data``.
     see:
-        Is shown the bytes of a text file as they are read (for a digest); the other kinds read in their own order.
+        Function that gets the bytes of a text file as they are read (for a digest). Not called for other formats.
 
     Raises
     ------
     DataError
-        If the file cannot be read as asked; here, or while its chunks are taken. Names file, row and column.
+        If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
     """
     path = folder / data.file
     numeric = tuple(data.number_columns())
@@ -72,7 +72,7 @@ def open_stream(
 
 
 def file_kind(path: Path) -> str:
-    """The ending that says what a file is, ``.gz`` looked through."""
+    """The ending that identifies the format of a file; ``.gz`` is skipped."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
     if suffixes[-1:] == [".gz"] and len(suffixes) > 1:
         return suffixes[-2]

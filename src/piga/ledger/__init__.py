@@ -1,4 +1,4 @@
-"""Calibrations kept as evidence: calibrate and store, recompute what is stored."""
+"""Calibrations kept as evidence: calibrate and store a run, recompute a stored record."""
 
 from piga.ledger.compare import Comparison, compare_calibrations
 from piga.ledger.keep import Prepared, prepare_results, prepare_run

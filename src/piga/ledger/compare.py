@@ -1,10 +1,10 @@
-"""A recomputed calibration against the stored one: the same to the bit, or within what rounding explains.
+"""Compare a recomputed calibration with the stored one: identical to the bit, or equal within rounding.
 
-Least squares answers a relative rounding error eps with a change of the coefficient *vector* of about
-``kappa eps`` of its length (kappa: condition number). So a coefficient is compared on the scale of the vector, in the
-units of ``calibration.json``, where every entry is a share of the output rate at 1 g: ``1e-12 kappa |theta|`` is
-allowed for value and standard uncertainty, divided by ``tan_beta`` for its phase. Angles are compared on the scale of
-the angle turned. Own derivation, after the normwise bounds in any text on numerical linear algebra.
+In least squares, a relative rounding error eps changes the coefficient *vector* by about ``kappa eps`` of its length
+(kappa: condition number). So each coefficient is compared on the scale of the whole vector theta. The units are those
+of ``calibration.json``, where every entry is a share of the output rate at 1 g. The tolerance of value and standard
+uncertainty is ``1e-12 kappa |theta|``; for the phase of ``tan_beta`` it is divided by ``tan_beta``. Angles are compared
+on the scale of the angle turned. Own derivation, after the normwise bounds in any text on numerical linear algebra.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from piga.ledger.store.store import Store
 from piga.records import Calibration
 
 TOLERANCE = 1e-12
-"""Times the condition number: the relative difference that another platform may make."""
+"""Relative difference allowed on another platform, per unit of the condition number."""
 NOISE_TOLERANCE = 1e-8
-"""Difference of the noise levels on their scale: they are found by search, as flat as any optimum."""
+"""Relative difference allowed for noise levels. They come from a search for an optimum, which is flat."""
 UNCOMPARED = ("created", "software", "source")
-"""Entries of the provenance that say when, by what and from which folder."""
+"""Provenance entries that are not compared: time, software and folder."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One number: stored, recomputed, and the difference that is allowed."""
+    """One number: stored value, recomputed value and allowed difference."""
 
     name: str
     stored: float
@@ -38,13 +38,13 @@ class Compared:
 
     @property
     def agrees(self) -> bool:
-        """True when the difference is allowed."""
+        """True if the difference is allowed."""
         return self.stored == self.recomputed or abs(self.recomputed - self.stored) <= self.allowed
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """``identical``: every number has the same bits. ``worst``: largest difference in parts of what is allowed."""
+    """``identical``: every number has the same bits. ``worst``: largest ratio of difference to allowed difference."""
 
     identical: bool
     compared: tuple[Compared, ...]
@@ -52,12 +52,12 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """True when everything is equal or within its tolerance."""
+        """True if everything is equal or within its tolerance."""
         return not self.differences
 
     @property
     def worst(self) -> float:
-        """Largest difference, in parts of what is allowed; 0 when all are equal."""
+        """Largest ratio of difference to allowed difference; 0 if all are equal."""
         shares = [abs(c.recomputed - c.stored) / c.allowed for c in self.compared if c.stored != c.recomputed]
         return max(shares, default=0.0)
 
@@ -81,14 +81,14 @@ def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Compar
 
 
 def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibration:
-    """The recomputed one with the digests that the stored one has: piga 0.1 noted those of run and data file only."""
+    """The recomputed calibration with only the digests that the stored one has. piga 0.1 stored those of run and data file only."""
     known = stored.provenance.input_sha256
     inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in known}
     return replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
 
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
-    """Everything in ``calibration.json`` but when, by what and where it was made."""
+    """The content of ``calibration.json`` without :data:`UNCOMPARED`."""
     from piga.records.calibration_json import to_document
 
     document = to_document(calibration)
@@ -105,7 +105,7 @@ def _listed(value: Any) -> Any:
 
 
 def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
-    """What rounding cannot change."""
+    """The entries that rounding cannot change."""
     names = ("serial", "terms", "phase", "phase_source", "method", "surplus_observations", "quality")
     facts: dict[str, tuple[Any, Any]] = {name: (getattr(a, name), getattr(b, name)) for name in names}
     facts["coefficients"] = ([c.key for c in a.coefficients], [c.key for c in b.coefficients])
@@ -156,7 +156,7 @@ def _angles(a: Calibration, b: Calibration) -> list[Compared]:
 
 
 def _noise(a: Calibration, b: Calibration) -> list[Compared]:
-    """Noise levels, each on the scale at which it counts beside the other over the whole record."""
+    """Noise levels. The scale of each is the level at which it matters beside the other over the whole record."""
     duration = math.fsum(segment.duration for segment in a.segments) or 1.0
     white = max(a.angle_rms, a.angle_random_walk * math.sqrt(duration / max(a.quality.used, 1)))
     walk = max(a.angle_random_walk, a.angle_rms / math.sqrt(duration))
@@ -168,7 +168,7 @@ def _noise(a: Calibration, b: Calibration) -> list[Compared]:
 
 @dataclass(frozen=True)
 class Change:
-    """A coefficient in two records, both in ``unit``; the uncertainty of the difference takes them as independent."""
+    """A coefficient in two records, both in ``unit``. The uncertainty of the difference assumes that they are independent."""
 
     key: str
     unit: str
@@ -179,15 +179,15 @@ class Change:
 
     @property
     def ratio(self) -> float | None:
-        """Difference over its standard uncertainty."""
+        """Difference divided by its standard uncertainty."""
         return self.difference / self.std if self.difference is not None and self.std else None
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Two records compared: coefficients, and what differs otherwise as ``name: (first, second)``.
+    """Comparison of two records: coefficients, and other differences as ``name: (first, second)``.
 
-    ``type_a_only``: records whose uncertainties are of Type A only.
+    ``type_a_only`` names the records whose uncertainties are of Type A only.
     """
 
     first: Record
@@ -203,7 +203,7 @@ def difference(store: Store, first: str | int, second: str | int) -> Difference:
     Raises
     ------
     StoreError
-        If one is not there or holds no calibration.
+        If a record does not exist or holds no calibration.
     """
     a, b = store.record(first), store.record(second)
     calibrations = {record.id: store.calibration(record.id) for record in (a, b)}

@@ -1,4 +1,4 @@
-"""Calibrate and store: inputs, result and report become one record, or nothing does."""
+"""Calibrate and store. Inputs, result and report become one record; on an error nothing is stored."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def input_files(run: Path, known: dict[str, str]) -> tuple[DraftFile, ...]:
-    """Run file, data file, its ``.sha256`` where there is one, and the files of a ``[stand]`` table.
+    """Run file, data file, its ``.sha256`` if there is one, and the files of a ``[stand]`` table.
 
     Names keep their places relative to each other: a data file in ``../data`` moves the run file one folder down.
 
@@ -37,9 +37,9 @@ def input_files(run: Path, known: dict[str, str]) -> tuple[DraftFile, ...]:
     Raises
     ------
     RunFileError
-        If a name is absolute: then the record could not be read elsewhere.
+        If a name is absolute: the record could not be read on another machine.
     DataError
-        If an input is not what the calibration was computed from.
+        If an input changed since the calibration.
     """
     run_file = read_run_file(run)
     named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]
@@ -75,30 +75,30 @@ def _joined(below: str, name: str) -> str:
 
 
 _MAX_PAGE = 1 << 28
-"""Largest page that is kept [bytes]; a calibration's has a few MB."""
+"""Largest page that is kept [bytes]. The page of a calibration has a few MB."""
 _ID, _NUMBER, _STORE, _AFTER = (f"\u27e6record {name}\u27e7" for name in ("id", "number", "store", "after"))
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A calibration ready to be kept: the record but for its place, and the report with blanks for it."""
+    """A calibration ready to be stored: the record without its place in the chain, and the report with blanks for that."""
 
     draft: Draft
     calibration: Calibration
     page: str | None = None
 
     def keep(self, store: Store) -> Record:
-        """Write it; when this returns, the record is on disk.
+        """Store the record. When this returns, it is on disk.
 
         Raises
         ------
         PigaError
-            With nothing stored.
+            If it cannot be stored; nothing is stored then.
         """
         return store.append(self._filled)
 
     def _filled(self, place: Position) -> Draft:
-        """The draft with its report, the blanks filled in."""
+        """The draft with its report; the blanks are filled in."""
         if self.page is None:
             return self.draft
         page = self.page
@@ -122,27 +122,27 @@ def prepare_run(
     supersedes: str | None = None,
     report: bool = True,
 ) -> Prepared:
-    """Calibrate a run, to be kept with its inputs and a report that carries the record's name and the head.
+    """Calibrate a run and prepare its record: inputs, result, and a report that shows the record's name and the head.
 
     Parameters
     ----------
     run:
         Run file.
     operator, reason:
-        Who keeps it and why.
+        Who stores the record, and why.
     terms, method, phase, phase_source:
         As for :func:`piga.calibrate`.
     measured:
-        Time of the test, in ISO form; without a zone it is UTC.
+        Time of the test, in ISO form; UTC if no zone is given.
     supersedes:
         Name of the record that this one amends.
     report:
-        Make the report too.
+        Create the report, too.
 
     Raises
     ------
     PigaError
-        If it cannot be calibrated.
+        If the run cannot be calibrated.
     """
     from piga.calibration.calibrate import calibrate
     from piga.records.calibration_json import calibration_to_bytes
@@ -172,7 +172,7 @@ def prepare_results(
     measured: str | None = None,
     supersedes: str | None = None,
 ) -> Prepared:
-    """What ``piga calibrate`` left in a directory, to be kept with the run it came from, every file as it is.
+    """Prepare a record from the results of ``piga calibrate`` and their run. Every file is stored unchanged.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def prepare_results(
 
 
 def _request(calibration: Calibration) -> dict[str, Any]:
-    """What was asked for, so that it can be asked again."""
+    """The options of the calibration, so that it can be repeated."""
     return {
         "terms": list(calibration.terms),
         "method": calibration.method,
@@ -227,7 +227,7 @@ def _request(calibration: Calibration) -> dict[str, Any]:
 
 
 def _report(calibration: Calibration, draft: Draft) -> str:
-    """The report with blanks for what is known only when the record gets its place."""
+    """The report, with blanks for data that are known only when the record gets its place."""
     from piga.reports.calibration.page import calibration_page
     from piga.reports.calibration.tables import facts_table
     from piga.reports.render.page import Section, Text, page_html

@@ -1,4 +1,4 @@
-"""Recompute a record from its stored inputs, and say whether the numbers are the same."""
+"""Recompute a record from its stored inputs and compare the numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Verdict = Literal["identical", "within tolerance", "different"]
 
 @dataclass(frozen=True)
 class Reproduced:
-    """A record recomputed: verdict, comparison, and what of software or platform is not as it was."""
+    """A recomputed record: verdict, comparison, and changes of software or platform."""
 
     record: Record
     calibration: Calibration
@@ -32,34 +32,34 @@ class Reproduced:
 
     @property
     def same_platform(self) -> bool:
-        """True when software and platform are those that made the record."""
+        """True if software and platform are those that made the record."""
         return not self.changed
 
     @property
     def verdict(self) -> Verdict:
-        """``identical`` to the bit; ``within tolerance`` counts only where software or platform differ."""
+        """``identical`` (to the bit), or ``within tolerance``, which is accepted only if software or platform differ."""
         if self.comparison.identical:
             return "identical"
         return "within tolerance" if self.comparison.agrees and not self.same_platform else "different"
 
     @property
     def reproduced(self) -> bool:
-        """True when the record stands."""
+        """True if the record was reproduced."""
         return self.verdict != "different"
 
 
 def reproduce(store: Store, name: str | int) -> Reproduced:
     """Compute a record again from its own inputs.
 
-    The same numbers to the bit are demanded where software and platform are the same, and a relative difference of
-    1e-12 times the condition number elsewhere (:mod:`piga.ledger.compare`).
+    With the same software and platform the numbers must be identical to the bit. Otherwise a relative difference of
+    1e-12 times the condition number is allowed (:mod:`piga.ledger.compare`).
 
     Raises
     ------
     StoreError
         If the record holds no inputs, or is damaged.
     PigaError
-        If it cannot be computed any more.
+        If it can no longer be computed.
     """
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
@@ -84,7 +84,7 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
 
 
 NUMERIC_ROOMS = ("_kernels", "records", "formats", "reading", "instrument", "stand", "calibration")
-"""Rooms whose source decides the numbers of a calibration."""
+"""Packages whose source determines the numbers of a calibration."""
 
 
 @lru_cache(maxsize=1)
@@ -116,7 +116,7 @@ def software_identity() -> dict[str, str]:
 
 
 def source_digest() -> str:
-    """SHA-256 over the Python files that decide the numbers, in the order of their names."""
+    """SHA-256 of the Python files that determine the numbers, in the order of their names."""
     root = Path(str(resources.files("piga")))
     files = [*root.glob("*.py"), *(path for room in NUMERIC_ROOMS for path in (root / room).rglob("*.py"))]
     digest = hashlib.sha256()

@@ -1,7 +1,7 @@
-r"""Units and numbers of the Digital System of Units (D-SI 2.2.1): SI only, ``g`` converted exactly.
+r"""Units and numbers of the Digital System of Units (D-SI 2.2.1). All units are SI; ``g`` is converted exactly.
 
-The unit ``g`` is 9.80665 m/s^2 by definition, a decimal fraction: coefficients are converted with decimal
-arithmetic and written with 17 significant digits, so that reading back gives the same float, bit for bit.
+The unit ``g`` is exactly 9.80665 m/s^2, a decimal fraction. Coefficients are converted with decimal arithmetic
+and written with 17 significant digits. Reading them back gives the same float, bit for bit.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from piga.units import parse_unit
 G = Decimal("9.80665")
 """Standard gravity [m/s^2], exact."""
 DIGITS = 17
-"""Significant digits of converted numbers: enough to tell any two floats apart."""
+"""Significant digits of converted numbers: enough to distinguish any two floats."""
 
 _EXACT = Context(prec=60)
 _SHOWN = Context(prec=DIGITS)
@@ -31,7 +31,7 @@ def power_of_g(unit: str) -> int:
 
 @lru_cache(maxsize=256)
 def dsi_unit(*units: str) -> str:
-    r"""D-SI text of a unit, or of the product of several.
+    r"""D-SI text of a unit, or of the product of several units.
 
     Examples
     --------
@@ -50,19 +50,19 @@ def _powered(name: str, power: float) -> str:
 
 
 def to_dsi(value: float, power: int = 0) -> str:
-    """SI text of a number whose unit holds that power of ``g``."""
+    """SI text of a number whose unit contains that power of ``g``."""
     if power == 0:
         return repr(float(value))
     return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), _EXACT.power(G, power))))
 
 
 def significant_digit(half_width: Decimal, value: Decimal) -> int:
-    """Power of ten of the last significant digit: two digits of U; without U, for a value that was given, all digits."""
+    """Power of ten of the last significant digit. U has two significant digits. Without U (a given value) all digits count."""
     return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)
 
 
 def from_dsi(text: str, power: int = 0) -> float:
-    """The number whose SI text this is; undoes :func:`to_dsi`.
+    """The number of an SI text. Inverse of :func:`to_dsi`.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""A Digital Calibration Certificate (DCC 3.x) made by piga, read back into a calibration.
+"""Read a Digital Calibration Certificate (DCC 3.x) made by piga back into a calibration.
 
-The file comes from outside: it is read with limits, and every statement that it makes twice must agree with the
-other: values, units, U, k, limits, covariance, serial, nominal scale factor, ranges, dates, conformity and the
-attached record. A signature is checked apart (:mod:`piga.certificate.dcc.xml_signature`).
+The file comes from outside, so it is read with limits. Everything that it states twice must agree: values, units, U,
+k, limits, covariance, serial, nominal scale factor, ranges, dates, conformity and the attached record. The signature
+is checked separately (:mod:`piga.certificate.dcc.xml_signature`).
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ MOST_COEFFICIENTS = 4096
 _NAMES = {"dcc": DCC, "si": SI}
 BEFORE = "basic_beforeAdjustment"
 MEASURED = "basic_measuredValue"
-"""``refType`` of the coefficients before adjustment, and of those that are certified."""
+"""``refType`` of the coefficients before adjustment, and of the certified ones."""
 _RESULTS = "dcc:measurementResults/dcc:measurementResult/dcc:results"
 _MANY = ("dcc:result", "dcc:quantity", "dcc:statement", "dcc:usedMethod", "dcc:norm", "dcc:measuringEquipment",
          "dcc:influenceCondition", "dcc:identification", "dcc:respPerson", "si:columnXMLList")  # fmt: skip
-"""What may stand in one place more than once."""
+"""Elements that may be repeated in one place."""
 _ATTRIBUTES = {"refType", "lang", "schemaVersion", "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"}
 _COEFFICIENT = f"{_RESULTS}/dcc:result/dcc:data/dcc:list/dcc:quantity"
 _JOINT = f"{_RESULTS}/dcc:result/dcc:data/dcc:quantity"
@@ -121,15 +121,15 @@ _SHAPES = (
     (".//dcc:itemQuantity", r"dcc:name si:real "),
     (".//dcc:itemQuantity/si:real", r"si:value si:unit "),
 )
-"""What elements hold, in order: below each path, for every one that there is."""
+"""Allowed children of elements, in order, by path."""
 _SAFE = "[]_.,:;+-=()/*"
 _DIGITS = Decimal("1e-6")
 _SLACK = 1e-6
-"""Relative to U: coverage factors are stated with six decimals, and differ in the last digits between libraries."""
+"""Tolerance relative to U. Coverage factors are stated with six decimals, and libraries differ in the last digits."""
 
 
 def label_of(key: str) -> str:
-    """A coefficient's key as a word without spaces (segment labels may have some)."""
+    """A coefficient's key without spaces (segment labels may contain spaces)."""
     return quote(key, safe=_SAFE)
 
 
@@ -139,14 +139,14 @@ def read_dcc(path: str | Path) -> Calibration:
     Raises
     ------
     DataError
-        If the file is no DCC, was not made by piga, is damaged, or contradicts itself.
+        If the file is not a DCC, was not made by piga, is damaged, or contradicts itself.
     """
     path = Path(path)
     return calibration_of(read_xml(path)[1], path)
 
 
 def calibration_of(root: etree._Element, path: Path) -> Calibration:
-    """The calibration in a certificate; ``path`` is for messages. Errors as :func:`read_dcc`."""
+    """The calibration in a certificate. Messages name ``path``. Errors as in :func:`read_dcc`."""
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
         raise DataError(f"{path}: is no Digital Calibration Certificate", remedy="name a certificate in XML")
     version = root.get("schemaVersion", "")
@@ -162,12 +162,12 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
 
 
 def date_of_issue(root: etree._Element, path: Path) -> dt.date:
-    """The date of issue that a certificate states; ``path`` is for messages.
+    """The date of issue of a certificate. Messages name ``path``.
 
     Raises
     ------
     DataError
-        If it states none, or several.
+        If it states no date of issue, or several.
     """
     return _date(root, "issueDate", path)
 
@@ -241,7 +241,7 @@ def _joint(root: etree._Element, path: Path) -> tuple[tuple[Coefficient, ...], n
 def _numbers(
     element: etree._Element, values: str, units: str, expected: list[tuple[str, ...]], path: Path
 ) -> list[float]:
-    """Numbers of a list whose units must be the expected products."""
+    """Numbers of a list. Its units must be the expected products."""
     given = element.findtext(units, "", _NAMES).split()
     wanted = [dsi_unit(*product) for product in expected]
     if given != wanted:
@@ -268,7 +268,7 @@ def _converted(texts: list[str], units: list[tuple[str, ...]], path: Path) -> li
 def _compare(
     path: Path, record: Calibration, coefficients: tuple[Coefficient, ...], covariance: np.ndarray
 ) -> None:
-    """What the certificate states must be what the attached record holds."""
+    """Check that the certificate agrees with the attached record."""
     if [c.key for c in record.coefficients] != [c.key for c in coefficients]:
         raise DataError(f"{path}: the attached record holds other coefficients", remedy="do not use the file")
     for stated, kept in zip(coefficients, record.coefficients, strict=True):
@@ -289,7 +289,7 @@ def _contradiction(path: Path, what: str) -> DataError:
 
 
 def _check_layout(path: Path, root: etree._Element) -> None:
-    """One document in one form: nothing stands where a reader may overlook it, or beside what it doubles."""
+    """Check the layout: no element in an unexpected place, where a reader may overlook it, and no repeated element."""
     check_profile(root, path)
     for node in (*root.itersiblings(preceding=True), *root.itersiblings(), *root.iter()):
         if not isinstance(node.tag, str):
@@ -326,7 +326,7 @@ def _short(tag: object) -> str:
 
 
 def _content(node: etree._Element | None, query: str) -> str:
-    """Text in words below an element, white space made single."""
+    """Text below an element, with single spaces."""
     return "" if node is None else " ".join(node.findtext(f"{query}/dcc:content", "", _NAMES).split())
 
 
@@ -343,10 +343,10 @@ def _quantities(root: etree._Element, kind: str) -> list[etree._Element]:
 
 
 def _compare_results(path: Path, root: etree._Element, record: Calibration) -> None:
-    """Each coefficient that is stated one by one, and the joint region, must be those of the record.
+    """Check that the single coefficients and the joint region agree with the record.
 
-    Certificates of piga 0.1 took one coverage factor for all coefficients, from the number of rows: these are
-    read, with a warning.
+    Certificates of piga 0.1 used one coverage factor for all coefficients, from the number of rows. They are
+    read with a warning.
     """
     measured = _quantities(root, MEASURED)
     labels = [quantity.findtext("si:real/si:label", "", _NAMES) for quantity in measured]
@@ -390,7 +390,7 @@ def _compare_results(path: Path, root: etree._Element, record: Calibration) -> N
 
 
 def _check_form(path: Path, quantity: etree._Element, c: Coefficient) -> None:
-    """Name, unit, probability, distribution and significant digit of a coefficient stated by itself."""
+    """Check name, unit, probability, distribution and significant digit of a single coefficient."""
     name, unit = _content(quantity, "dcc:name"), quantity.findtext("si:real/si:unit", "", _NAMES)
     if name != " ".join(title_of(c).split()):
         raise _contradiction(path, f"{c.key} is called '{name[:60]}', but is '{title_of(c)}'")
@@ -421,7 +421,7 @@ def _check_form(path: Path, quantity: etree._Element, c: Coefficient) -> None:
 def _agrees(
     path: Path, real: etree._Element, c: Coefficient, factor: float, limits: tuple[float, float]
 ) -> bool:
-    """True when U, k, standard uncertainty and limits as stated are these, to the decimals that are stated."""
+    """True if the stated U, k, standard uncertainty and limits equal these, to the stated decimals."""
     slack = _SLACK * 0.5 * (limits[1] - limits[0])
     if any(abs(a - b) > slack for a, b in zip(_limits(real, c, path), limits, strict=True)):
         return False
@@ -435,7 +435,7 @@ def _agrees(
 
 
 def _check_joint(path: Path, root: etree._Element, record: Calibration, *, outdated: bool) -> None:
-    """Factor and probability of the joint region."""
+    """Check factor and probability of the joint region."""
     region = _one(root, f".//dcc:quantity[@refType='{JOINT}']//si:ellipsoidalRegionMUXMLList", path, "regions")
     stated = _number(region.findtext("si:coverageFactorXMLList", "", _NAMES), 0, path, "joint result")
     used = record.coefficients
@@ -451,7 +451,7 @@ def _check_joint(path: Path, root: etree._Element, record: Calibration, *, outda
 
 
 def _check_before(path: Path, root: etree._Element) -> None:
-    """The coefficients before adjustment, of which no record is attached: each against itself."""
+    """Check that each coefficient before adjustment is consistent. No record of these is attached."""
     labels = set()
     for quantity in _quantities(root, BEFORE):
         label = quantity.findtext("si:real/si:label", "", _NAMES)
@@ -471,7 +471,7 @@ def _check_before(path: Path, root: etree._Element) -> None:
 
 
 def _limits(real: etree._Element, c: Coefficient, path: Path) -> tuple[float, float]:
-    """95 % limits of a coefficient as stated, in its file unit."""
+    """Stated 95 % limits of a coefficient, in its file unit."""
     power = power_of_g(c.unit)
     names = ("si:intervalMin", "si:intervalMax", "si:valueExpandedMU")
     texts = [real.findtext(f".//{name}", None, _NAMES) for name in names]
@@ -484,7 +484,7 @@ def _limits(real: etree._Element, c: Coefficient, path: Path) -> tuple[float, fl
 
 
 def _compare_administration(path: Path, root: etree._Element, record: Calibration) -> None:
-    """Serial, nominal scale factor, dates, ranges and declarations against the record and each other."""
+    """Compare serial, nominal scale factor, dates, ranges and declarations with the record and each other."""
     serial = " ".join(record.serial.split())
     item = _one(root, "dcc:administrativeData/dcc:items/dcc:item", path, "items")
     stated = [
@@ -521,7 +521,7 @@ def _compare_administration(path: Path, root: etree._Element, record: Calibratio
 
 
 def _compare_dates(path: Path, root: etree._Element, record: Calibration) -> None:
-    """Receipt, begin, end and issue in their order; the evaluation, which is in UTC, before the issue."""
+    """Check the order of receipt, begin, end and issue. The evaluation (in UTC) must be before the issue."""
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
     dates = [_date(root, name, path) for name in names]
     for (first, earlier), (second, later) in itertools.pairwise(zip(names, dates, strict=True)):
@@ -539,7 +539,7 @@ def _compare_dates(path: Path, root: etree._Element, record: Calibration) -> Non
 
 
 def _compare_declarations(path: Path, root: etree._Element, record: Calibration) -> None:
-    """Declarations against the record, the results and the other parts of the file."""
+    """Compare the declarations with the record, the results and the other parts of the file."""
     declared: dict[str, etree._Element] = {}
     for node in root.iterfind("dcc:administrativeData/dcc:statements/dcc:statement", _NAMES):
         if declared.setdefault(_content(node, "dcc:name"), node) is not node:
@@ -563,7 +563,7 @@ def _compare_declarations(path: Path, root: etree._Element, record: Calibration)
 
 
 def _compare_ranges(path: Path, node: etree._Element | None, record: Calibration) -> None:
-    """The ranges in which the results hold: in words and in numbers as the record has them."""
+    """Check that the ranges of validity, in words and in numbers, are those of the record."""
     try:
         ranges = validity_ranges(record)
     except (AttributeError, TypeError, ValueError, IndexError, KeyError):
@@ -591,7 +591,7 @@ def _compare_ranges(path: Path, node: etree._Element | None, record: Calibration
 
 
 def _compare_conformity(path: Path, node: etree._Element | None, quantities: list[etree._Element]) -> None:
-    """The verdict on the item must be the worst of those on its coefficients, and name them."""
+    """Check that the verdict on the item is the worst verdict on its coefficients and names them."""
     marks: dict[str, str] = {}
     for quantity in quantities:
         mark = quantity.findtext("dcc:measurementMetaData/dcc:metaData/dcc:conformity", None, _NAMES)

@@ -1,8 +1,8 @@
-"""The Digital Calibration Certificate: DCC 3.3.0 in XML with D-SI 2.2.1 quantities, SI only.
+"""Write the Digital Calibration Certificate: DCC 3.3.0 in XML with D-SI 2.2.1 quantities, SI only.
 
-Coefficients stand in it twice: one by one with expanded uncertainty for any reader of certificates, and as one
-vector with its covariance matrix (a multivariate uncertainty) for those who compute with them. ``g`` is
-converted exactly; numbers carry all their digits, and ``significantDigit`` says which of them count.
+The certificate states the coefficients twice: one by one with expanded uncertainty for people, and as one vector with
+its covariance matrix (a multivariate uncertainty) for computation. ``g`` is converted exactly. Numbers have all
+digits; ``significantDigit`` states which of them are significant.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 MOST_TEXT = 9_900_000
-"""Characters of one text in the XML; libxml2 refuses more than 10 million, and so do programs built on it."""
+"""Most characters of one text in the XML. libxml2, and programs built on it, refuse more than 10 million."""
 VERSION = "3.3.0"
 _SCHEMA = "http://www.w3.org/2001/XMLSchema-instance"
 
@@ -44,12 +44,12 @@ _SCHEMA = "http://www.w3.org/2001/XMLSchema-instance"
 def dcc_document(
     data: CertificateFile, calibration: Calibration, before: Calibration | None = None
 ) -> etree._Element:
-    """The certificate as XML; ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`).
+    """The certificate as XML. ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`).
 
     Raises
     ------
     DataError
-        If a text holds what XML cannot, or the attached record is longer than readers of XML take.
+        If a text holds characters that XML forbids, or the attached record is too long for XML readers.
     """
     from lxml import etree
 
@@ -79,7 +79,7 @@ def dcc_document(
 
 
 def administrative_data(data: CertificateFile, calibration: Calibration) -> etree._Element:
-    """What does not come from the measurement: laboratory, customer, item, people, statements."""
+    """Administrative data: laboratory, customer, item, people, statements."""
     return dcc(
         "administrativeData",
         [
@@ -204,7 +204,7 @@ def _statement(statement: Statement) -> etree._Element:
 
 
 def _ranges(ranges: Sequence[tuple[str, float, float, str]]) -> etree._Element | None:
-    """Ranges in SI, lower and upper end each."""
+    """Ranges in SI, each with lower and upper end."""
     quantities = []
     for name, low, high, unit in ranges:
         for end, value in (("lower end", low), ("upper end", high)):
@@ -216,7 +216,7 @@ def _ranges(ranges: Sequence[tuple[str, float, float, str]]) -> etree._Element |
 def measurement_result(
     data: CertificateFile, calibration: Calibration, before: Calibration | None
 ) -> etree._Element:
-    """How it was measured, under what conditions, and what came out."""
+    """The measurement: method, conditions and results."""
     results = []
     if before is not None:
         results.append(_coefficients("Coefficients before adjustment", before, {}, "basic_beforeAdjustment"))
@@ -294,7 +294,7 @@ def _condition(condition: ConditionTable) -> etree._Element:
 
 
 def _si_decimal(number: float, unit: str, *, offset: bool = False) -> str:
-    """SI text of a number that a person wrote, without binary artefacts: 20.1 degC is 293.25 K."""
+    """SI text of a number written by a person, without binary rounding: 20.1 degC gives 293.25 K."""
     parsed = parse_unit(unit)
     value = Decimal(repr(number)) * Decimal(repr(parsed.factor))
     return str(value + Decimal("273.15") if offset and parsed.text == "degC" else value)
@@ -398,7 +398,7 @@ def _words(parts: Iterable[str]) -> str:
 
 
 def _record(calibration: Calibration) -> etree._Element:
-    """The whole record as an attachment: what it takes to read the certificate back into a calibration."""
+    """The whole record as an attachment, so that the certificate can be read back into a calibration."""
     attached = dcc(
         "byteData",
         [
@@ -433,17 +433,17 @@ def _element(
 
 
 def dcc(name: str, parts: Parts | str, ref_type: str = "") -> etree._Element:
-    """An element of the certificate, with parts or text."""
+    """A ``dcc`` element, with parts or text."""
     return _element(DCC, name, parts, ref_type)
 
 
 def si(name: str, parts: Parts | str) -> etree._Element:
-    """An element of a quantity, with parts or text."""
+    """An ``si`` element (quantity), with parts or text."""
     return _element(SI, name, parts)
 
 
 def given(name: str, words: str) -> etree._Element | None:
-    """An element with text, or None for none (white space made single, as the schema wants it)."""
+    """An element with text, or None without text. White space becomes single spaces, as the schema demands."""
     clean = " ".join(words.split())
     return dcc(name, clean) if clean else None
 

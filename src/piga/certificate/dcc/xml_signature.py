@@ -1,9 +1,9 @@
-"""XML from outside: one parser for all of it, and the enveloped signature of a certificate.
+"""The parser for XML from outside, and the enveloped signature of a certificate.
 
-The parser takes no document types, entities, network or huge trees. The signature covers the whole document but
-itself. Verification trusts one thing: the X.509 certificate that the reader was given by the laboratory. No signature
-covers what stands inside its own element, so that element is held to a profile (:func:`check_profile`): what piga
-writes, and nothing else.
+The parser refuses document types, entities, network access and huge trees. The signature covers the whole document
+except itself. Verification trusts only the X.509 certificate that the laboratory gave to the reader. A signature does
+not cover the inside of its own element, so that element must match a profile (:func:`check_profile`): exactly what
+piga writes.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def read_xml(path: Path) -> tuple[bytes, etree._Element]:
     Raises
     ------
     DataError
-        If the file cannot be read, is too large, is no XML, or declares a document type or entities.
+        If the file cannot be read, is too large, is not XML, or declares a document type or entities.
     """
     raw = read_whole(path, MAX_BYTES, "a certificate in XML")
     return raw, parse_xml(raw, path)
 
 
 def parse_xml(raw: bytes, path: Path) -> etree._Element:
-    """Root element of XML bytes; ``path`` is for messages. Errors as :func:`read_xml`."""
+    """Root element of XML bytes. Messages name ``path``. Errors as in :func:`read_xml`."""
     from lxml import etree
 
     if b"<!DOCTYPE" in raw:
@@ -67,7 +67,7 @@ def _forbidden(path: Path) -> DataError:
 _DS = "{http://www.w3.org/2000/09/xmldsig#}"
 _MAX_PEM = 1 << 20
 _LEAST_BITS = {"RSA": 2048, "EC": 256}
-"""Shortest keys by kind [bits]."""
+"""Shortest accepted key of each kind [bits]."""
 _C14N = "http://www.w3.org/2006/12/xml-c14n11"
 _METHODS = (
     "http://www.w3.org/2001/04/xmldsig-more#rsa-sha256",
@@ -97,24 +97,24 @@ _PROFILE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("Signature/KeyInfo/X509Data", "", ()),
     ("Signature/KeyInfo/X509Data/X509Certificate", "", ()),
 )
-"""The elements of a signature in their order, each with its only attribute and the values that this may have."""
+"""The elements of a signature in order, each with its only attribute and the allowed values."""
 _WITH_TEXT = ("DigestValue", "SignatureValue", "X509Certificate")
 
 
 @dataclass(frozen=True)
 class VerifiedSignature:
-    """A signature that holds.
+    """A valid signature.
 
     Attributes
     ----------
     document:
-        Root element of what was signed: the only part to be trusted.
+        Root element of the signed part. Only this part can be trusted.
     signer:
         Subject of the X.509 certificate.
     valid_from, valid_until:
-        Validity of that certificate; whether it was in force when signing is not known without a time stamp.
+        Validity of that certificate. Without a time stamp it is unknown whether it was in force at signing.
     remarks:
-        What is odd about the way the file is written.
+        Remarks on unusual formatting of the file.
     """
 
     document: etree._Element
@@ -124,7 +124,7 @@ class VerifiedSignature:
     remarks: tuple[str, ...]
 
     def out_of_force(self, at: dt.datetime) -> str:
-        """Why the X.509 certificate was not in force at a time, in words with its dates; empty when it was."""
+        """The reason why the X.509 certificate was not in force at a time, with its dates; empty if it was."""
         return _out_of_force(self.valid_from, self.valid_until, at)
 
 
@@ -136,8 +136,8 @@ def sign_xml(
     Raises
     ------
     DataError
-        If key or certificate cannot be read, are too short, do not belong together, or the certificate is not in
-        force now.
+        If key or certificate cannot be read, the key is too short, they do not belong together, or the certificate
+        is not in force now.
     """
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
     from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
@@ -162,12 +162,12 @@ def sign_xml(
 
 
 def verify_signature(path: Path, certificate: Path) -> VerifiedSignature:
-    """Verify the signature of a file against the X.509 certificate that is expected.
+    """Verify the signature of a file against the expected X.509 certificate.
 
     Raises
     ------
     DataError
-        If the file is not signed, was changed, was signed by somebody else, or the signature does not cover
+        If the file is not signed, was changed, was signed with another certificate, or the signature does not cover
         the whole document.
     """
     raw, root = read_xml(path)
@@ -191,18 +191,18 @@ def verify_signature(path: Path, certificate: Path) -> VerifiedSignature:
 
 
 def check_profile(root: etree._Element, path: Path) -> etree._Element | None:
-    """The signature element of a document, held to its profile; None when there is none.
+    """Check the signature element of a document against the profile, and return it; None if there is no signature.
 
-    The profile: one signature, the last child of the document; exactly the elements, attributes and algorithms
-    that :func:`sign_xml` writes, once each and in their order: one reference to the whole document (URI ""), two
-    transforms (enveloped signature, Canonical XML 1.1), SHA-256, one X.509 certificate; Base64 in the three
-    elements that hold text, nothing elsewhere. No comment stands anywhere in a signed document: no signature
-    covers them. ``path`` is for messages.
+    The profile: The document has one signature, as its last child. It has exactly the elements, attributes and
+    algorithms that :func:`sign_xml` writes, once each and in order: one reference to the whole document (URI ""),
+    two transforms (enveloped signature, Canonical XML 1.1), SHA-256, one X.509 certificate. Three elements hold
+    Base64 text, the others no text. A signed document has no comments, because no signature covers them. Messages
+    name ``path``.
 
     Raises
     ------
     DataError
-        If there is anything else.
+        If the document does not match the profile.
     """
     from lxml import etree
 
@@ -226,7 +226,7 @@ def check_profile(root: etree._Element, path: Path) -> etree._Element | None:
 
 
 def _check_elements(path: Path, signature: etree._Element) -> None:
-    """Elements, attributes and texts of a signature, one by one against the profile."""
+    """Check elements, attributes and texts of a signature one by one against the profile."""
     seen = [(_place(node), node) for node in signature.iter()]
     for index, (place, node) in enumerate(seen):
         name = place.rpartition("/")[2]
@@ -255,7 +255,7 @@ def _outside(path: Path, what: str) -> DataError:
 
 
 def _place(node: etree._Element) -> str:
-    """Names of a signature's element and of those around it."""
+    """Names of an element of the signature and of its parents."""
     name = str(node.tag).removeprefix(_DS)
     around = node.getparent()
     at_top = around is None or not str(around.tag).startswith(_DS)
@@ -263,7 +263,7 @@ def _place(node: etree._Element) -> str:
 
 
 def _is_base64(text: str) -> bool:
-    """True for Base64 as an encoder writes it, in lines or not (decoders overlook stray letters)."""
+    """True for Base64 as an encoder writes it, with or without line breaks. Decoders ignore stray characters."""
     joined = "".join(text.split())
     try:
         return bool(joined) and base64.b64encode(base64.b64decode(joined, validate=True)).decode() == joined
@@ -272,7 +272,7 @@ def _is_base64(text: str) -> bool:
 
 
 def _check_named(path: Path, signature: etree._Element, expected: Any) -> None:
-    """The X.509 certificate that stands in the file must be the expected one."""
+    """Check that the X.509 certificate in the file is the expected one."""
     from cryptography.hazmat.primitives.serialization import Encoding
 
     text = signature.findtext(f"{_DS}KeyInfo/{_DS}X509Data/{_DS}X509Certificate") or ""
@@ -283,7 +283,7 @@ def _check_named(path: Path, signature: etree._Element, expected: Any) -> None:
 
 
 def _without_signature(root: etree._Element) -> bytes:
-    """Canonical XML of a document less its signature."""
+    """Canonical XML of a document without its signature."""
     from lxml import etree
 
     copied = etree.fromstring(etree.tostring(root, with_tail=False))
@@ -300,7 +300,7 @@ def _out_of_force(start: dt.datetime, end: dt.datetime, at: dt.datetime) -> str:
 
 
 def _verified(path: Path, root: etree._Element, expected: Any) -> etree._Element:
-    """The signed part, after the check by the library."""
+    """The signed part, after the library has verified it."""
     from cryptography.exceptions import InvalidSignature
     from lxml import etree
     from signxml.algorithms import DigestAlgorithm, SignatureMethod
@@ -327,7 +327,7 @@ def _verified(path: Path, root: etree._Element, expected: Any) -> etree._Element
 
 
 def _remarks(raw: bytes, root: etree._Element, signature: etree._Element, expected: Any) -> tuple[str, ...]:
-    """How the XML is written, which no signature covers."""
+    """Remarks on the formatting of the XML, which no signature covers."""
     from cryptography.hazmat.primitives.serialization import Encoding
 
     body = expected.public_bytes(Encoding.PEM).decode().split("-----")[2].lstrip()
@@ -355,7 +355,7 @@ def load_certificate(path: Path) -> Any:
     Raises
     ------
     DataError
-        If it cannot be read, or its key is neither RSA nor on an elliptic curve, or shorter than 2048 or 256 bits.
+        If it cannot be read, or its key is neither RSA (at least 2048 bits) nor elliptic curve (at least 256 bits).
     """
     from cryptography import x509
     from cryptography.exceptions import UnsupportedAlgorithm

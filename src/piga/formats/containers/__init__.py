@@ -1,1 +1,1 @@
-"""HDF5, MATLAB, TDMS and XLSX files, read in a process of their own."""
+"""Readers of HDF5, MATLAB, TDMS and XLSX files. They run in a separate process."""

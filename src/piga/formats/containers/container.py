@@ -1,8 +1,8 @@
-"""Binary containers (HDF5, MATLAB, TDMS, XLSX), read in a process of their own with limits.
+"""Read binary containers (HDF5, MATLAB, TDMS, XLSX) in a separate process with limits.
 
-That process is this module, run with a JSON request on stdin (:func:`main`): it limits itself, reads, writes plain
-arrays, and ends. A damaged or hostile file can make it fail, run out of memory or time, or crash; the process that
-asked only sees that it did.
+That process runs this module with a JSON request on stdin (:func:`main`). It limits itself, reads the file, writes
+plain arrays, and ends. A damaged or hostile file can make it fail, exceed memory or time, or crash. The calling
+process then only reports an error.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from piga.records.limits import CPU_BASE, CPU_PER_MIB, FULL, MEMORY_LIMIT
 from piga.records.spool import mapped, trim
 
 SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
-"""File name endings of the containers that are read."""
+"""File name endings of containers."""
 
 
 class ContainerStream:
-    """A container, read whole in its own process, handed on in chunks; see :class:`piga.formats.stream.RecordStream`."""
+    """A container. It is read whole in a separate process and given in chunks (:class:`piga.formats.stream.RecordStream`)."""
 
     def __init__(
         self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None,
@@ -56,7 +56,7 @@ class ContainerStream:
             trim()
 
     def events(self) -> list[Event]:
-        """What was found."""
+        """Faults and omissions."""
         return list(self._table.events)
 
 
@@ -72,14 +72,14 @@ def read_container(
     kind:
         One of :data:`SUFFIXES`, or ``.parquet`` for the labels of a Parquet file.
     numeric, label:
-        Names of the number columns and of the segment column, as the reader of that kind takes them.
+        Names of the number columns and of the segment column, as the reader of that format takes them.
     sheet:
-        Sheet of an ``.xlsx``.
+        Name of the sheet in an ``.xlsx`` file.
 
     Raises
     ------
     DataError
-        If the file cannot be read as asked, or its reading needs more memory or time than is given.
+        If the file cannot be read as requested, or exceeds the limits of memory or time.
     """
     if not path.is_file():
         raise DataError(f"{path}: no such file", remedy="[data] file is relative to the run file")
@@ -97,7 +97,7 @@ def read_container(
 
 
 def _run(path: Path, request: dict[str, Any], seconds: float) -> None:
-    """Run the reading process; its own failures become one clear message."""
+    """Run the reading process. Its failures become one clear message."""
     environment = os.environ | {
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
@@ -173,11 +173,11 @@ READERS: dict[str, Callable[..., RawTable]] = {
     ".xlsx": read_xlsx,
     ".parquet": read_labels,
 }
-"""Reader of each kind of container; of Parquet the labels alone are read here."""
+"""Reader of each format. Of Parquet only the labels are read here."""
 
 
 def limit_resources(cpu: float) -> None:
-    """Limit memory, CPU time and file size of this process, where the platform can."""
+    """Limit memory, CPU time and file size of this process, if the platform supports it."""
     try:
         import resource
     except ImportError:
@@ -195,7 +195,7 @@ def limit_resources(cpu: float) -> None:
 
 
 def read(request: dict[str, Any]) -> RawTable:
-    """The table that a request asks for."""
+    """The table of a request."""
     path = Path(request["path"])
     reader = READERS[request["kind"]]
     options = {"sheet": request["sheet"]} if reader is read_xlsx else {}
@@ -203,7 +203,7 @@ def read(request: dict[str, Any]) -> RawTable:
 
 
 def write(table: RawTable, folder: Path) -> dict[str, Any]:
-    """Write the arrays as plain ``.npy`` and give what describes them."""
+    """Write the arrays as plain ``.npy`` files. Returns their description."""
     for index, column in enumerate(table.numbers.values()):
         np.save(folder / f"{index}.npy", column, allow_pickle=False)
     for codes, _ in table.labels.values():
@@ -222,7 +222,7 @@ def write(table: RawTable, folder: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Read one container as asked on stdin, in a process of its own; the outcome is ``answer.json`` in the folder named there."""
+    """Entry point of the reading process. The request comes on stdin; the result is ``answer.json`` in the folder it names."""
     request = json.load(sys.stdin)
     folder = Path(request["folder"])
     limit_resources(request["cpu"])

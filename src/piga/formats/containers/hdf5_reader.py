@@ -1,4 +1,4 @@
-"""HDF5 data, MATLAB v7.3 among them: datasets by name, hard links and plain filters only."""
+"""Read HDF5 data, including MATLAB v7.3: datasets by name, only through hard links and with built-in filters."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from piga.formats.columns import (
 from piga.records.limits import check_unpacked, extra_missing, first_line
 
 PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
-"""Filters that the HDF5 library itself brings; no plug-in is ever loaded."""
+"""Filters built into the HDF5 library. No plug-in is ever loaded."""
 MAX_NAMES = 200
 MAX_CELL = 4096
-"""Characters of one cell of text."""
+"""Most characters of one text cell."""
 
 
 def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
@@ -45,7 +45,7 @@ def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
     Raises
     ------
     DataError
-        If the file is damaged, lacks a dataset, or a dataset is external, virtual or packed by a plug-in.
+        If the file is damaged, lacks a dataset, or a dataset is external, virtual or compressed by a plug-in.
     """
     try:
         import h5py
@@ -73,7 +73,7 @@ def read_hdf5(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
 
 
 class _Budget:
-    """Bytes that were asked for so far."""
+    """Counts the bytes requested so far and limits them."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.size, self.used = path, path.stat().st_size, 0
@@ -109,13 +109,13 @@ def _read(source: Any, path: Path, name: str, budget: _Budget) -> tuple[NDArray,
 
 
 def _is_line(item: Any) -> bool:
-    """One column of numbers, standing or lying."""
+    """True for one column of numbers, stored as a column or as a row."""
     line = item.ndim == 1 or (item.ndim == 2 and 1 in item.shape)
     return line and item.dtype.kind in "iuf" and _text(item.attrs.get("MATLAB_class")) != "char"
 
 
 def _line(path: Path, name: str, item: Any) -> NDArray:
-    """The numbers of a dataset of one column, read in pieces of whole chunks; a long one lies on disk."""
+    """The numbers of a dataset with one column, read in pieces of whole chunks. A long column lies on disk."""
     rows = max(PIECE_ROWS, *(item.chunks or (0,)))
     column = long_column(item.dtype)
     for start in range(0, item.size, rows):
@@ -132,7 +132,7 @@ def _characters(values: NDArray) -> NDArray:
 
 
 def _cell_array(source: Any, path: Path, name: str, item: Any, budget: _Budget) -> NDArray:
-    """A MATLAB cell array of texts or single numbers: references to objects of the same file."""
+    """A MATLAB cell array of texts or single numbers. Its cells are references to objects of the same file."""
     import h5py
 
     budget.take(64 * int(item.size))
@@ -157,7 +157,7 @@ def _cell_array(source: Any, path: Path, name: str, item: Any, budget: _Budget) 
 
 
 def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
-    """The dataset of a name, through hard links only, and the field of a compound dataset."""
+    """Find a dataset by name, only through hard links, and the field of a compound dataset."""
     import h5py
 
     parts = [part for part in name.replace(".", "/").split("/") if part]
@@ -184,7 +184,7 @@ def _find(source: Any, path: Path, name: str) -> tuple[Any, str | None]:
 
 
 def _names(source: Any) -> list[str]:
-    """Names of the datasets, breadth first, a bounded number of them."""
+    """Names of the datasets, breadth first, up to a limit."""
     import h5py
 
     names: list[str] = []
@@ -204,7 +204,7 @@ def _names(source: Any) -> list[str]:
 
 
 def _check_storage(item: Any, path: Path, name: str) -> None:
-    """Refuse data that lie in other files or need code from elsewhere."""
+    """Refuse data that lie in other files or need a plug-in."""
     if item.is_virtual or item.external:
         raise DataError(
             f"{path}: the data of '{name}' lie in other files", remedy="repack it into one file (h5repack)"

@@ -1,4 +1,4 @@
-"""MATLAB files: v7.3 as the HDF5 that it is, v4 to v7 through SciPy."""
+"""Read MATLAB files: v7.3 as HDF5, v4 to v7 with SciPy."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def read_mat(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTabl
     Raises
     ------
     DataError
-        If the file is damaged, unpacks to too much, lacks a variable, or one is not a plain column.
+        If the file is damaged, its unpacked size is too large, a variable is missing or is not a plain column.
     """
     with open_regular(path) as stream:
         head = stream.read(520)
@@ -68,7 +68,7 @@ def _load(path: Path, names: list[str]) -> dict[str, Any]:
         variables = loadmat(path, variable_names=names, chars_as_strings=True, struct_as_record=True)
     except MemoryError:
         raise
-    except Exception as error:  # SciPy lets whatever a damaged file provokes through
+    except Exception as error:  # a damaged file can raise any exception in SciPy
         raise DataError(
             f"{path}: not a readable MATLAB file ({first_line(error)})",
             remedy="save it again with -v7 or -v7.3",
@@ -99,7 +99,7 @@ def _names(variables: dict[str, Any]) -> list[str]:
 
 
 def _cells(values: NDArray) -> list[object]:
-    """Text of a char matrix or of a cell array of char rows; numbers as they are."""
+    """Texts of a char matrix or of a cell array of char rows. Numbers are unchanged."""
     if values.dtype.kind != "O":
         return list(values.tolist())
     return [
@@ -108,7 +108,7 @@ def _cells(values: NDArray) -> list[object]:
 
 
 def _check_unpacked(path: Path, head: bytes) -> None:
-    """Unpack the packed elements of a v5-v7 file in passing, and stop at the limit."""
+    """Unpack the compressed elements of a v5 to v7 file without keeping them, and stop at the limit."""
     order = "<" if head[126:128] == b"IM" else ">"
     packed = path.stat().st_size
     unpacked = 0

@@ -1,4 +1,4 @@
-"""Parquet data: the named columns, with units from the field metadata where it holds them."""
+"""Read named columns of a Parquet file, with units from the field metadata if it holds them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ParquetStream:
     Raises
     ------
     DataError
-        If the file is no Parquet, lacks a column, or a column holds no numbers.
+        If the file is not Parquet, lacks a column, or a column does not hold numbers.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class ParquetStream:
                 )
 
     def _batches(self, source: Any) -> Iterator[Any]:
-        """The number columns; where there are none, empty batches of the rows."""
+        """Batches of the number columns. Without number columns: empty batches that only count rows."""
         import pyarrow as pa
 
         if self._numeric:
@@ -65,7 +65,7 @@ class ParquetStream:
             yield pa.record_batch({"": pa.nulls(count)})
 
     def _labels(self) -> NDArray[np.int32]:
-        """Codes of the segment column, read in a process of its own: labels of a few bytes can unpack to gigabytes."""
+        """Codes of the segment column. A separate process reads it, because labels of a few bytes can unpack to gigabytes."""
         from piga.formats.containers.container import read_container
 
         label = str(self._label)
@@ -78,7 +78,7 @@ class ParquetStream:
         return codes
 
     def events(self) -> list[Event]:
-        """What was found, after the last chunk."""
+        """Faults and omissions; complete after the last chunk."""
         return self._missed.events(self._numeric)
 
     def _column(self, column: Any, name: str, rows: Any) -> Any:
@@ -88,12 +88,12 @@ class ParquetStream:
 
 
 def read_labels(path: Path, _numeric: tuple[str, ...], label: str) -> RawTable:
-    """The segment column alone; runs in the process that reads containers.
+    """Read only the segment column. Runs in the process that reads containers.
 
     Raises
     ------
     DataError
-        If the file is no Parquet, or holds too many segments or too long a label.
+        If the file is not Parquet, has too many segments or a label is too long.
     """
     names: list[str] = []
     codes, parts = LabelCodes(names), []

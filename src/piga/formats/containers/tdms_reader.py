@@ -1,4 +1,4 @@
-"""TDMS data (LabVIEW): channels by name, with their units."""
+"""Read TDMS data (LabVIEW): channels by name, with their units."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit")
 
 
 def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTable:
-    """Read the named channels: ``channel`` where one group has it, else ``group/channel``.
+    """Read the named channels: ``channel`` if only one group has it, else ``group/channel``.
 
     Raises
     ------
     DataError
-        If the file is damaged, lacks a channel, or a channel's name is in several groups.
+        If the file is damaged, lacks a channel, or several groups have a channel of that name.
     """
     try:
         import nptdms
@@ -52,7 +52,7 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
                 labels[label] = as_label(_find(path, channels, label)[:].tolist())
     except (DataError, MemoryError):
         raise
-    except Exception as error:  # the library lets whatever a damaged file provokes through
+    except Exception as error:  # a damaged file can raise any exception in the library
         raise DataError(
             f"{path}: not a readable TDMS file ({first_line(error)})",
             remedy="was the logger stopped? copy it again",
@@ -61,7 +61,7 @@ def read_tdms(path: Path, numeric: tuple[str, ...], label: str | None) -> RawTab
 
 
 def _numbers(path: Path, name: str, channel: Any) -> NDArray:
-    """The numbers of a channel, read as they were written, piece after piece; a long one lies on disk."""
+    """The numbers of a channel, read piece by piece as they were written. A long channel lies on disk."""
     column = long_column(channel.dtype)
     count = 0
     if channel.dtype.kind in "iuf":
@@ -69,13 +69,13 @@ def _numbers(path: Path, name: str, channel: Any) -> NDArray:
             count += len(piece)
             if len(piece):
                 column.append(as_numbers(path, name, np.asarray(piece[:])), len(channel))
-    if count == 0 or count != len(channel):  # no numbers, or cut off: the library has its ways
+    if count == 0 or count != len(channel):  # no numbers, or cut off: the library raises any of these
         return as_numbers(path, name, np.asarray(channel[:]))
     return column.finish()
 
 
 def _check_size(path: Path, channels: list[Any], names: tuple[str, ...]) -> None:
-    """Declared lengths against the file: TDMS is not packed, so no channel can be longer than the file."""
+    """Compare declared lengths with the file size. TDMS is not compressed, so no channel can be longer than the file."""
     declared = sum(len(_find(path, channels, name)) for name in dict.fromkeys(names))
     if declared > path.stat().st_size:
         raise DataError(

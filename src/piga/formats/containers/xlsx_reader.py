@@ -1,4 +1,4 @@
-"""XLSX data: one sheet, cached values, every cell checked; the container is examined before it is opened."""
+"""Read XLSX data: one sheet, cached values, every cell checked. The container is examined before it is opened."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OVERLAP = 512
 
 
 def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: str | None = None) -> RawTable:
-    """Read the named columns of a sheet; its first row that is not empty holds the names.
+    """Read the named columns of a sheet. Its first non-empty row holds the names.
 
     Parameters
     ----------
@@ -34,13 +34,13 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
     numeric, label:
         Names of the number columns and of the segment column.
     sheet:
-        Name of the sheet; may be None when there is only one.
+        Name of the sheet; may be None if there is only one.
 
     Raises
     ------
     DataError
-        If the container is damaged or unpacks to too much, the sheet is not clear, or cells are not numbers:
-        with row and column letter of each (100 listed).
+        If the container is damaged or its unpacked size is too large, the sheet is ambiguous, or cells are not numbers.
+        The message names row and column letter of up to 100 cells.
     """
     try:
         import openpyxl
@@ -55,14 +55,14 @@ def read_xlsx(path: Path, numeric: tuple[str, ...], label: str | None, sheet: st
             return _Sheet(path, numeric, label, events).read(rows)
     except (DataError, MemoryError):
         raise
-    except Exception as error:  # the library lets whatever a damaged file provokes through
+    except Exception as error:  # a damaged file can raise any exception in the library
         raise DataError(
             f"{path}: not a readable XLSX file ({first_line(error)})", remedy="save it again as .xlsx"
         ) from None
 
 
 def _examine(path: Path, stream: BinaryIO) -> list[Event]:
-    """Unpack every part in passing: sizes, names, no document types; counts formulas and hidden rows."""
+    """Unpack every part without keeping it: check sizes and names, refuse document types, count formulas and hidden rows."""
     packed = os.fstat(stream.fileno()).st_size
     unpacked, formulas, hidden = 0, 0, 0
     try:
@@ -92,7 +92,7 @@ def _examine(path: Path, stream: BinaryIO) -> list[Event]:
                         kept = window[-_OVERLAP:]
     except (DataError, MemoryError):
         raise
-    except Exception as error:  # zipfile, zlib and lzma each raise their own kinds
+    except Exception as error:  # zipfile, zlib and lzma raise different exceptions
         raise DataError(
             f"{path}: not a readable XLSX file ({error})", remedy="save it again as .xlsx"
         ) from None
@@ -118,7 +118,7 @@ def _check_part(path: Path, part: zipfile.ZipInfo) -> None:
 
 
 def _sheet(path: Path, book: Any, name: str | None) -> Any:
-    """The wanted sheet, or the only one."""
+    """The requested sheet, or the only one."""
     sheets = {sheet.title: sheet for sheet in book.worksheets}
     listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
     if name is None and len(sheets) > 1:
@@ -134,7 +134,7 @@ def _sheet(path: Path, book: Any, name: str | None) -> Any:
 
 
 class _Sheet:
-    """Rows of a sheet to columns; bad cells are collected, then reported together."""
+    """Converts rows of a sheet to columns. Bad cells are collected and reported together."""
 
     def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None, events: list[Event]) -> None:
         self.path, self.numeric, self.label, self.events = path, tuple(dict.fromkeys(numeric)), label, events

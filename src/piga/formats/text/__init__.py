@@ -1,1 +1,1 @@
-"""Text logs: encoding, separators, decimal signs, faults."""
+"""Read text logs: encoding, separators, decimal marks, faults."""

@@ -1,7 +1,7 @@
-"""Find out how a text file is written: encoding, separator, decimal mark, header, units row.
+"""Detect the format of a text file: encoding, separator, decimal mark, header, units row.
 
-Nothing is guessed: where two readings are possible and would give different numbers, the file is
-refused and the run-file key that settles it is named.
+Nothing is guessed. If two readings are possible and would give different numbers, the file is refused, and the
+message names the run-file key that decides.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
 _NUMBER_COMMA = re.compile(r"^\s*[-+]?\d+,\d+([eE][-+]?\d+)?\s*$")
 _THOUSANDS = re.compile(r"^[-+]?[1-9]\d{0,2},\d{3}$")
 MISSING = ("", "nan", "NaN", "NAN", "na", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "-", "--", "---")
-"""Cells read as a missing value: masked and counted, never used."""
+"""Cells that mean a missing value. They are masked and counted, never used."""
 INFINITE = ("inf", "Inf", "INF", "-inf", "-Inf", "-INF", "+inf", "OVER", "OVL", "overflow")
-"""Cells read as out of range: masked and counted."""
+"""Cells that mean out of range. They are masked and counted."""
 
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a text file is to be read. ``skip`` lines stand before the first data line."""
+    """Format of a text file. ``skip`` is the number of lines before the first data line."""
 
     encoding: str
     separator: str
@@ -45,11 +45,11 @@ ENCODINGS = (
     "iso8859-1", "iso8859-2", "iso8859-5", "iso8859-7", "iso8859-9", "iso8859-15", "koi8-r", "koi8-u", "mac-roman",
     "cp437", "cp850", "cp852", "cp855", "cp866", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257",
 )  # fmt: skip
-"""Encodings that a text file may be declared to have, by the names Python gives them; Python knows many that are not text."""
+"""Allowed encodings, by their Python names. (Python also has codecs that are not text encodings.)"""
 
 
 def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
-    """Encoding by byte-order mark, else strict UTF-8, else GB18030, else as declared."""
+    """Detect the encoding: by byte-order mark, else strict UTF-8, else GB18030, else as declared."""
     if declared is not None:
         try:
             name = codecs.lookup(declared).name
@@ -78,7 +78,7 @@ def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
 
 
 def find_format(text: str, path: Path, encoding: str, separator: str | None, decimal: str | None) -> TextFormat:
-    """Separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
+    """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _find_separator(header: str, sample: list[str]) -> str:
 
 
 def check_names(names: tuple[str, ...], path: Path, row: int) -> None:
-    """Refuse too many columns and names that stand more than once."""
+    """Refuse too many columns and duplicate column names."""
     if len(names) > MAX_COLUMNS:
         raise DataError(
             f"{path}: {len(names)} columns, at most {MAX_COLUMNS} are read", remedy="export fewer columns"
@@ -147,7 +147,7 @@ _NAME_WITH_UNIT = re.compile(r"^(.*\S)\s*[\[(（]\s*([^\])）]+?)\s*[\])）]$")
 
 
 def units_in_names(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Split ``fx [g]`` into name and unit where the bracket holds a unit that is known."""
+    """Split ``fx [g]`` into name and unit, if the bracket holds a known unit."""
     plain, units = [], {}
     for name in names:
         match = _NAME_WITH_UNIT.match(name)
@@ -168,7 +168,7 @@ def _is_unit(text: str) -> bool:
 
 
 def is_units_row(cells: list[str]) -> bool:
-    """True when no cell is a number and at least one is a unit: a units row below the header."""
+    """True for a units row below the header: no cell is a number, and at least one is a unit."""
     stripped = [cell.strip().strip('"').strip() for cell in cells]
     if any(_NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell) or cell in MISSING[1:] for cell in stripped):
         return False
@@ -176,7 +176,7 @@ def is_units_row(cells: list[str]) -> bool:
 
 
 def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, path: Path, row: int) -> str:
-    """Decimal mark from the data; a mix, or thousands separators, is refused."""
+    """Detect the decimal mark from the data. Mixed marks and thousands separators are refused."""
     if declared is not None:
         return declared
     if separator == ",":

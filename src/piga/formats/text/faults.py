@@ -1,6 +1,6 @@
-"""Where a text file is damaged: every row and cell that cannot be read, found in one pass.
+"""Find every damaged row and cell of a text file, in one pass.
 
-Slow and thorough; used only when the fast reader has complained, or bytes are there that no log holds.
+This is slow and thorough. It is used only if the fast reader fails, or the file has bytes that no log holds.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from piga.formats.text.source import Bytes
 from piga.records.calibration import Event
 
 MAX_LISTED = 100
-"""Faults listed in one message; the rest is counted."""
+"""Most faults listed in one message. The rest is counted."""
 _NUMBER = re.compile(r"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|inf|infinity|nan)", re.IGNORECASE | re.ASCII)
 
 
 @dataclass
 class Faults:
-    """Faults of a file, added piece by piece: ``listed`` in words, rows left out counted by kind."""
+    """Faults of a file, added piece by piece. ``listed`` has them in words; the rows left out are counted by kind."""
 
     listed: list[str] = field(default_factory=list)
     total: int = 0
@@ -31,7 +31,7 @@ class Faults:
     last_row: int = 0
 
     def add(self, row: int, kind: str, words: str, hint: str = "") -> None:
-        """One more fault; a row counts once, by its first."""
+        """Add a fault. A row counts once, by its first fault."""
         if row != self.last_row:
             self.kinds.setdefault(kind, [0, row])[0] += 1
             self.last_row = row
@@ -41,7 +41,7 @@ class Faults:
         self.hint = self.hint or hint
 
     def error(self, path: Path) -> DataError:
-        """All of it as one error."""
+        """All faults as one error."""
         more = f"; and {self.total - len(self.listed)} more" if self.total > len(self.listed) else ""
         return DataError(
             f"{path}: {'; '.join(self.listed)}{more}",
@@ -49,7 +49,7 @@ class Faults:
         )
 
     def events(self) -> list[Event]:
-        """Rows left out, counted by kind."""
+        """Events for the rows left out, by kind."""
         return [Event(kind, count, first, "the row is not used") for kind, (count, first) in self.kinds.items()]
 
     @property
@@ -60,7 +60,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class FilePlace:
-    """Where a piece of text begins: file row (1-based) and byte offset of its first line."""
+    """Start of a piece of text: file row (1-based) and byte offset of its first line."""
 
     row: int
     byte: int
@@ -74,7 +74,7 @@ def find_faults(
     numeric: tuple[str, ...],
     missing: tuple[str, ...] = (),
 ) -> list[int]:
-    """Look at every cell of a piece that is needed; adds to ``faults`` and gives the lines (0-based) with faults."""
+    """Check every needed cell of a piece. Adds to ``faults`` and returns the lines (0-based) with faults."""
     tokens = {*MISSING, *INFINITE, *missing}
     places = [(name, form.names.index(name)) for name in dict.fromkeys(numeric)]
     damaged = []
@@ -138,7 +138,7 @@ def _look_at(
 
 
 def split_cells(line: str, separator: str) -> list[str] | None:
-    """Cells of a line, those in quotation marks whole; None when a mark is not closed."""
+    """Cells of a line. A quoted cell is not split. None if a quotation mark is not closed."""
     if '"' not in line:
         return line.split(separator)
     cells, at = [], 0
@@ -157,7 +157,7 @@ def split_cells(line: str, separator: str) -> list[str] | None:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Whether a cell holds a number in plain digits with this decimal mark."""
+    """True if a cell holds a number in plain digits with this decimal mark."""
     if decimal != ".":
         if "." in cell:
             return False

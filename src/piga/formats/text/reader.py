@@ -1,4 +1,4 @@
-"""CSV and other separated text, through PyArrow's tokenizer, with errors that name row and column."""
+"""Read CSV and other separated text with PyArrow's tokenizer. Errors name row and column."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from piga.records.calibration import Event
 _SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
 _ODD_QUOTES = re.compile(rb'^[^"\n]*"(?:[^"\n]*"[^"\n]*")*[^"\n]*$', re.MULTILINE)
 BLOCK_BYTES = 4 << 20
-"""Bytes that PyArrow tokenizes on one thread at a time."""
+"""Bytes per block that PyArrow tokenizes on one thread."""
 
 
 class TextStream:
@@ -33,20 +33,20 @@ class TextStream:
     numeric, label:
         Names of the number columns and of the segment column.
     separator, decimal, encoding:
-        From the run file; None means found from the file.
+        From the run file; None: detected from the file.
     missing:
-        Words that stand for a missing value, besides the usual ones.
+        Further words that mean a missing value.
     mask_damaged:
         Leave damaged rows out and count them by kind, instead of refusing the file.
     piece:
-        Bytes read at a time (None: ``text_source.PIECE_BYTES``); what is read does not depend on it.
+        Bytes read at a time (None: ``source.PIECE_BYTES``). The result does not depend on it.
     see:
-        Is shown the bytes of the file as they are read.
+        Function that gets the bytes of the file as they are read.
 
     Raises
     ------
     DataError
-        With file, row, column, the offending text and the remedy.
+        If the file cannot be read. The message names file, row, column, the faulty text and the remedy.
     """
 
     def __init__(
@@ -84,13 +84,13 @@ class TextStream:
 
     @property
     def expected_rows(self) -> int:
-        """About how many rows there will be, from those of the last piece; 0 for a packed file."""
+        """Approximate number of rows, from those of the last piece; 0 for a compressed file."""
         if self._path.suffix.lower() == ".gz" or self._piece_bytes == 0:
             return 0
         return int(1.02 * self._piece_rows * self._path.stat().st_size / self._piece_bytes)
 
     def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order; in a damaged file those before the first damage, then the error that lists all."""
+        """The rows in order. A damaged file gives the rows before the first damage, then the error that lists all faults."""
         for raw, ends in self._source.pieces(self._form.skip):
             piece, table = self._parse_or_mask(raw, ends)
             if table is not None and not (self._faults.total and not self._mask):
@@ -108,7 +108,7 @@ class TextStream:
             )
 
     def events(self) -> list[Event]:
-        """What was found, after the last chunk."""
+        """Faults and omissions; complete after the last chunk."""
         events = []
         if self._source.encoding != "utf-8":
             events.append(Event("encoding", 1, 1, f"read as {self._source.encoding}"))
@@ -147,7 +147,7 @@ class TextStream:
             yield FileChunk(numbers, codes, part)
 
     def _parse_or_mask(self, raw: Bytes, ends: int) -> tuple[Bytes, Any]:
-        """The table; when rows are damaged they are listed, and the table without them is given."""
+        """The table. Damaged rows are listed and left out of it."""
         if len(self._form.names) == 1:
             raw = _SPACES_ONLY.sub(b"\n", raw)
         table, complaint = self._parse(raw, ends)
@@ -175,7 +175,7 @@ class TextStream:
         return raw, table
 
     def _without_padding(self, raw: Bytes) -> bytes:
-        """Blanks beside separators taken off: PyArrow knows words for missing values only without them."""
+        """The text without blanks beside separators: PyArrow recognises words for missing values only without them."""
         separator = self._form.separator.encode()
         return b"\n".join(
             separator.join(cell.strip(b" ") for cell in line.split(separator)) if b" " in line else line
@@ -183,7 +183,7 @@ class TextStream:
         )
 
     def _first_refused(self, raw: Bytes) -> int:
-        """Index of the first line without which the lines before it can be read."""
+        """Index of the first line that cannot be read: all lines before it can."""
         lines = raw.split(b"\n")
         low, high = 0, len(lines)
         while high - low > 1:
@@ -193,7 +193,7 @@ class TextStream:
         return low
 
     def _parse(self, raw: Bytes, ends: int | None = None) -> tuple[Any, str]:
-        """Tokenize with PyArrow: the table, or None and the complaint."""
+        """Tokenize with PyArrow. Returns the table, or None and the error message."""
         import pyarrow as pa
         from pyarrow import csv
 
@@ -244,7 +244,7 @@ def _filled(raw: Bytes) -> int:
 
 
 def _open_quote(raw: Bytes, separator: str) -> bool:
-    """Whether a cell begins with a quotation mark that its line does not close."""
+    """True if a cell begins with a quotation mark that its line does not close."""
     if b'"' not in raw:
         return False
     odd = (match.group().decode("utf-8", errors="replace") for match in _ODD_QUOTES.finditer(raw))
@@ -252,12 +252,12 @@ def _open_quote(raw: Bytes, separator: str) -> bool:
 
 
 def _words(complaint: str) -> str:
-    """PyArrow's complaint without the row that it counts in a piece."""
+    """PyArrow's error message without its row number, which counts within a piece."""
     return re.sub(r"^(In CSV column #\d+: )?(CSV parse error: )?(Row #\d+: )?", "", complaint)
 
 
 def _blanked(raw: Bytes, damaged: list[int]) -> bytes:
-    """The text with the damaged lines empty, so that the others keep their numbers."""
+    """The text with damaged lines made empty. The other lines keep their numbers."""
     lines = bytes(raw).split(b"\n")
     for index in damaged:
         lines[index] = b""

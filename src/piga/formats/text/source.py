@@ -1,7 +1,7 @@
-"""The bytes of a text file as complete lines of UTF-8, piece by piece, whatever its length and encoding.
+"""The bytes of a text file of any length and encoding, as complete lines of UTF-8, piece by piece.
 
-An error further on in the file (bytes that are not text, a damaged ``.gz``) is raised when that place is reached,
-so that what is reported does not depend on the size of the pieces.
+An error further on in the file (bytes that are not text, a damaged ``.gz``) is raised when that place is reached.
+So the report does not depend on the size of the pieces.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from piga.records.limits import open_regular
 MAX_EXPANSION = 200
 """Largest ratio of unpacked to packed size accepted for .gz files."""
 GZIP_FIRST = 16 << 20
-"""Bytes unpacked before anything is said about the content."""
+"""Bytes that are unpacked at first, to examine the content."""
 PIECE_BYTES = 16 << 20
 """Bytes read at a time."""
 MAX_LINE = 16 << 20
@@ -33,7 +33,7 @@ MAX_LINE = 16 << 20
 MAX_HEAD = 1 << 20
 """Bytes within which header, units and first data row must lie."""
 FIRST_ROWS = 3
-"""Header, units and first data row."""
+"""Number of lines for header, units and first data row."""
 LINE_FEED = ord("\n")
 LINE_END = re.compile(rb"\r\n|\n|\r")
 
@@ -42,7 +42,7 @@ Bytes = bytes | bytearray
 
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
-    """The same items; the next one is made on another thread while one is worked on."""
+    """The same items. Another thread makes the next item while the caller works on one."""
     with ThreadPoolExecutor(1) as pool:
         end = object()
         pending = pool.submit(next, items, end)
@@ -57,17 +57,17 @@ class TextSource:
     Attributes
     ----------
     encoding:
-        How the file is written: by its mark, strict UTF-8, GB18030, or as declared.
+        Encoding of the file: by its byte-order mark, strict UTF-8, GB18030, or as declared.
     head:
-        The first complete lines as UTF-8, of :data:`~piga.formats.text.convention.SNIFF_BYTES` at most, of
-        :data:`MAX_HEAD` when the first three need more.
+        The first complete lines as UTF-8: at most :data:`~piga.formats.text.convention.SNIFF_BYTES` bytes, or
+        :data:`MAX_HEAD` if the first three lines need more.
     cut:
-        After the last piece: the last line had no line end and was left out.
+        True, after the last piece, if the last line had no line end and was left out.
 
     Raises
     ------
     DataError
-        If the file is missing, empty, damaged, or no text in its encoding, or its first lines are too long.
+        If the file is missing, empty, damaged or not text in its encoding, or its first lines are too long.
     """
 
     def __init__(
@@ -93,12 +93,12 @@ class TextSource:
             self._refuse_long_head()
 
     def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
-        """Complete lines in order and how many, without the first ``skip``; read ahead on another thread."""
+        """Complete lines in order, without the first ``skip``, and their number. Another thread reads ahead."""
         counted = ((piece, _line_feeds(piece)) for piece in self._pieces(skip))
         return counted if self.path.stat().st_size < self._piece else ahead(counted)
 
     def _complete_lines(self, most: int) -> bytes:
-        """The complete lines of the first ``most`` bytes; all of a shorter file that has no line end."""
+        """The complete lines of the first ``most`` bytes. All bytes, if the file is shorter and has no line end."""
         head = self._first[:most]
         self._only_cr = b"\n" not in head
         if self._only_cr:
@@ -116,7 +116,7 @@ class TextSource:
             )
 
     def header_bytes(self, skip: int) -> int:
-        """Bytes of the first ``skip`` lines."""
+        """Size of the first ``skip`` lines [bytes]."""
         ends = [match.end() for _, match in zip(range(skip), LINE_END.finditer(self.head), strict=False)]
         return ends[-1] if len(ends) == skip else len(self.head)
 
@@ -184,7 +184,7 @@ class TextSource:
             raise DataError(f"{self.path}: cannot be read ({error})", remedy="check the file") from None
 
     def _decoded(self, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
-        """UTF-8 of text in another encoding; good text before a bad byte is given first."""
+        """Convert text in another encoding to UTF-8. Valid text before a bad byte is given first."""
         decoder = codecs.getincrementaldecoder(self.encoding)()
         offset = lines = 0
         for block, last in _marked(blocks):
@@ -203,7 +203,7 @@ class TextSource:
             lines += block.count(b"\n")
 
     def _refuse_utf16(self) -> None:
-        """Text with a NUL in every second byte is UTF-16 without its mark."""
+        """Refuse text with a NUL in every second byte: it is UTF-16 without byte-order mark."""
         head = self._first[:256]
         if 0.8 * len(head) < 2 * max(head[::2].count(0), head[1::2].count(0)) and len(head) > 8:
             raise DataError(
@@ -214,7 +214,7 @@ class TextSource:
 
 
 class _Seen:
-    """A file whose bytes are shown to ``see`` as they are read."""
+    """A file that passes its bytes to ``see`` as they are read."""
 
     def __init__(self, stream: BinaryIO, see: Callable[[Bytes], object]) -> None:
         self._stream, self._see = stream, see
@@ -234,23 +234,23 @@ def _no_file(path: Path) -> DataError:
 
 
 def _shortable(block: Bytes) -> bytearray:
-    """A block that may be shortened in place."""
+    """A block of bytes that may be shortened in place."""
     return block if isinstance(block, bytearray) else bytearray(block)
 
 
 def _line_feeds(piece: Bytes) -> int:
-    """Counted by NumPy, which lets the other threads work meanwhile."""
+    """Number of line feeds. NumPy counts them, because it lets other threads run."""
     return int(np.count_nonzero(np.frombuffer(piece, np.uint8) == LINE_FEED))
 
 
 def _rows(head: bytes) -> int:
-    """Lines that are neither empty nor comments."""
+    """Number of lines that are neither empty nor comments."""
     lines = (line.strip() for line in LINE_END.split(head))
     return sum(1 for line in lines if line and not line.startswith(b"#"))
 
 
 def _gather(blocks: Iterator[Bytes], least: int) -> bytes:
-    """Blocks joined until there are ``least`` bytes, or the end."""
+    """Join blocks until there are ``least`` bytes, or up to the end."""
     parts: list[Bytes] = []
     size = 0
     while size < least and (block := next(blocks, None)) is not None:
@@ -260,14 +260,14 @@ def _gather(blocks: Iterator[Bytes], least: int) -> bytes:
 
 
 def _sliced(first: bytes, blocks: Iterator[Bytes], size: int) -> Iterator[Bytes]:
-    """``first`` in parts of ``size``, then the blocks."""
+    """``first`` in parts of ``size`` bytes, then the other blocks."""
     for start in range(0, len(first), size):
         yield first[start : start + size]
     yield from blocks
 
 
 def _without(count: int, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
-    """The blocks less their first ``count`` bytes."""
+    """The blocks without their first ``count`` bytes."""
     for block in blocks:
         if count < len(block):
             yield block[count:]
@@ -275,7 +275,7 @@ def _without(count: int, blocks: Iterator[Bytes]) -> Iterator[Bytes]:
 
 
 def _marked(blocks: Iterator[Bytes]) -> Iterator[tuple[Bytes, bool]]:
-    """Each block, and an empty last one marked so."""
+    """Each block with False, then an empty block with True as the last."""
     for block in blocks:
         yield block, False
     yield b"", True

@@ -1,4 +1,4 @@
-"""The store of records: append-only, chained, in one SQLite file or a PostgreSQL database."""
+"""The store of records. It is append-only and chained, in one SQLite file or a PostgreSQL database."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
     where:
         ``lab.sqlite`` or ``postgresql://user@server/database``.
     create:
-        Make a new store where there is none.
+        Create a new store if there is none.
 
     Raises
     ------
     StoreError
-        If there is no store, it is damaged, foreign or made by a newer piga, or the extra is not installed.
+        If there is no store, it is damaged, not a piga store or made by a newer piga, or the extra is not installed.
     """
     from importlib.util import find_spec
 

@@ -1,7 +1,7 @@
-"""A store's database: opened, made, migrated and put right; SQLite file or PostgreSQL by URL.
+"""Open, create, migrate and recover the database of a store: a SQLite file, or PostgreSQL by URL.
 
-SQLite: one file, rollback journal, ``synchronous=EXTRA`` (FULL, and the directory too), writers one after another
-by ``BEGIN IMMEDIATE``. PostgreSQL: writers one after another by an advisory lock, readers on one snapshot.
+SQLite: one file, rollback journal, ``synchronous=EXTRA`` (FULL, and the directory too). ``BEGIN IMMEDIATE`` lets one
+writer work at a time. PostgreSQL: an advisory lock lets one writer work at a time; readers see one snapshot.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from piga.output import remove_leftovers, write_whole
 from piga.records.limits import open_regular
 
 APPLICATION_ID = 0x70696761
-"""``piga``, in the header of the SQLite file."""
+"""The letters ``piga`` in the header of the SQLite file."""
 SCHEMA = 1
 """Schema version that this piga writes: the number of the last migration."""
 MIGRATIONS = Path(__file__).parent / "migrations" / "versions"
 BUSY = 60.0
-"""How long a writer waits for another [s]."""
+"""Longest time that a writer waits for another writer [s]."""
 _ADVISORY_LOCK = 0x7069676172656300
 _MAGIC = b"SQLite format 3\x00"
 _DAMAGED = "run piga records verify, then restore a backup"
@@ -48,14 +48,14 @@ _WORDS = (
 
 
 class Database:
-    """Connections to one store: :meth:`reading` and :meth:`writing` are its transactions."""
+    """Connections to one store, with the transactions :meth:`reading` and :meth:`writing`."""
 
     def __init__(self, name: str, engine: sa.Engine, path: Path | None) -> None:
         self.name, self.engine, self.path = name, engine, path
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """One snapshot; nothing can be written."""
+        """A read-only transaction on one snapshot."""
         with explained(self.name), self.engine.connect() as connection:
             if self.path is None:
                 connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
@@ -66,7 +66,7 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:
-        """The only writer; committed and on disk when left, rolled back on any error."""
+        """The transaction of the only writer. At its end it is committed and on disk; on any error it is rolled back."""
         with explained(self.name), self.engine.connect() as connection:
             connection.execution_options(piga_writing=True)
             with connection.begin():
@@ -78,7 +78,7 @@ class Database:
 
 @contextmanager
 def explained(name: str) -> Iterator[None]:
-    """Turn what a database reports into one clear message."""
+    """Turn a database error into one clear message."""
     try:
         yield
     except UnicodeDecodeError as error:
@@ -100,21 +100,21 @@ def is_url(where: str | Path) -> bool:
 
 
 def open_database(where: str | Path, *, create: bool = False, identity: bytes | None = None) -> Database:
-    """Open a store's database; an older schema is migrated, a hot journal rolled back.
+    """Open the database of a store. An older schema is migrated. A hot journal is rolled back.
 
     Parameters
     ----------
     where:
         SQLite file, or URL of a PostgreSQL database.
     create:
-        Make the store where there is none.
+        Create the store if there is none.
     identity:
-        Identity of a new store (restore); a new random one when left out.
+        Identity of a new store (for restore); None: a random one.
 
     Raises
     ------
     StoreError
-        If there is no store, a foreign or damaged one, or one made by a newer piga.
+        If there is no store, it is not a piga store, it is damaged, or a newer piga made it.
     """
     if is_url(where):
         return _open_postgresql(str(where), create, identity)
@@ -151,7 +151,7 @@ def _writable(path: Path) -> bool:
 
 
 def _exists(path: Path) -> bool:
-    """False also for a name that no file can have."""
+    """True if the file exists; False also for an impossible file name."""
     try:
         return path.exists()
     except OSError:
@@ -159,7 +159,7 @@ def _exists(path: Path) -> bool:
 
 
 def _check_file(path: Path) -> None:
-    """The file must be a SQLite database with our mark."""
+    """Check that the file is a SQLite database with piga's application id."""
     try:
         if not path.is_file():
             raise StoreError(f"{path}: no such store", remedy="check --store; piga records add makes a new one")
@@ -176,7 +176,7 @@ def _check_file(path: Path) -> None:
 
 
 def connect_sqlite(uri: str) -> sqlite3.Connection:
-    """A connection with the settings that a store needs."""
+    """A SQLite connection with the settings of a store."""
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY, check_same_thread=False)
     for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
         connection.execute(f"PRAGMA {setting}")
@@ -184,7 +184,7 @@ def connect_sqlite(uri: str) -> sqlite3.Connection:
 
 
 def _of_a_store(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
-    """The connection, once the file that it opened bears our mark: another one may lie there since the check."""
+    """The connection, after a second check of the application id: the file may have been replaced since the first."""
     if connection.execute("PRAGMA application_id").fetchone() != (APPLICATION_ID,):
         connection.close()
         raise _foreign(path)
@@ -207,7 +207,7 @@ def _sqlite_engine(connect: Callable[[], sqlite3.Connection], pool: Any) -> sa.E
 
 
 def new_sqlite(identity: bytes | None) -> bytes:
-    """The bytes of an empty store, made in memory."""
+    """The bytes of an empty store, created in memory."""
     with closing(sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)) as memory:
         database = Database("new store", _sqlite_engine(lambda: memory, StaticPool), Path(":memory:"))
         with database.writing() as connection:
@@ -225,9 +225,9 @@ def first_rows(connection: sa.Connection, identity: bytes | None) -> None:
 
 
 def _roll_back(uri: str) -> None:
-    """Let SQLite roll back what a killed writer left, and put away a journal that holds nothing.
+    """Let SQLite roll back the transaction of a killed writer, and remove an empty journal.
 
-    A journal whose writer is alive is locked, and left alone.
+    The journal of a running writer is locked. It is not touched.
     """
     with closing(connect_sqlite(uri)) as connection, suppress(sqlite3.Error):
         connection.execute("PRAGMA busy_timeout=0")
@@ -258,7 +258,7 @@ def _check_version(database: Database, writable: bool) -> None:
 
 
 def schema_version(connection: sa.Connection) -> int:
-    """Schema version of the store; 0 where there is none yet."""
+    """Schema version of the store; 0 if it has none yet."""
     if connection.dialect.name == "sqlite":
         return int(connection.exec_driver_sql("PRAGMA user_version").scalar_one())
     if not sa.inspect(connection).has_table("piga_schema_version"):
@@ -268,7 +268,7 @@ def schema_version(connection: sa.Connection) -> int:
 
 
 def migrate(connection: sa.Connection) -> None:
-    """Bring the schema up to date inside the transaction of ``connection``."""
+    """Migrate the schema to the current version, inside the transaction of ``connection``."""
     from alembic import command
     from alembic.config import Config
 
@@ -282,7 +282,7 @@ def migrate(connection: sa.Connection) -> None:
 
 
 def postgresql_database(where: str) -> Database:
-    """Connections to a PostgreSQL database, whatever it holds.
+    """Connections to a PostgreSQL database. Its content is not checked.
 
     Raises
     ------

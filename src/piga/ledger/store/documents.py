@@ -1,8 +1,8 @@
-"""What is chained: identity of a store, records and links, as JSON documents whose bytes are hashed as they stand.
+"""The documents of the chain: identity of a store, records and links. They are JSON; their bytes are hashed.
 
-``sha256(link)`` is the head after that link; a link names the head before it and the SHA-256 of its record; a
+``sha256(link)`` is the head after that link. A link names the head before it and the SHA-256 of its record. A
 record names the SHA-256 of every file it holds. The head before the first link is the SHA-256 of the identity.
-So one head vouches for everything before it, and ``sha256sum`` is all it takes to check by hand.
+So one head proves everything before it, and ``sha256sum`` is enough to check a chain by hand.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def safe_name(name: str) -> PurePosixPath:
     Raises
     ------
     StoreError
-        If it is absolute, leads upwards, or holds what some file system takes for more than a name.
+        If it is absolute, leads upwards, or holds characters that have a special meaning on some file system.
     """
     parts = name.split("/")
     bad = any(
@@ -52,12 +52,12 @@ def safe_name(name: str) -> PurePosixPath:
 
 
 def write_new(path: Path, parts: Iterator[bytes]) -> None:
-    """Write a file that must not be there yet; it appears under its name when it is whole, or not at all.
+    """Write a new file. It appears under its name when it is complete, or not at all.
 
     Raises
     ------
     StoreError
-        If it is there, or cannot be written.
+        If it exists or cannot be written.
     """
 
     def write(part: Path) -> None:
@@ -77,11 +77,11 @@ def write_new(path: Path, parts: Iterator[bytes]) -> None:
 
 IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
 MAX_TEXT = 2000
-"""Letters that operator and reason may have."""
+"""Most characters of operator and reason."""
 MAX_FILES = 1000
-"""Files of a record."""
+"""Most files of a record."""
 PART = 1 << 20
-"""Bytes of a file per row."""
+"""Bytes of a file in one row."""
 _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 _ID = re.compile(rf"[{_ALPHABET}]{{5}}-[{_ALPHABET}]{{5}}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -91,7 +91,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """A store: random name and when it was made."""
+    """Identity of a store: a random name and the time it was made."""
 
     schema: str
     store: str
@@ -99,7 +99,7 @@ class Identity(msgspec.Struct, frozen=True):
 
 
 class StoredFile(msgspec.Struct, frozen=True):
-    """A file of a record: what it is to it, its name relative to the others, digest and size [bytes]."""
+    """A file of a record: its role, its name relative to the other files, its digest and its size [bytes]."""
 
     role: str
     name: str
@@ -108,10 +108,10 @@ class StoredFile(msgspec.Struct, frozen=True):
 
 
 class RecordDocument(msgspec.Struct, frozen=True):
-    """A record as written once and for ever.
+    """A record. It is written once and never changed.
 
-    ``store``, ``number`` and ``after`` tell where it was first written: the ``number``-th record of that
-    store, after the head ``after``. ``measured`` is when the test was made, where that was said.
+    ``store``, ``number`` and ``after`` state where it was first written: as record ``number`` of that store, after the
+    head ``after``. ``measured`` is the time of the test, if given.
     """
 
     schema: str
@@ -131,7 +131,7 @@ class RecordDocument(msgspec.Struct, frozen=True):
 
 
 class TakenOver(msgspec.Struct, frozen=True):
-    """Where an imported record comes from: identity and link there as text, who imported it and why."""
+    """Origin of an imported record: identity of its store and its link there, as text; who imported it and why."""
 
     identity: str
     link: str
@@ -156,7 +156,7 @@ def sha256(data: bytes) -> str:
 
 
 def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
-    """SHA-256 and size [bytes] of what comes in parts."""
+    """SHA-256 and size [bytes] of a file given in parts."""
     digest, size = hashlib.sha256(), 0
     for part in parts:
         digest.update(part)
@@ -165,7 +165,7 @@ def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
 
 
 def parts_of(path: Path) -> Iterator[bytes]:
-    """A file in parts.
+    """The bytes of a file, in parts.
 
     Raises
     ------
@@ -189,12 +189,12 @@ def encode(document: msgspec.Struct) -> bytes:
 
 
 def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = False) -> T:
-    """Read a document of a known schema; ``strict`` also refuses a key that is there twice, as for all JSON from outside.
+    """Read a document of a known schema. ``strict`` also refuses duplicate keys, as for all JSON from outside.
 
     Raises
     ------
     StoreError
-        If it is none, or one of a newer schema; ``what`` names it.
+        If it is not such a document, or has a newer schema. ``what`` names it in the message.
     """
     try:
         written = msgspec.json.decode(raw, type=dict[str, Any]).get("schema")
@@ -216,13 +216,13 @@ def new_identity() -> bytes:
 
 
 def new_id() -> str:
-    """Name of a new record: ten letters that are hard to mistake (50 random bits)."""
+    """Name of a new record: ten characters that are hard to confuse (50 random bits)."""
     letters = "".join(secrets.choice(_ALPHABET) for _ in range(10))
     return f"{letters[:5]}-{letters[5:]}"
 
 
 def is_id(text: str) -> bool:
-    """True for text of the form of a record's name."""
+    """True if the text has the form of a record's name."""
     return _ID.fullmatch(text) is not None
 
 
@@ -237,13 +237,13 @@ def now() -> str:
 
 
 def moment(text: str) -> datetime:
-    """A time as written in a document; without a zone it is UTC."""
+    """A time as written in a document; UTC if no zone is given."""
     time = datetime.fromisoformat(text)
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
 def checked_text(name: str, text: str) -> str:
-    """A line about a record: not empty, not too long, no control characters.
+    """Check a line of text about a record: not empty, not too long, no control characters.
 
     Raises
     ------
@@ -259,12 +259,12 @@ def checked_text(name: str, text: str) -> str:
 
 
 def checked_moment(name: str, text: str) -> str:
-    """A date or time in ISO form, as it is.
+    """Check a date or time in ISO form and return it unchanged.
 
     Raises
     ------
     ArgumentError
-        Naming the argument, for text that is not a date, or not one of the years 1900 to 2199.
+        If the text is not a date, or its year is not in 1900 to 2199. The message names the argument.
     """
     try:
         year = moment(text).year
@@ -280,13 +280,13 @@ def checked_moment(name: str, text: str) -> str:
 
 
 def check_record(document: RecordDocument) -> None:
-    """Refuse a record that some command could not show: the one check for what is added and what is imported.
+    """Refuse a record that a command could not show. The same check applies to added and imported records.
 
     Raises
     ------
     ArgumentError, DataError, StoreError
-        Naming the part: name, serial, times, operator, reason, a text with a control character, a file's name, role
-        or digest, two files of one name, too many files.
+        If a part is not valid. The message names it: name, serial, times, operator, reason, a text with a control
+        character, a file's name, role or digest, two files of one name, too many files.
     """
     if not is_id(document.id):
         raise ArgumentError(f"id: '{document.id[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
@@ -313,7 +313,7 @@ def check_record(document: RecordDocument) -> None:
 
 
 def _check_plain(name: str, value: Any, depth: int = 8) -> None:
-    """Texts of a nested value must fit into a line of a list."""
+    """Check that each text of a nested value fits into one line of a list."""
     parts = (
         (*value.keys(), *value.values())
         if isinstance(value, dict)
@@ -331,7 +331,7 @@ def _check_plain(name: str, value: Any, depth: int = 8) -> None:
 
 @dataclass(frozen=True)
 class Head:
-    """Where a chain stands: number of records, and the hash that vouches for all of them."""
+    """The head of a chain: number of records, and the hash that proves all of them."""
 
     number: int
     sha256: str
@@ -339,7 +339,7 @@ class Head:
 
 @dataclass(frozen=True)
 class Position:
-    """The place that a new record takes: its name, number, store, and the head before it."""
+    """The place of a new record: its name, number, store, and the head before it."""
 
     id: str
     number: int
@@ -349,9 +349,9 @@ class Position:
 
 @dataclass(frozen=True)
 class DraftFile:
-    """A file to store: its role (run, data, calibration, report, ...), name, and where its bytes are.
+    """A file to store: its role (run, data, calibration, report, ...), its name, and its bytes or their place.
 
-    ``sha256`` is what it must be, where that is known: a file that changed since it was read is refused.
+    ``sha256`` is the expected digest, if known. A file that changed since it was read is refused.
     """
 
     role: str
@@ -360,13 +360,13 @@ class DraftFile:
     sha256: str | None = None
 
     def parts(self) -> Iterator[bytes]:
-        """The bytes in parts."""
+        """The bytes of the file, in parts."""
         return iter((self.source,)) if isinstance(self.source, bytes) else parts_of(self.source)
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A record before it is written; ``measured`` is the time of the test, in ISO form."""
+    """A record before it is written. ``measured`` is the time of the test, in ISO form."""
 
     serial: str
     operator: str
@@ -380,7 +380,7 @@ class Draft:
 
 @dataclass(frozen=True)
 class Entry:
-    """A link with its record as the bytes that are hashed; ``document`` is None in an export without it."""
+    """A link and its record, as the bytes that are hashed. ``document`` is None if an export leaves the record out."""
 
     number: int
     link: bytes
@@ -389,7 +389,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Record:
-    """A record of the store: its place in the chain and what was written."""
+    """A record of the store: its place in the chain and its content."""
 
     number: int
     head: str
@@ -398,14 +398,14 @@ class Record:
 
     @property
     def id(self) -> str:
-        """Name of the record; the same in every store."""
+        """Name of the record. It is the same in every store."""
         return self.document.id
 
     @property
     def measured(self) -> datetime:
-        """When the test was made; when that was not said or is not a date, when the record was made or added.
+        """Time of the test. If it was not given or is not a date: the time at which the record was made or added.
 
-        Piga 0.1 let an import bring in times that are not dates.
+        Imports of piga 0.1 could contain times that are not dates.
         """
         for text in (self.document.measured, self.document.created):
             with suppress(ValueError, OverflowError):
@@ -414,5 +414,5 @@ class Record:
         return moment(self.link.added)
 
     def file(self, role: str) -> StoredFile | None:
-        """The first file of a role."""
+        """The first file with this role."""
         return next((stored for stored in self.document.files if stored.role == role), None)

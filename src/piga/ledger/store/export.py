@@ -1,8 +1,8 @@
-"""Exports: records in one ZIP file that explains itself, sealed by its own SHA-256.
+"""Exports: records in one ZIP file with a README, sealed by its own SHA-256.
 
 Members: ``README.txt``, ``manifest.json``, ``SHA256SUMS``, ``store.json`` (identity), ``links/N.json`` (all of
 them), ``records/N.json`` and ``files/SHA256`` (of the chosen records). The ZIP comment holds the SHA-256 of every
-byte before it. Same store, same piga: same bytes.
+byte before it. The same store and the same piga give the same bytes.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ SCHEMA = "piga.export/1"
 SEAL = b"piga.export sha256:"
 MAX_MEMBERS = 1_000_000
 MAX_DOCUMENT = 16 << 20
-"""Bytes of a link or record document."""
+"""Largest link or record document [bytes]."""
 MAX_SUMS = 160 * MAX_MEMBERS
-"""Bytes of ``SHA256SUMS``: a line of at most 137 for each member."""
+"""Largest ``SHA256SUMS`` [bytes]: at most 137 bytes for each member."""
 MAX_FILE = 16 << 30
-"""Bytes of one file."""
+"""Largest file [bytes]."""
 MAX_RATIO = 200
-"""Unpacked to packed size accepted for a file; the writer stores what would pack better as it is."""
+"""Largest accepted ratio of unpacked to packed size. The writer stores files with a higher ratio unpacked."""
 _MEMBER = re.compile(
     r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
 )
 
 
 class _Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``manifest.json``: what made the export, how many records and links it has, and the SHA-256 of the last link."""
+    """``manifest.json``: the software that made the export, its numbers of records and links, and the SHA-256 of the last link."""
 
     schema: str
     software: str
@@ -76,9 +76,9 @@ of all bytes of this file before the comment.
 def write_members(
     store: Store, path: Path, numbers: set[int] | None, advance: Callable[[int, int], None]
 ) -> None:
-    """Write an export: all links, and the records of the given numbers (None: all) with their files.
+    """Write an export: all links, and the records with the given numbers (None: all) with their files.
 
-    ``advance`` is told how many files were written since its last call, and how many there are.
+    ``advance`` gets the number of files written since its last call, and the number of all files.
     """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as target:
         sums = _Members(target)
@@ -112,7 +112,7 @@ def _file_names(document: bytes) -> list[str]:
 
 
 class _Members:
-    """Writes members with fixed dates and rights, and keeps their digests."""
+    """Writes members with fixed dates and permissions, and collects their digests."""
 
     def __init__(self, target: zipfile.ZipFile) -> None:
         self.target = target
@@ -143,7 +143,7 @@ def _member(name: str, kind: int) -> zipfile.ZipInfo:
 
 
 def _seal(path: Path) -> None:
-    """Put the SHA-256 of everything before the comment into the comment."""
+    """Write the SHA-256 of everything before the ZIP comment into the comment."""
     with path.open("r+b") as stream:
         digest = _sealed_digest(stream)
         stream.seek(len(SEAL), 1)
@@ -151,7 +151,7 @@ def _seal(path: Path) -> None:
 
 
 def _sealed_digest(stream: BinaryIO) -> str:
-    """SHA-256 of everything before the comment; the stream stands behind it then."""
+    """SHA-256 of everything before the comment. The stream is then at the comment."""
     digest, length = hashlib.sha256(), os.fstat(stream.fileno()).st_size - len(SEAL) - 64
     while length > 0:
         part = stream.read(min(PART, length))
@@ -161,7 +161,7 @@ def _sealed_digest(stream: BinaryIO) -> str:
 
 
 def is_export(path: Path) -> bool:
-    """True for a file that begins as ZIP files do."""
+    """True if the file begins like a ZIP file."""
     try:
         with open_regular(path, error=StoreError) as stream:
             return stream.read(4) == b"PK\x03\x04"
@@ -170,12 +170,12 @@ def is_export(path: Path) -> bool:
 
 
 class Export:
-    """An export opened for reading; its seal, members and sizes are checked when it is opened.
+    """An export opened for reading. Its seal, members and sizes are checked when it is opened.
 
     Raises
     ------
     StoreError
-        If it is none, or is damaged.
+        If it is not an export, or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -191,7 +191,9 @@ class Export:
                 raise StoreError(f"{path}: no export of records (no ZIP file)", remedy="check the name")
             self._check_seal()
             try:
-                self.zip = zipfile.ZipFile(self._stream)  # what was opened: a file put in its place is not read
+                self.zip = zipfile.ZipFile(
+                    self._stream
+                )  # read the opened file, even if another file replaces it now
             except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
                 raise self._damaged(str(error)) from None
             self.members = self._checked_members()
@@ -210,11 +212,11 @@ class Export:
         self._stream.close()
 
     def identity(self) -> bytes:
-        """The identity document of the store it comes from."""
+        """The identity document of the store that wrote the export."""
         return self._text("store.json")
 
     def entries(self) -> Iterator[Entry]:
-        """The chain in order; records that are not in the export have no document."""
+        """The chain in order. Records that are not in the export have no document."""
         numbers = sorted(int(name[6:14]) for name in self.members if name.startswith("links/"))
         for number in numbers:
             name = f"records/{number:08d}.json"
@@ -229,11 +231,11 @@ class Export:
         return {name.removeprefix("files/") for name in self.members if name.startswith("files/")}
 
     def file(self, name: str) -> Iterator[bytes]:
-        """The parts of a file; never more than its size says."""
+        """The parts of a file; never more bytes than its stated size."""
         return self._parts(f"files/{name}")
 
     def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
-        """What is wrong with each file (name, size), None where it is what it was."""
+        """The fault of each file (name, size); None if it is unchanged."""
         for name, size in wanted:
             try:
                 whole = digest_of(self.file(name)) == (name, size)
@@ -267,7 +269,7 @@ class Export:
         return members
 
     def _check_manifest(self) -> None:
-        """Sums and manifest must fit the members; the files themselves are checked where they are read."""
+        """Check that sums and manifest fit the members. The files themselves are checked when they are read."""
         digests = {
             name: name.removeprefix("files/") if name.startswith("files/") else sha256(self._text(name))
             for name in self.members
@@ -304,7 +306,7 @@ class Export:
     def _parts(self, name: str) -> Iterator[bytes]:
         member = self._member(name)
         try:
-            with self.zip.open(member) as stream:  # gives no more than the size that was checked
+            with self.zip.open(member) as stream:  # never more than the size that was checked
                 while part := stream.read(PART):
                     yield part
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:

@@ -1,6 +1,6 @@
 """The tables of a store, row by row: identity, head and entries, and files in parts of a megabyte.
 
-Files are named by their SHA-256 and kept once. Migrations make the tables.
+Each file is stored once, under its SHA-256. The migrations create the tables.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from piga.ledger.store.documents import PART, Entry, Head, digest_of, sha256
 metadata = MetaData()
 
 STORE = Table("piga_store", metadata, Column("document", LargeBinary, primary_key=True))
-"""One row: the identity."""
+"""Table with one row: the identity."""
 
 ENTRY = Table(
     "piga_entry",
@@ -30,10 +30,10 @@ ENTRY = Table(
     Column("link", LargeBinary, nullable=False),
     Column("document", LargeBinary, nullable=False),
 )
-"""The chain: link and record document; head, id and serial are taken from them for look-ups."""
+"""The chain: link and record document. Head, id and serial are copied from them for look-ups."""
 
 BLOB = Table("piga_blob", metadata, Column("sha256", Text, primary_key=True), Column("size", BigInteger))
-"""Files, named by their content."""
+"""Files, named by their SHA-256."""
 
 CHUNK = Table(
     "piga_chunk",
@@ -44,7 +44,7 @@ CHUNK = Table(
     Column("digest", Text, nullable=False),
     Column("data", LargeBinary, nullable=False),
 )
-"""Parts of files in order: ``plain`` or ``zlib``, with the SHA-256 of the bytes as they lie here."""
+"""Parts of files in order: ``plain`` or ``zlib``, with the SHA-256 of the stored bytes."""
 
 HEAD = Table(
     "piga_head",
@@ -53,7 +53,7 @@ HEAD = Table(
     Column("number", Integer),
     Column("head", Text),
 )
-"""One row: number and head of the last entry, so that a chain cut short is seen."""
+"""Table with one row: number and head of the last entry. It shows whether the chain was cut short."""
 
 
 COMPRESS_ABOVE = 1 << 16
@@ -61,7 +61,7 @@ COMPRESS_ABOVE = 1 << 16
 
 
 def as_bytes(value: object, what: str) -> bytes:
-    """A column that must hold bytes.
+    """The value of a column that must hold bytes.
 
     Raises
     ------
@@ -80,12 +80,12 @@ def insert_blob(
     parts: Iterable[bytes],
     compress_above: int = COMPRESS_ABOVE,
 ) -> None:
-    """Store a file under the digest and size it was announced with; one that is there already is not stored twice.
+    """Store a file under its announced digest and size. A file that the store already has is not stored again.
 
     Raises
     ------
     StoreError
-        If the content is not the one that was announced.
+        If the content does not have that digest and size.
     """
     if connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
         return
@@ -118,12 +118,12 @@ def _evenly(parts: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
-    """The parts of a stored file, each checked as it lies there, the whole checked at the end.
+    """The parts of a stored file. Each stored part is checked, and the whole file at the end.
 
     Raises
     ------
     StoreError
-        If the file is not in the store, or not what it was.
+        If the file is not in the store, or was changed.
     """
     row = connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).one_or_none()
     if row is None:
@@ -142,18 +142,18 @@ def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
 
 
 BATCH_FILES, BATCH_BYTES = 200, 32 << 20
-"""Files, and bytes of them, that are read at once."""
+"""Most files, and most bytes, that are read in one query."""
 
 
 def read_blobs(connection: sa.Connection, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, bytes]]:
-    """Many small files whole, in the order asked for; each is checked as :func:`read_blob` does.
+    """Read many small files whole, in the order of ``wanted``. Each is checked as in :func:`read_blob`.
 
-    ``wanted`` are name and size [bytes] of each.
+    ``wanted`` holds name and size [bytes] of each.
 
     Raises
     ------
     StoreError
-        For the first file that is missing or not what it was.
+        For the first file that is missing or changed.
     """
     for name, _, data in _in_batches(connection, wanted):
         if isinstance(data, StoreError):
@@ -164,7 +164,7 @@ def read_blobs(connection: sa.Connection, wanted: Iterable[tuple[str, int]]) -> 
 def check_blobs(
     connection: sa.Connection, wanted: Iterable[tuple[str, int]]
 ) -> Iterator[tuple[str, StoreError | None]]:
-    """What is wrong with each stored file, None where it is what it was and as large as announced."""
+    """The fault of each stored file; None if content and size are unchanged."""
 
     def small() -> Iterator[tuple[str, int]]:
         for name, size in wanted:
@@ -253,7 +253,7 @@ def _damaged(name: str) -> StoreError:
 
 
 ROWS = 200
-"""Entries that are fetched at once."""
+"""Entries fetched in one query."""
 
 
 def read_identity(connection: sa.Connection) -> bytes:
@@ -270,7 +270,7 @@ def read_head(connection: sa.Connection) -> Head:
 
 
 def read_entries(connection: sa.Connection) -> Iterator[Entry]:
-    """The chain in order; a few entries are in memory at a time."""
+    """The chain in order. Only a few entries are in memory at a time."""
     wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number).limit(ROWS)
     number = 0
     while rows := connection.execute(wanted.where(ENTRY.c.number > number)).all():
@@ -280,7 +280,7 @@ def read_entries(connection: sa.Connection) -> Iterator[Entry]:
 
 
 def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:
-    """Size of each stored file, and of what it takes in the store [bytes]."""
+    """Size of each file, and its size in the store [bytes]."""
     taken = sa.select(CHUNK.c.sha256, sa.func.sum(sa.func.length(CHUNK.c.data)).label("taken")).group_by(
         CHUNK.c.sha256
     )

@@ -1,4 +1,4 @@
-"""The store: records are appended, listed and read back; nothing is ever changed or deleted."""
+"""The store. Records are appended, listed and read. Nothing is ever changed or deleted."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from piga.ledger.store.rows import (
 from piga.records.calibration import Calibration, CalibrationFigures
 
 ROWS = 500
-"""Records that are fetched at once."""
+"""Records fetched in one query."""
 T = TypeVar("T")
 
 INPUT_ROLES = ("run", "data", "sidecar", "stand")
@@ -59,7 +59,7 @@ INPUT_ROLES = ("run", "data", "sidecar", "stand")
 
 
 class Store:
-    """A store of records, from :func:`piga.open_store`; use it in a ``with`` block or close it.
+    """A store of records, opened by :func:`piga.open_store`. Use it in a ``with`` block or close it.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Let the database go."""
+        """Close the connection."""
         self.database.engine.dispose()
 
     @property
@@ -95,7 +95,7 @@ class Store:
             return decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
 
     def head(self) -> Head:
-        """Where the chain stands now."""
+        """The current head of the chain."""
         with self.database.reading() as connection:
             return read_head(connection)
 
@@ -104,12 +104,12 @@ class Store:
         return tuple(self.each(serial))
 
     def each(self, serial: str | None = None) -> Iterator[Record]:
-        """As :meth:`records`, one by one: for stores whose records do not fit into memory."""
+        """As :meth:`records`, but one by one, for stores whose records do not fit into memory."""
         with self.database.reading() as connection:
             yield from self._each(connection, serial)
 
     def superseded(self, serial: str | None = None) -> set[str]:
-        """Names of the records that a later one amends."""
+        """Names of the records that later records amend."""
         return {r.document.supersedes for r in self.each(serial) if r.document.supersedes is not None}
 
     def _each(self, connection: sa.Connection, serial: str | None) -> Iterator[Record]:
@@ -120,18 +120,18 @@ class Store:
             yield self._record(row)
 
     def record(self, name: str | int) -> Record:
-        """One record by its name, or by its number in this store.
+        """One record, by its name or by its number in this store.
 
         Raises
         ------
         StoreError
-            If there is none.
+            If there is no such record.
         """
         with self.database.reading() as connection:
             return self._find(connection, str(name))
 
     def read(self, name: str | int, role: str) -> bytes:
-        """The first file of a role (run, data, calibration, report, ...) of a record.
+        """The first file with this role (run, data, calibration, report, ...) in a record.
 
         Raises
         ------
@@ -153,19 +153,19 @@ class Store:
         return calibration_from_bytes(self.read(name, "calibration"), Path(f"record {name}"))
 
     def history(self, serial: str) -> list[tuple[str, datetime, Calibration]]:
-        """Calibrations of one instrument by the time of the test: record, time, calibration.
+        """Calibrations of one instrument in the order of the tests: record, time, calibration.
 
-        Records that were superseded are left out: their successors stand for them. :meth:`figures` gives what a
-        trend needs of thousands of records, in a small part of the time and memory.
+        Superseded records are left out, because their successors replace them. For a trend over thousands of
+        records use :meth:`figures`: it needs far less time and memory.
         """
         from piga.records.calibration_json import calibration_from_bytes
 
         return list(self._calibrations(serial, calibration_from_bytes))
 
     def figures(self, serial: str) -> Iterator[tuple[str, datetime, CalibrationFigures]]:
-        """As :meth:`history`, one by one, and of each calibration what :func:`piga.trend.history.find_trend` needs.
+        """As :meth:`history`, but one by one, and only the part that :func:`piga.trend.history.find_trend` needs.
 
-        A calibration that cannot be read is named in a :class:`piga.PigaWarning` and left out.
+        A calibration that cannot be read is left out, and a :class:`piga.PigaWarning` names it.
         """
         from piga.records.calibration_json import figures_from_bytes
 
@@ -190,12 +190,12 @@ class Store:
                 yield name, measured, calibration
 
     def extract(self, name: str | int, folder: Path, *, inputs_only: bool = False) -> Path:
-        """Write the files of a record below ``folder`` under their own names; returns the run file's path.
+        """Write the files of a record below ``folder`` under their own names. Returns the path of the run file.
 
         Raises
         ------
         StoreError
-            If a name would lead out of the folder, or a file is there already.
+            If a name would lead out of the folder, or a file exists already.
         """
         record = self.record(name)
         kept = [file for file in record.document.files if not inputs_only or file.role in INPUT_ROLES]
@@ -208,17 +208,17 @@ class Store:
         return run
 
     def append(self, make: Callable[[Position], Draft]) -> Record:
-        """Append one record; when this returns it is on disk.
+        """Append one record. When this returns, it is on disk.
 
         Parameters
         ----------
         make:
-            Gives the record for the place it will have; called while no one else can write.
+            Function that makes the record for its place. It is called while no one else can write.
 
         Raises
         ------
         StoreError, ArgumentError
-            With nothing changed.
+            If the record is refused; the store is unchanged.
         """
         with self.database.writing() as connection:
             head = read_head(connection)
@@ -232,7 +232,7 @@ class Store:
     def insert(
         self, connection: sa.Connection, document: bytes, link: bytes | None, **taken_over: Any
     ) -> Entry:
-        """Chain a record document whose files are stored: by a new link, or by the given one word for word."""
+        """Append a record document whose files are stored: with a new link, or with the given link unchanged."""
         head = read_head(connection)
         if link is None:
             self._check_clock(connection, head)
@@ -285,13 +285,13 @@ class Store:
         return document
 
     def check(self, connection: sa.Connection, document: RecordDocument) -> None:
-        """Refuse a record that must not enter, be it added or imported; its files are stored already.
+        """Refuse a record that must not be added or imported. Its files are stored already.
 
         Raises
         ------
         PigaError
-            If a command could not show the record, its calibration cannot be read or is of another instrument, or
-            it supersedes a record of another instrument, of another laboratory, or one that is superseded already.
+            If a command could not show the record; if its calibration cannot be read or belongs to another
+            instrument; or if it supersedes a record of another instrument or laboratory, or a superseded one.
         """
         check_record(document)
         self._check_calibration(connection, document)
@@ -318,7 +318,7 @@ class Store:
 
     def _check_superseded(self, connection: sa.Connection, document: RecordDocument, name: str) -> None:
         row = connection.execute(sa.select(ENTRY).where(ENTRY.c.id == name)).one_or_none()
-        if row is not None:  # an export may leave out the record that one of its records amends
+        if row is not None:  # an export may leave out a record that another of its records amends
             self._check_amended(connection, document, self._record(row))
         same = sa.select(ENTRY).where(ENTRY.c.serial == document.serial)
         for other in map(self._record, connection.execute(same)):
@@ -341,7 +341,7 @@ class Store:
             )
 
     def _is_own(self, connection: sa.Connection, document: RecordDocument) -> bool:
-        """True for a record that this store writes itself."""
+        """True if this store itself wrote the record, not an import."""
         identity = decode(read_identity(connection), Identity, IDENTITY, f"{self.name}: identity")
         return document.store == identity.store
 

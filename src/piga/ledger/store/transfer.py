@@ -1,4 +1,4 @@
-"""Records between stores: import (onto another chain), backup and restore (the same chain again)."""
+"""Transfer between stores: import (onto another chain), backup and restore (the same chain)."""
 
 from __future__ import annotations
 
@@ -56,14 +56,15 @@ def export_records(
     replace: bool = False,
     advance: Advance = silent,
 ) -> Verification:
-    """Write all records of a store, or the chosen ones, with all links of its chain; read back before it gets its name.
+    """Write all records of a store, or the chosen ones, with all links of its chain.
 
-    ``advance`` is told how many files were written or read back since its last call, and how many there are.
+    The file is read back before it gets its name. ``advance`` gets the number of files written or read back since its
+    last call, and the number of all files.
 
     Raises
     ------
     StoreError
-        If the store is damaged or the file cannot be written; nothing is left behind then.
+        If the store is damaged or the file cannot be written. No file is left then.
     """
     numbers = None if chosen is None else {store.record(name).number for name in chosen}
 
@@ -81,9 +82,9 @@ def export_records(
 
 
 def import_records(store: Store, path: Path, operator: str, reason: str) -> list[str]:
-    """Append the records of an export that the store does not have yet; all of them or none.
+    """Append the records of an export that the store does not have yet: all of them or none.
 
-    Each keeps its document word for word; its new link holds the link it had, and who imported it and why.
+    Each keeps its document unchanged. Its new link holds its old link, and who imported it and why.
 
     Returns
     -------
@@ -93,7 +94,7 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
     Raises
     ------
     StoreError
-        If the export is damaged, holds another record under a name that the store has, or a record that ``add`` would
+        If the export is damaged, holds another record with a name that the store has, or a record that ``add`` would
         refuse (:meth:`Store.check`).
     """
     operator, reason = checked_text("operator", operator), checked_text("reason", reason)
@@ -118,7 +119,7 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
 def _refuse_unfit(
     store: Store, connection: sa.Connection, raw: bytes, document: RecordDocument, name: str
 ) -> None:
-    """Refuse what ``add`` would not have written."""
+    """Refuse records that ``add`` would not have written."""
     try:
         if encode(document) != raw:
             raise StoreError("it is not written as piga writes records")
@@ -131,12 +132,12 @@ def _refuse_unfit(
 
 
 def backup(store: Store, target: Path, *, replace: bool = False, advance: Advance = silent) -> Verification:
-    """Write a verified copy: of a SQLite store the same database, of a PostgreSQL store an export.
+    """Write a verified copy: a database for a SQLite store, an export for a PostgreSQL store.
 
     Raises
     ------
     StoreError
-        If the store is damaged or the copy cannot be written; nothing is left behind then.
+        If the store is damaged or the copy cannot be written. No file is left then.
     """
     result = Verification("")
 
@@ -159,12 +160,12 @@ def backup(store: Store, target: Path, *, replace: bool = False, advance: Advanc
 
 
 def restore(source: Path, target: str | Path) -> Verification:
-    """Make a store from a backup (SQLite file or complete export): same identity, same links, same head.
+    """Create a store from a backup (SQLite file or complete export), with the same identity, links and head.
 
     Raises
     ------
     StoreError
-        If the backup is damaged or not complete, or the target is there already.
+        If the backup is damaged or not complete, or the target exists already.
     """
     with ExitStack() as stack:
         if is_export(source):

@@ -1,4 +1,4 @@
-"""Verification: every byte that a record is read from is checked, and everything that is wrong is named."""
+"""Verification: check every byte that a record is read from, and name every fault."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ from piga.ledger.store.store import Store
 
 MAX_PROBLEMS = 100
 Advance = Callable[[int, int], None]
-"""Is told how many files were checked since the last call, and how many there are."""
+"""Function that gets the number of files checked since its last call, and the number of all files."""
 
 
 def silent(_count: int, _total: int) -> None:
-    """Nobody watches."""
+    """Report no progress."""
 
 
 class VerifiedSource(Protocol):
-    """What a chain is read from: a store or an export."""
+    """The source of a chain: a store or an export."""
 
     def identity(self) -> bytes:
         """The identity document."""
@@ -74,7 +74,7 @@ class VerifiedSource(Protocol):
 
 @dataclass
 class Verification:
-    """What was found: records and files that were checked, the head, known heads, and problems in words."""
+    """Result of a verification: numbers of records and files checked, the head, the known heads, and problems in words."""
 
     name: str
     records: int = 0
@@ -85,17 +85,17 @@ class Verification:
 
     @property
     def sound(self) -> bool:
-        """True when nothing is wrong."""
+        """True if there is no problem."""
         return not self.problems
 
     def problem(self, text: str) -> None:
-        """Note a problem; the first hundred are kept."""
+        """Add a problem. Only the first hundred are kept."""
         if len(self.problems) < MAX_PROBLEMS:
             self.problems.append(text)
 
 
 class StoreSource:
-    """A store's rows on one snapshot."""
+    """The rows of a store, on one snapshot."""
 
     def __init__(self, connection: sa.Connection) -> None:
         self.connection = connection
@@ -117,7 +117,7 @@ class StoreSource:
         return read_blob(self.connection, name)
 
     def check_files(self, wanted: Iterable[tuple[str, int]]) -> Iterator[tuple[str, StoreError | None]]:
-        """What is wrong with each stored file."""
+        """The fault of each stored file."""
         return check_blobs(self.connection, wanted)
 
 
@@ -129,9 +129,9 @@ def verify(where: str | Path, heads: Iterable[str] = (), advance: Advance = sile
     where:
         Store (file or URL) or export.
     heads:
-        Heads noted earlier, on reports or elsewhere: each must be one of the chain's.
+        Heads noted earlier, for example on reports. Each must be a head of the chain.
     advance:
-        Called with the number of files that were checked since the last call, and the number of all.
+        Called with the number of files checked since the last call, and the number of all files.
     """
     result = Verification(str(where))
     try:
@@ -162,7 +162,7 @@ def _verify_store(result: Verification, where: str | Path, heads: Iterable[str],
 def check_chain(
     result: Verification, source: VerifiedSource, heads: Iterable[str] = (), advance: Advance = silent
 ) -> None:
-    """Check links, records and files of a chain; problems are added to ``result``."""
+    """Check links, records and files of a chain. Problems are added to ``result``."""
     identity = source.identity()
     store = decode(identity, Identity, IDENTITY, "identity", strict=True).store
     head, expected = sha256(identity), 1
@@ -214,7 +214,7 @@ def _check_document(
 
 
 def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
-    """Store, number and head before it, of an imported record where it comes from."""
+    """For an imported record: its original store, its number there and the head before it."""
     identity = decode(taken_over.identity.encode(), Identity, IDENTITY, "identity of the origin", strict=True)
     link = decode(taken_over.link.encode(), Link, LINK, "link of the origin", strict=True)
     return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
@@ -237,7 +237,7 @@ def _check_files(
 
 
 def _check_columns(result: Verification, connection: sa.Connection) -> None:
-    """What is kept beside the documents for look-ups must say the same, and no part may be left over."""
+    """Check that the look-up columns agree with the documents and that there are no surplus rows."""
     last = Head(0, sha256(read_identity(connection)))
     entries = connection.execute(
         sa.select(ENTRY).order_by(ENTRY.c.number), execution_options={"yield_per": ROWS}
@@ -256,7 +256,7 @@ def _check_columns(result: Verification, connection: sa.Connection) -> None:
 
 
 def _check_parts(result: Verification, connection: sa.Connection) -> None:
-    """Parts are numbered from 0 without gaps, and each belongs to a file."""
+    """Check that the parts are numbered from 0 without gaps and that each belongs to a file."""
     grouped = sa.select(
         CHUNK.c.sha256, sa.func.count().label("rows"), sa.func.min(CHUNK.c.part), sa.func.max(CHUNK.c.part)
     ).group_by(CHUNK.c.sha256)
@@ -293,7 +293,7 @@ def _schema(rows: Iterable[Any]) -> frozenset[tuple[Any, ...]]:
 
 @lru_cache(maxsize=1)
 def _sqlite_schema() -> frozenset[tuple[Any, ...]]:
-    """Tables and triggers as this piga makes them."""
+    """Tables and triggers as this piga creates them."""
     with closing(sqlite3.connect(":memory:")) as memory:
         memory.deserialize(new_sqlite(None))
         return _schema(memory.execute(_SCHEMA_QUERY).fetchall())
@@ -302,7 +302,7 @@ def _sqlite_schema() -> frozenset[tuple[Any, ...]]:
 _WORDS = "piga: records are append-only"
 _GUARDED = ("piga_store", "piga_entry", "piga_blob", "piga_chunk")
 _GUARDS = {("no_delete", 11), ("no_truncate", 34), ("no_update", 19)}
-"""Triggers of a table that is only appended to, with what they act on (``pg_trigger.tgtype``)."""
+"""Triggers of an append-only table, with the operations that they act on (``pg_trigger.tgtype``)."""
 _TRIGGERS = frozenset(
     {(f"{table}_{what}", table, kind, None) for table in _GUARDED for what, kind in _GUARDS}
     | {(f"piga_head_{what}", "piga_head", kind, None) for what, kind in _GUARDS if what != "no_update"}
@@ -329,7 +329,7 @@ _KEYS = frozenset(
 
 
 def _check_postgresql(result: Verification, connection: sa.Connection) -> None:
-    """Triggers, the function behind them, keys and checks must be those that piga makes."""
+    """Check that triggers, their function, keys and checks are those that piga creates."""
     ours = "(SELECT oid FROM pg_class WHERE relkind = 'r' AND relname LIKE 'piga\\_%%' AND pg_table_is_visible(oid))"
     triggers = connection.exec_driver_sql(
         "SELECT t.tgname, c.relname, t.tgtype, t.tgenabled, t.tgisinternal, "  # noqa: S608

@@ -1,4 +1,4 @@
-"""Alembic's way in: migrate on the connection, and in the transaction, that the store hands over."""
+"""Entry point of Alembic: migrate in the connection and transaction of the store."""
 
 from alembic import context
 

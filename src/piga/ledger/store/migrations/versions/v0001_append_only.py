@@ -13,7 +13,7 @@ WORDS = "piga: records are append-only"
 
 
 def upgrade() -> None:
-    """Make tables and triggers."""
+    """Create tables and triggers."""
     _tables()
     if op.get_context().dialect.name == "sqlite":
         _sqlite_triggers()
@@ -62,7 +62,7 @@ _SAME_ROW = {
     "piga_chunk": "sha256 = NEW.sha256 AND part = NEW.part",
     "piga_head": "1",
 }
-"""Rows that an ``INSERT OR REPLACE`` would put away without a delete trigger."""
+"""Conditions for rows that an ``INSERT OR REPLACE`` would delete without firing a delete trigger."""
 
 
 def _sqlite_triggers() -> None:
