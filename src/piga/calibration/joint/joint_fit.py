@@ -1,8 +1,8 @@
 """Several runs of one instrument, calibrated together from their summaries.
 
 Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
-the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries add, so that a run
-whose raw data are gone takes part like any other.
+the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries add. A run whose raw data
+no longer exist therefore takes part like any other.
 """
 
 from __future__ import annotations
@@ -30,33 +30,33 @@ from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 Array = NDArray[np.float64]
 
 INNER = 1e-6
-"""Relative change of K from which the regressors of runs with base rotation are made anew."""
+"""Relative change of K above which the regressors of runs with base rotation are computed again."""
 SERVO_SOURCE = "servo "
-"""Beginning of the names of sources that belong to the instrument."""
+"""Prefix of the names of sources that belong to the instrument."""
 SAME_SERVO = 0.02
-"""Relative difference of a coefficient of the servo between runs that is none: that of their rates."""
+"""Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
 SMALL = 0.01
-"""Relative change of the noise of a run for the derivative of the variances."""
+"""Finite-difference step of a run's noise for d(variance)/d(noise), relative."""
 COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is asked of all runs together: union of their terms, and which may differ between runs."""
+    """Request for all runs together: union of their terms, and the terms that may differ between runs."""
 
     terms: tuple[str, ...]
     per_run: tuple[str, ...]
     own: tuple[tuple[str, ...], ...]
 
     def terms_of(self, index: int) -> tuple[str, ...]:
-        """Terms of one run: the common ones, and of those per run the ones it asks for."""
+        """Terms of one run: the common terms, and those ``per_run`` terms that the run asks for."""
         return tuple(t for t in self.terms if t not in self.per_run or t in self.own[index])
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """Result of merging: summaries, where their phase groups stand, estimate and named coefficients."""
+    """Result of merging: summaries, positions of their phase groups, estimate and named coefficients."""
 
     wish: Wish
     summaries: tuple[RunSummary, ...]
@@ -73,7 +73,7 @@ class JointFit:
         return sum(len(summary.parts) for summary in self.summaries[:index])
 
     def servo_of(self, index: int, segments: int) -> ServoState | None:
-        """What the columns of the servo are combined at in the segments of a run; None without such terms."""
+        """State that combines the servo columns in the segments of a run; None without servo terms."""
         if self.servo is None:
             return None
         first, count = self.first_group(index), len(self.summaries[index].parts)
@@ -95,12 +95,12 @@ def fit_jointly(
     phase: str | None,
     per_run: Sequence[str] | None,
 ) -> JointFit:
-    """Reduce the runs that are at hand, merge all summaries and solve.
+    """Reduce the runs that have raw data, merge all summaries and solve.
 
     Raises
     ------
     CalibrationError
-        If the runs are not of one instrument, or one of them is given twice.
+        If the runs are not of one instrument, or a run is given twice.
     IdentifiabilityError
         If the runs together cannot separate what is asked.
     """
@@ -149,7 +149,7 @@ def _wish(
 
 
 def _names(items: Sequence[Run | RunSummary]) -> list[str]:
-    """A name for every run; those that would be alike get a number."""
+    """A unique name for every run; equal names get a number."""
     names: list[str] = []
     for index, item in enumerate(items):
         plain = item.name if isinstance(item, RunSummary) else run_name(item, index)
@@ -222,9 +222,9 @@ def _parts(
     source: SharedSource | None = None,
     segment: int | None = None,
 ) -> list[Reduction]:
-    """Summaries of all phase groups, those that a source moves in their moved form; with a state, at it.
+    """Summaries of all phase groups. Those that a source moves are in their moved form; with a state, combined at it.
 
-    ``segment``: the one that is moved; all of them unless given.
+    ``segment``: the only moved segment; default: all segments are moved.
     """
     local = layout.columns[: layout.local]
     parts: list[Reduction] = []
@@ -248,19 +248,19 @@ def _parts(
 
 
 def known_servo_of(summary: RunSummary, shared: tuple[str, ...]) -> dict[str, float]:
-    """K times the coefficients of the servo that a run gives and that are not estimated."""
+    """K times the servo coefficients that a run gives and that are not estimated."""
     return {name: summary.inner_scale_factor * size for name, size in summary.known_servo if name not in shared}
 
 
 def without_phase(shared: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
-    """Shared columns as summaries hold them."""
+    """Shared columns as they are stored in summaries."""
     return tuple(name for name in shared if name not in SERVO_TERMS) + phaseless_columns((*shared, *known))
 
 
 def _servo_state(
     layout: Layout, shared: list[tuple[str, ...]], summaries: Sequence[RunSummary]
 ) -> ServoState | None:
-    """What the columns of the servo are combined at in all phase groups; None without such terms.
+    """State that combines the servo columns in all phase groups; None without servo terms.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def _servo_state(
 
 
 def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
-    """Merge summaries that hold the columns wished for, and solve.
+    """Merge summaries that hold the requested columns, and solve.
 
     Raises
     ------
@@ -330,7 +330,7 @@ def _estimate(
     parts: list[Reduction],
     state: ServoState | None,
 ) -> Estimate:
-    """Estimate with what the noise that runs are not weighted by adds to its covariance."""
+    """Estimate. Its covariance includes the noise that is not in the weights of the runs."""
     plain = solve_parts(layout, parts)
     added = np.zeros_like(plain.covariance)
     for noise, per_unit in _added(layout, shared, summaries, plain, state):
@@ -345,7 +345,7 @@ def _added(
     plain: Estimate,
     state: ServoState | None,
 ) -> Iterator[tuple[AddedNoise, Array]]:
-    """Noise that runs are not weighted by, and what a unit of each adds to the covariance."""
+    """Noise that is not in the weights of the runs, and the covariance per unit of each."""
     local = layout.columns[: layout.local]
     first = 0
     for index, summary in enumerate(summaries):
@@ -383,12 +383,11 @@ def _scale_factor(fit: JointFit) -> float:
 
 
 def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
-    """Sources of all runs; one that runs share moves all of them at once.
+    """Sources of all runs. A source that runs share moves all of them at once.
 
-    Runs share a source when it has the same name and value, on the same kind of stand, with the same
-    ``reference_id`` (or none in either); ``gravity`` does not ask for the stand, and a parameter of the servo, which is the
-    instrument's, for neither. What is drawn for each run or each of its
-    segments is not shared.
+    Runs share a source if it has the same name and value, on the same kind of stand, with the same
+    ``reference_id`` (or none in both). ``gravity`` is shared on any stand. A servo parameter belongs to the
+    instrument and is shared in any case. A source with a new value in each run or each segment is not shared.
     """
     shared_by_key: dict[tuple[str, str | None, str | None, float, int], SharedSource] = {}
     for index, summary in enumerate(summaries):
@@ -407,7 +406,7 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[SharedSource]:
 
 
 def joint_contributions(fit: JointFit) -> Iterator[tuple[SharedSource, Array]]:
-    """Changes of the coefficients (draws, n; file units) that each source makes by its standard uncertainty."""
+    """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source."""
     layout, shared = layout_and_columns(fit.wish, fit.summaries)
     base = np.array([c.value for c in fit.coefficients])
     turns = np.array([c.name == "phi" for c in fit.coefficients])
@@ -426,8 +425,8 @@ def joint_contributions(fit: JointFit) -> Iterator[tuple[SharedSource, Array]]:
 def joint_degrees(fit: JointFit) -> Array:
     """Degrees of freedom of the Type A variance of every coefficient (JCGM 100, eq. G.2b).
 
-    The variance is a sum of shares of the runs, each as well known as the noise levels of its run: the share of a run is
-    the derivative of the variance by the scale of its noise. Noise that it is not weighted by is a share of its own.
+    The variance is a sum of shares of the runs. Each share is as well known as the noise levels of its run. It is
+    the derivative of the variance by the scale of that noise. Noise that is not in the weights is a share of its own.
     """
     layout, shared = layout_and_columns(fit.wish, fit.summaries)
     now = np.diag(fit.covariance)
@@ -452,12 +451,12 @@ def joint_degrees(fit: JointFit) -> Array:
 
 
 def check_items(items: object) -> list[Run | RunSummary]:
-    """The runs given to a joint calibration.
+    """Check the runs given to a joint calibration.
 
     Raises
     ------
     ArgumentError
-        If there are none, or something else is among them.
+        If there are none, or an item is neither a run nor a summary.
     """
     given = list(items) if isinstance(items, (list, tuple)) else [items]
     runs = [item for item in given if isinstance(item, (Run, RunSummary))]

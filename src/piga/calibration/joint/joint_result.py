@@ -1,4 +1,4 @@
-"""From a joint fit to the one result: residuals and quality of all runs, each under its own name."""
+"""Result of a joint fit: residuals and quality of all runs, each under its own name."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ from piga.records.calibration import (
 
 Array = NDArray[np.float64]
 _LivePart = tuple[Residuals, tuple[SegmentSummary, ...], SegmentScatter, Products]
-"""Residuals of a run at hand under the joint estimate, its segments, and how they scatter."""
+"""Residuals of a run under the joint estimate, its segments, their scatter, and its lagged products."""
 
 
 def joint_result(
     fit: JointFit, covariance: Array, budget: tuple[BudgetEntry, ...], degrees: Array
 ) -> Calibration:
-    """The calibration, with ``covariance`` of both types in the order of the coefficients.
+    """The calibration. ``covariance`` is the combined one, in the order of the coefficients.
 
     ``degrees`` are the degrees of freedom of Type A.
     """
@@ -109,9 +109,9 @@ def joint_result(
 
 
 def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart:
-    """Residuals of a run at hand under the joint estimate, its segments, how they scatter, and what its counting leaves.
+    """Residuals of a run under the joint estimate, its segments, their scatter, and its lagged products.
 
-    Residual rates become angles where runs of both kinds meet (``kind`` is that of all residuals).
+    Residual rates are converted to angles if runs of both kinds are joined (``kind`` is that of all residuals).
     """
     summary = fit.summaries[index]
     wish = replace(live.request, terms=fit.wish.terms_of(index))
@@ -129,7 +129,7 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
 
 
 def _products(found: list[_LivePart | None]) -> tuple[Products, ...]:
-    """Lagged products of the runs at hand."""
+    """Lagged products of the runs with raw data."""
     return tuple(part[3] for part in found if part is not None)
 
 
@@ -160,7 +160,7 @@ def _record(fit: JointFit, index: int, part: _LivePart | None) -> RunRecord:
 
 
 def _all_residuals(fit: JointFit, parts: list[_LivePart | None]) -> Residuals | None:
-    """Residuals of all runs at hand behind each other."""
+    """Residuals of all runs with raw data, one after the other."""
     pieces: list[Residuals] = []
     run_of: list[int] = []
     offset = 0
@@ -197,7 +197,7 @@ def _as_angles(rates: Residuals) -> Residuals:
 
 
 def _worst_scatter(parts: list[_LivePart | None]) -> SegmentScatter:
-    """The scatter of segments of the run where it is worst."""
+    """The largest scatter of segments among the runs."""
     scatters = [part[2] for part in parts if part is not None]
     return max(scatters, key=lambda scatter: scatter.worst, default=SegmentScatter())
 
@@ -229,7 +229,7 @@ def _notes_on_summaries(records: list[RunRecord]) -> tuple[str, ...]:
 
 
 def _ranges(fit: JointFit) -> dict[str, tuple[float, float]]:
-    """Range in which the calibration holds: that of all runs together."""
+    """Range in which the calibration is valid: that of all runs together."""
     result: dict[str, tuple[float, float]] = {}
     for summary in fit.summaries:
         for name, (low, high) in summary.ranges.items():
@@ -247,7 +247,7 @@ def _refuse_useless(fit: JointFit, coefficients: tuple) -> None:
 
 
 def _provenance(fit: JointFit) -> Provenance:
-    """Hashes of the inputs of all runs; a file name that occurs twice carries its run."""
+    """Hashes of the inputs of all runs. A file name that occurs twice is marked with its run."""
     hashes: dict[str, str] = {}
     for summary in fit.summaries:
         for name, digest in summary.input_sha256.items():

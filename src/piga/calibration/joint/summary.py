@@ -1,4 +1,4 @@
-"""What a run says, in fixed size: its reduction, to be merged with other runs without the raw data.
+"""Summary of a run in fixed size: its reduction, which can be merged with other runs without the raw data.
 
 On disk a summary has the schema ``piga.run-summary/1``: exact, readable, checked when read.
 """
@@ -47,17 +47,18 @@ STATIC_TERMS = (
     "scale_factor", "tan_beta", "k0", "k2", "k3", "k2o", "m_Y", "m_Z", "k_XY", "k_XZ", "k_YY", "k_ZZ", "k_YZ", "k0_t",
     *SERVO_TERMS,
 )  # fmt: skip
-"""Columns that a stored summary holds besides the harmonics asked for; with temperature also those of it."""
+"""Columns of a stored summary besides the requested harmonics; with temperature also the temperature columns."""
 LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
-"""Terms that the fit for the noise levels gives up last."""
+"""Terms that the fit for the noise levels leaves out last."""
 
 
 @dataclass(frozen=True)
 class SourceSummary:
     """One source of Type B: the summaries of the record moved by its standard uncertainty.
 
-    A source that is drawn for each segment has no ``parts``: ``segments`` holds, for each, the phase group that changes
-    when that segment is moved, and its summary then; ``in_fit``: the weights know of it. ``draw`` as in the run file.
+    A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then holds the changed phase
+    group and its summary when only that segment is moved. ``in_fit``: True if the weights include the source. ``draw``
+    as in the run file.
     """
 
     name: str
@@ -74,31 +75,31 @@ class SourceSummary:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """Everything that a joint calibration needs of one run.
+    """Data of one run for a joint calibration.
 
     Attributes
     ----------
     name, serial, scale_factor:
-        Of the run (unique in a joint calibration), of the instrument, and its nominal K [(rad/s)/(m/s^2)].
+        Name of the run (unique in a joint calibration), serial number of the instrument, nominal K [(rad/s)/(m/s^2)].
     terms, per_run, phase:
-        What its run file asks for.
+        As requested in its run file.
     noise, degrees_of_freedom:
-        Levels found in this run, and how well those by which the rows were weighted are known: the least degrees
-        of freedom of its own coefficients.
+        Noise levels of this run, and how well the levels in the weights are known: the least degrees of freedom of
+        its own coefficients.
     added:
-        Noise that the rows were not weighted by, which belongs to the covariance.
+        Noise that is in the covariance but not in the weights of the rows.
     inner_scale_factor, turning:
-        K inside the regressors; True when they depend on it (a base rotation is recorded).
+        K inside the regressors; True if the regressors depend on it (a base rotation is recorded).
     labels, parts:
-        Segment of each phase group (None: one phase for the run) and its summary.
+        Segment of each phase group (None: one phase for the run), and its summary.
     sources:
-        Type B, each with its moved summaries.
+        Sources of Type B, each with its moved summaries.
     stand, reference_id:
-        Kind of the stand and name of the reference: runs that agree in both share the errors of the reference.
+        Kind of the stand and name of the reference. Runs that agree in both share the errors of the reference.
     undetermined:
         Terms that this run alone cannot determine.
     known_servo:
-        Coefficients of the servo [1/(m/s^2)^2] that the run file gives by the servo's parameters.
+        Servo coefficients [1/(m/s^2)^2] from the servo parameters of the run file.
     quality, segments, figures, ranges:
         As in a calibration of this run alone.
     """
@@ -143,9 +144,9 @@ class RunSummary:
         run:
             The record.
         terms:
-            Terms by which its noise levels are found; those of the run file unless given.
+            Terms of the fit for the noise levels; default: those of the run file.
         name:
-            Name of the run; the stem of its run file unless given.
+            Name of the run; default: the stem of its run file.
 
         Raises
         ------
@@ -166,24 +167,24 @@ class RunSummary:
         Raises
         ------
         CalibrationError
-            If the file is no summary of a known schema.
+            If the file is not a summary of a known schema.
         """
         return read_summary(Path(path))
 
     @property
     def count(self) -> int:
-        """Observations summarised."""
+        """Number of observations."""
         return sum(part.count for part in self.parts)
 
     def columns(self, local: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the wanted columns in this summary: what another run calls ``k1`` may be its scale factor."""
+        """Names of the wanted columns in this summary. The ``k1`` of another run may be its scale factor."""
         held = self.parts[0].names
         return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
 
     def choose(
         self, parts: tuple[Reduction, ...], local: tuple[str, ...], shared: tuple[str, ...]
     ) -> list[Reduction]:
-        """Parts with the wanted columns only, in the wanted order."""
+        """Parts with only the wanted columns, in the wanted order."""
         held = parts[0].names
         columns = self.columns(local, shared)
         missing = [name for name in columns if name not in held]
@@ -199,7 +200,7 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class LiveRun:
-    """A run at hand: its name, wishes, and the fit that gave its noise levels."""
+    """A run with raw data: its name, request, and the fit of its noise levels."""
 
     name: str
     request: Request
@@ -213,7 +214,7 @@ class LiveRun:
 
 
 def run_name(run: Run, index: int) -> str:
-    """Stem of the run file, its folder's name where that says only 'run', or a number."""
+    """Stem of the run file; if it is only 'run', the name of its folder; or else a number."""
     if not run.source:
         return f"run {index + 1}"
     path = Path(run.source)
@@ -221,9 +222,10 @@ def run_name(run: Run, index: int) -> str:
 
 
 def prepare(run: Run, request: Request, name: str) -> LiveRun:
-    """Find the noise levels of a run by its own fit; what it cannot determine alone is left out of that.
+    """Find the noise levels of a run by its own fit. Terms that the run alone cannot determine are left out of the fit.
 
-    A bias drift ties the segments together: where each has a summary of its own it is not weighted by, however clear.
+    A bias drift ties the segments together. If each segment has its own summary, the weights do not include the drift, however
+    significant it is.
     """
     undetermined: list[str] = []
     terms, stated = request.terms, stated_scatter(run)
@@ -243,7 +245,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
 
 
 def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str, ...]:
-    """What to leave out of a fit that cannot separate these terms: one of them, with its partner."""
+    """Terms to leave out of a fit that cannot tell these terms apart: one of them, with its partner."""
     if not confounded or len(terms) == 1:
         raise ArgumentError("the run determines nothing", remedy="check its reference and its output")
     order = {term: LAST_TO_GO.index(term) + 1 if term in LAST_TO_GO else 0 for term in confounded}
@@ -257,7 +259,7 @@ def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str,
 
 
 def all_columns(run: Run, request: Request) -> tuple[str, ...]:
-    """Terms whose columns a stored summary holds."""
+    """Terms with columns in a stored summary."""
     thermal = () if run.temperature is None else ("k0_T", "k1_T")
     return (*STATIC_TERMS, *thermal, *(term for term in request.terms if harmonic(term)))
 
@@ -296,7 +298,7 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
 
 
 def _as_weighted(fit: Fit) -> Fit:
-    """The fit without the noise that it is not weighted by."""
+    """The fit without the noise that is not in its weights."""
     return (
         replace(
             fit,
@@ -331,7 +333,7 @@ def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> 
 
 
 def group_rows(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...]) -> tuple[Reduction, ...]:
-    """One summary per phase group, of rows of unit variance, from those per segment."""
+    """One summary per phase group of rows with unit variance, from summaries per segment."""
     return tuple(_group(summaries, fit, groups, group) for group in range(max(groups) + 1))
 
 
@@ -343,7 +345,7 @@ def _group(summaries: list[Reduction], fit: Fit, groups: tuple[int, ...], group:
 
 
 def _described(fit: Fit) -> dict[str, Any]:
-    """What the result says about the run, by its own fit."""
+    """Quality, segments and figures of a run from its own fit."""
     run = fit.design.run
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     return {
@@ -370,7 +372,7 @@ def residual_figures(residuals: Residuals) -> dict[str, float]:
 
 
 def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
-    """Range in which the calibration holds (SI): axial and transverse force, temperature."""
+    """Range in which the calibration is valid (SI): axial and transverse force, temperature."""
     low, high = math.inf, 0.0
     for part in spans(run.size):
         transverse = np.hypot(run.f[part, 1], run.f[part, 2])
@@ -382,7 +384,7 @@ def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
 
 
 def now() -> str:
-    """Time of creation as results carry it (UTC)."""
+    """Creation time for results (UTC)."""
     return dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -391,7 +393,7 @@ MAX_BYTES = 256 << 20
 
 
 def write_summary(summary: RunSummary, path: Path) -> None:
-    """Write a summary as JSON, every float with all its digits; infinite degrees of freedom are null."""
+    """Write a summary as JSON with all digits of every float; infinite degrees of freedom are null."""
     document = {"schema": SCHEMA} | msgspec.to_builtins(summary, enc_hook=_plain)
     noise = summary.noise
     document["noise"] = [noise.white, noise.walk, noise.drift, noise.scatter]
@@ -402,7 +404,7 @@ def write_summary(summary: RunSummary, path: Path) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """An array, or a number of NumPy's, as plain values."""
+    """An array or a NumPy number as plain values."""
     return value.tolist()
 
 
@@ -446,7 +448,7 @@ def read_summary(path: Path) -> RunSummary:
 
 
 def _restore(document: dict[str, Any]) -> None:
-    """Noise levels by name (older versions lack the last ones) and infinite degrees of freedom, in place."""
+    """Noise levels by name (missing in older versions), and infinite degrees of freedom. In place."""
     noise, sources = document.get("noise"), document.get("sources")
     if not isinstance(noise, list) or not 2 <= len(noise) <= 4:
         raise JsonError("noise: two to four levels are needed")
@@ -457,7 +459,7 @@ def _restore(document: dict[str, Any]) -> None:
 
 
 def _damages(summary: RunSummary) -> Iterator[str]:
-    """Parts of a summary that contradict another."""
+    """Contradictions between parts of a summary."""
     groups = len(summary.labels)
     if not _whole(summary.parts, groups):
         yield "summaries are"
@@ -479,7 +481,7 @@ def _damages(summary: RunSummary) -> Iterator[str]:
 
 
 def _whole(parts: tuple[Reduction, ...], groups: int) -> bool:
-    """Whether there are ``groups`` reductions, each of known columns with finite factors of their size."""
+    """True if there are ``groups`` reductions, each with known columns and finite factors of the right size."""
     for part in parts:
         size = len(part.names) + 1
         fits = part.weight.shape == (2, size) and part.unit.shape == (2, size, size) and part.count >= 0

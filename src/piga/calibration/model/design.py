@@ -4,9 +4,9 @@ Integrated over a sample interval the error model (docs/theory/calibration) is l
 
     K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
 
-The two columns of the coupling, and those of the harmonics, turn with the unknown phase: they are
-*local* to a phase group. All others are *shared*. Column order: local, shared, observation. The terms of
-the servo turn too: they are columns at a known phase, or five columns that know nothing of one, behind the others.
+The two columns of the coupling and those of the harmonics turn with the unknown phase. They are *local* to a phase
+group. All others are *shared*. Column order: local, shared, observation. The servo terms turn too. At a known phase
+each is one column; otherwise five columns without a phase follow the others.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ Names = tuple[str, ...]
 STIFFNESS_COLUMNS = ("servo_mean", "servo_cosine", "servo_sine")
 DAMPING_COLUMNS = ("damping_cosine", "damping_sine")
 PHASELESS = (*STIFFNESS_COLUMNS, *DAMPING_COLUMNS)
-"""Columns that know nothing of the phase, in the order of the kernel."""
+"""Servo columns without a phase, in the order of the kernel."""
 
 
 @dataclass(frozen=True)
 class ServoState:
-    """What the columns are combined at.
+    """State at which the servo columns are combined.
 
-    ``phases`` [rad] of each segment (each phase group, in :func:`find_state`); ``stiffness``, ``damping`` are K times the
-    coefficients (SI), ``inverse`` is one over ``K tan_beta``, or 0 where the phase is held. Without ``turning`` there is no
-    phase, and only the mean of the stiffness is left.
+    ``phases`` [rad] of each segment (of each phase group in :func:`find_state`). ``stiffness`` and ``damping`` are K times
+    the coefficients (SI). ``inverse`` is ``1/(K tan_beta)``, or 0 if the phase is fixed. Without ``turning`` there is no phase,
+    and only the mean of the stiffness remains.
     """
 
     phases: tuple[float, ...]
@@ -62,7 +62,7 @@ class ServoState:
     turning: bool = True
 
     def term_rows(self, phase: float) -> dict[str, Array]:
-        """The columns of ``PHASELESS`` (5,) that make up each term at a phase."""
+        """Weights of the columns ``PHASELESS`` (5,) in each term at a phase."""
         if not self.turning:
             return {"servo": np.array([-1.0, 0.0, 0.0, 0.0, 0.0]), "servo_damping": np.zeros(5)}
         return {
@@ -71,7 +71,7 @@ class ServoState:
         }
 
     def phase_row(self, phase: float) -> Array:
-        """Those that make up the derivative of both terms by the phase, times one over ``K tan_beta``."""
+        """Weights in the derivative of both terms by the phase, times ``1/(K tan_beta)``."""
         s, d = self.stiffness * self.inverse, self.damping * self.inverse
         return np.array(
             [
@@ -85,15 +85,15 @@ class ServoState:
 
 
 def phaseless_columns(terms: Sequence[str]) -> Names:
-    """Columns that hold the asked terms of the servo without a phase."""
+    """Columns without a phase for the requested servo terms."""
     held = STIFFNESS_COLUMNS if "servo" in terms else ()
     return held + (DAMPING_COLUMNS if "servo_damping" in terms else ())
 
 
 def given_servo(run: Run) -> dict[str, float]:
-    """Coefficients of the servo [1/(m/s^2)^2] that the run file's ``[instrument] servo`` predicts; none without it.
+    """Servo coefficients [1/(m/s^2)^2] predicted from ``[instrument] servo`` of the run file; empty without it.
 
-    At the root-mean-square rate of the record. ``servo_damping`` is among them where the damping is given.
+    They hold at the root-mean-square rate of the record. ``servo_damping`` is included if the damping is given.
     """
     if not run.servo:
         return {}
@@ -109,14 +109,14 @@ def given_servo(run: Run) -> dict[str, float]:
 
 
 CHUNK = 1 << 16
-"""Rows of one block."""
+"""Rows per block."""
 CACHE_BYTES = 256 << 20
-"""Blocks are kept for the next pass as long as they take no more than this."""
+"""Memory limit for blocks that are kept for the next pass."""
 MAX_BEND = 0.3
-"""Largest sag of the output angle against its chord between samples [rad] that the product integration
-corrects to first order (its error is then below ``bend^2/4`` of tan_beta)."""
+"""Largest sag of the output angle between samples [rad] that the product integration may correct to first order
+(its error is then below ``bend^2/4`` of tan_beta)."""
 MAX_CHANGE = 0.5
-"""Largest relative change of K inside the regressors; more is a record that the model does not fit."""
+"""Largest relative change of K inside the regressors; above it the model does not fit the record."""
 THREADS = 2
 
 
@@ -124,8 +124,8 @@ THREADS = 2
 class Block:
     """Rows ``start`` .. ``stop`` of the record (as interval ends): ``columns`` (m + 1, n) and ``h`` (n,).
 
-    ``h`` is 0 for rows into which no increment is formed, and -1 for samples that are left out (the next
-    increment reaches across them); their columns are 0.
+    ``h`` is 0 for rows without an increment. It is -1 for samples that are left out; the next increment reaches across
+    them. The columns of both are 0.
     """
 
     start: int
@@ -135,7 +135,7 @@ class Block:
     columns: Array
 
     def joins(self, count: int) -> tuple[NDArray[np.int64], Array]:
-        """Where every ``count`` rows joined start, and their intervals (0: a stretch begins, -1: nothing is left)."""
+        """First rows of groups of ``count`` rows, and their intervals (0: a stretch begins, -1: all rows left out)."""
         begins = self.h == 0.0
         first = begins.copy()
         first[1:] |= begins[:-1]
@@ -150,9 +150,9 @@ class Design:
     """Regressor blocks of a run for one request.
 
     ``scale_factor`` is the K used inside regressors (base rate, sag): nominal at first, then estimated.
-    ``per_segment`` is True where every segment has a phase of its own, ``groups`` the phase group of every segment.
-    ``servo`` is what the columns of the servo are combined at, a phase for each segment; without it a model with terms of
-    the servo has the columns that need no phase, in place of those of the terms.
+    ``per_segment`` is True if every segment has its own phase; ``groups`` is the phase group of every segment.
+    ``servo`` is the state of the servo columns, one phase per segment. If it is None, a model with servo terms has
+    columns without a phase in their place.
     """
 
     run: Run
@@ -190,13 +190,13 @@ class Design:
 
     @property
     def turning_servo(self) -> tuple[str, ...]:
-        """Terms of the servo that the model holds, estimated or given."""
+        """Servo terms of the model, estimated or given."""
         request = self.request
         return tuple(name for name in SERVO_TERMS if name in request.terms or name in self.known_servo)
 
     @property
     def known_servo(self) -> dict[str, float]:
-        """K times the coefficients of the servo that are given and not estimated [SI]."""
+        """K times the servo coefficients that are given and not estimated [SI]."""
         return {
             name: self.scale_factor * value
             for name, value in given_servo(self.run).items()
@@ -205,19 +205,19 @@ class Design:
 
     @property
     def has_phases(self) -> bool:
-        """True where there is more than one phase."""
+        """True if there is more than one phase."""
         return self.per_segment and len(self.run.labels) > 1
 
     @property
     def rows(self) -> int:
-        """Number of observations: increments formed (samples for a rate log)."""
+        """Number of observations: formed increments (samples for a rate log)."""
         run = self.run
         if run.left_out is None:
             return run.size if self.point else run.size - int(np.count_nonzero(run.begins))
         return run.size - int(np.count_nonzero(run.left_out if self.point else run.begins | run.left_out))
 
     def with_scale_factor(self, scale_factor: float) -> Design:
-        """The same model with another K inside the regressors; itself when they do not depend on K."""
+        """The same model with another K inside the regressors; returns itself if they do not depend on K."""
         relative = abs(scale_factor / self.scale_factor - 1.0)
         absurd = relative > MAX_CHANGE
         if relative < 1e-12 or absurd or (self.run.base_rate is None and relative < 1e-3):
@@ -225,21 +225,21 @@ class Design:
         return Design(self.run, self.request, scale_factor, self.servo)
 
     def with_servo(self, state: ServoState | None) -> Design:
-        """The same model with the columns of the servo combined elsewhere, or not at all."""
+        """The same model with servo columns combined at another state, or not combined (None)."""
         return self if state == self.servo else Design(self.run, self.request, self.scale_factor, state)
 
     def of(self, run: Run) -> Design:
-        """The same model of a record of the same segments."""
+        """The same model for a record with the same segments."""
         return Design(run, self.request, self.scale_factor, self.servo)
 
     def with_phase_of(self, other: Design) -> Design:
-        """The same observations, with the phase of another reading of the output inside the regressors."""
+        """The same observations with the phase of another output reading inside the regressors."""
         result = Design(self.run, self.request, other.scale_factor, other.servo)
         result.phase_angle = other.phase_angle
         return result
 
     def blocks(self) -> Iterator[Block]:
-        """All blocks in order; built ahead on a second thread."""
+        """All blocks in order; the next one is built on a second thread."""
         keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
         with workers(self.run.size, THREADS) as pool:
             pending = []
@@ -252,7 +252,7 @@ class Design:
                 yield self._take(item, keep)
 
     def forget(self) -> None:
-        """Give the memory of blocks that are kept back; they are built again when they are asked for."""
+        """Free the memory of kept blocks; they are built again on demand."""
         self._cache.clear()
 
     def _take(self, item: object, keep: bool) -> Block:
@@ -288,13 +288,13 @@ class Design:
 
     @property
     def _known_scale_factor(self) -> float:
-        """K that the observations hold already; 0 where it is estimated."""
+        """K that is already subtracted from the observations; 0 if K is estimated."""
         return 0.0 if self.estimates_scale_factor else float(self.run.scale_factor)
 
     def _bows(self, first: int, stop: int) -> Array | None:
-        """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None: there are none.
+        """Bows of force and base rate (6, n) in the intervals from sample ``first`` to ``stop - 1``; None without bows.
 
-        They do not depend on which readings of the output are left out.
+        They do not depend on which output samples are left out.
         """
         if self.point:
             return None
@@ -316,7 +316,7 @@ class Design:
             merge_rows(columns, h, left_out)
 
     def _observation(self, start: int, stop: int, first: int) -> tuple[Array, Array]:
-        """Interval lengths (0 where none is formed) and the observed increment of psi plus base rotation."""
+        """Interval lengths (0 without an increment), and the observed increment of psi plus base rotation."""
         run = self.run
         omega = None if run.base_rate is None else run.base_rate[first:stop, 0]
         if self.point:
@@ -369,7 +369,7 @@ class Design:
     def _fill_servo(
         self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, segment: int
     ) -> None:
-        """Columns of the servo; at a state, what they add to those of the coupling, and what of them is known."""
+        """Servo columns; at a state, their addition to the coupling columns, and the known part."""
         psi = np.ascontiguousarray(self.phase_angle[window])
         x, y, z = (np.ascontiguousarray(part) for part in self._turning(window, force))
         bend = -self.scale_factor / 8.0 * h * np.diff(x)
@@ -409,7 +409,7 @@ class Design:
             columns[row] = self._every(out)
 
     def _every(self, column: Array) -> Array:
-        """For a rate log every second interval is a sample (the others join two samples)."""
+        """Every second interval; in a rate log these are the samples, and the others join two samples."""
         return column[::2] if self.point else column
 
     def _check_bend(self) -> None:
@@ -431,9 +431,9 @@ class Design:
 
 
 def _ranges(run: Run) -> list[tuple[int, int, int]]:
-    """Row ranges of the blocks: inside one segment, about CHUNK rows; (start, stop, segment).
+    """Row ranges of the blocks: within one segment, about CHUNK rows; (start, stop, segment).
 
-    No block ends at a sample that is left out: its interval belongs to the next.
+    No block ends at a sample that is left out, because its interval belongs to the next sample.
     """
     edges = run.segment_edges()
     ranges: list[tuple[int, int, int]] = []

@@ -1,4 +1,4 @@
-"""What a record can tell apart, in words: rank, condition, confounded terms, useless estimates."""
+"""What a record can determine, in words: rank, condition, confounded terms, useless estimates."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SeparationSettings:
-    """When coefficients count as separated and as determined (own choices).
+    """Limits for separated and determined coefficients (own choices).
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class SeparationSettings:
     useless:
         Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result.
     scatter:
-        Scatter of the segments' mean rates, over what the noise explains, above which it is reported.
+        Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported.
     alike:
-        Correlation above which coefficients are named as hard to tell apart.
+        Correlation above which coefficients are reported as hard to tell apart.
     """
 
     rank: float = 1e-9
@@ -55,7 +55,7 @@ _PAIRS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
     (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
 )
-"""What is true of a record that cannot separate these two terms, and no others."""
+"""Explanation for a record that cannot tell exactly these two terms apart."""
 
 _REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
     (
@@ -67,10 +67,10 @@ _REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
         "the gimbal does not turn enough, or there is no transverse force: add revolutions",
     ),
 )
-"""What helps where these are among the terms that a record cannot separate."""
+"""Remedy if a record cannot tell these terms apart from others."""
 
 _OF_A_X = ("k0", "scale_factor", "k1", "k2", "k2o", "k3")
-"""Terms that multiply a_x alone: as many different a_x are needed as there are of them."""
+"""Terms that depend on a_x alone. The record needs at least as many different a_x as such terms."""
 
 _HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"k0", "k2", "k_YY"}), "a run on a centrifuge or a vibration table (a_x changes, a_Y does not)"),
@@ -87,12 +87,12 @@ _HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"k_YY"}), "a run on a dividing head that turns in the plane X0 Y0"),
     (frozenset({"k_ZZ"}), "a run on a dividing head that turns in the plane X0 Z0"),
 )
-"""Runs that separate terms, most special first."""
+"""Runs that tell terms apart, most specific first."""
 
 
 @dataclass(frozen=True)
 class Examination:
-    """Condition of the column-scaled factor, terms of the directions without information, and all that were asked for."""
+    """Condition of the column-scaled factor, terms in directions without information, and all requested terms."""
 
     condition: float
     null_terms: tuple[str, ...]
@@ -100,21 +100,21 @@ class Examination:
 
 
 def term_of(column: str) -> str:
-    """The term a linear column belongs to: ``p`` and ``q`` are the coupling."""
+    """The term of a linear column; ``p`` and ``q`` belong to the coupling."""
     return "tan_beta" if column in ("p", "q") else column
 
 
 def examine(design: Design, summaries: list[Reduction]) -> Examination:
-    """Rank and condition of what is asked of one run; one phase per segment or one for all."""
+    """Rank and condition of the request for one run, with one phase per segment or one for all."""
     parts = merged_groups(summaries, design.groups[: len(summaries)])
     return examine_parts(layout_of(design, len(parts)), parts)
 
 
 def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
-    """Rank and condition of what is asked of all phase groups together.
+    """Rank and condition of the request for all phase groups together.
 
-    Names the terms of all directions that hold no information. With several groups the coupling
-    columns of all of them count as one direction each.
+    Names the terms of all directions without information. With several groups, the coupling
+    columns of all groups count as one direction each.
     """
     names = layout.columns
     factor = (_aligned(layout, parts) if len(parts) > 1 else parts[0]).factor[:-1, :-1]
@@ -141,7 +141,7 @@ def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
 
 
 def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
-    """Summary of all groups with the local columns of each turned to its own best phase."""
+    """Summary of all groups; the local columns of each group are turned to its best phase."""
     total = Reduction.empty(layout.columns)
     for group, part in enumerate(parts):
         turned = np.array(part.factor)
@@ -156,12 +156,12 @@ def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
 
 
 def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
-    """Raise when the record, or the ``runs`` together, cannot separate what was asked.
+    """Raise if the record, or the ``runs`` together, cannot determine the requested terms.
 
     Raises
     ------
     IdentifiabilityError
-        Names the terms and the test, or the run, that would separate them.
+        Names the terms and a test or run that would tell them apart.
     """
     if examination.null_terms:
         terms, asked = (
@@ -177,7 +177,7 @@ def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
 
 
 def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:
-    """What separates ``terms``; ``asked`` are all that are wanted of the record."""
+    """Remedy for ``terms`` that cannot be told apart; ``asked`` are all requested terms."""
     helping = next((text for members, text in _HELPING_RUNS if members <= terms), None)
     if runs > 1:
         return f"add {helping}" if helping else "leave one of these terms out, or add a run of another kind"
@@ -200,7 +200,7 @@ def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:
 def refuse_useless(
     coefficients: tuple[Coefficient, ...], largest: float, duration: float, spread: float
 ) -> None:
-    """Raise when an uncertainty is so large that the number means nothing.
+    """Raise if an uncertainty is so large that the estimate is useless.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def refuse_useless(
 
 
 def _useless_remedy(terms: set[str], asked: set[str]) -> str:
-    """The remedy for terms that the record can separate, but hardly."""
+    """Remedy for terms that the record can hardly tell apart."""
     text = _remedy(terms, asked - {"phi"})
     return text.replace("never changes", "hardly changes").replace(
         "too few values", "too few or too close values"
@@ -236,7 +236,7 @@ def _useless_remedy(terms: set[str], asked: set[str]) -> str:
 
 
 def _full_scale(coefficient: Coefficient, largest: float, duration: float, spread: float) -> float:
-    """Error relative to the largest force [g] that an error of one file unit makes."""
+    """Force error, relative to the largest force, by an error of one file unit [g]."""
     name = coefficient.name
     if name == "scale_factor":
         return 1.0 / abs(coefficient.value)
@@ -307,12 +307,12 @@ def _alike(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str
 
 
 def _loose(coefficients: tuple[Coefficient, ...]) -> list[str]:
-    """Segments whose phase is not determined."""
+    """Segments with an undetermined phase."""
     return [c.segment for c in coefficients if c.segment is not None and not c.determined]
 
 
 def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple[str, ...]:
-    """What is worth knowing and no doubt, one sentence each."""
+    """Remarks that are not doubts, one sentence each."""
     small = [
         c.key
         for c in coefficients
@@ -333,7 +333,7 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], phase: str) -> tuple
 
 
 def notes_on_runs(alone: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
-    """What each run could not have told without the others; ``alone`` by run."""
+    """Terms that each run alone could not determine; ``alone`` by run."""
     return tuple(
         f"run '{name}' alone cannot separate {', '.join(terms)}: the other runs do"
         for name, terms in alone.items()

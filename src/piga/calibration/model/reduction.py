@@ -1,7 +1,6 @@
-"""Mergeable linear least squares: any rows, in any chunks, to one triangular factor.
+"""Mergeable linear least squares: rows in chunks of any size are reduced to one triangular factor.
 
-``Reduction`` is the only solver of the calibration: batch, recursive, per segment, and joint over runs
-use the same summary.
+``Reduction`` is the only solver of the calibration. Batch, recursive, per-segment and joint estimates all use it.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ from piga.errors import ArgumentError
 Array = NDArray[np.float64]
 
 BLOCK = 1024
-"""Rows reduced at a time: a block of ten columns stays in the second-level cache."""
+"""Rows reduced at a time; a block of ten columns fits in the second-level cache."""
 SHORT = 128
-"""Blocks of at most this many rows are gathered in double-double at once."""
+"""Most rows of a block that is summed in double-double at once."""
 
 
 @dataclass
 class Reduction:
-    """Triangular summary of rows ``[x | y]``, gathered in double-double.
+    """Triangular summary of rows ``[x | y]``, accumulated in double-double.
 
     Attributes
     ----------
@@ -44,7 +43,7 @@ class Reduction:
 
     @classmethod
     def empty(cls, names: tuple[str, ...]) -> Reduction:
-        """Summary of no rows."""
+        """Summary without rows."""
         size = len(names) + 1
         unit = np.zeros((2, size, size))
         unit[0] = np.eye(size)
@@ -86,7 +85,7 @@ class Reduction:
         self.count += other.count
 
     def select(self, names: tuple[str, ...]) -> Reduction:
-        """The summary of some of the columns: what the same rows without the others would have given."""
+        """The summary for some of the columns, as if the other columns had never existed."""
         chosen = [*(self.names.index(name) for name in names), len(self.names)]
         result = Reduction.empty(names)
         gather(result.weight, result.unit, np.ascontiguousarray(self.unit[:, :, chosen]), self.weight)
@@ -94,7 +93,7 @@ class Reduction:
         return result
 
     def mixed(self, names: tuple[str, ...], matrix: Array) -> Reduction:
-        """The summary of columns that are combinations of these: ``matrix`` (m + 1, len(names) + 1), observation last."""
+        """The summary for combinations of the columns: ``matrix`` (m + 1, len(names) + 1), observation last."""
         result = Reduction.empty(names)
         gather(result.weight, result.unit, self.unit @ matrix, self.weight)
         result.count = self.count
@@ -102,33 +101,33 @@ class Reduction:
 
     @classmethod
     def of_factor(cls, names: tuple[str, ...], factor: Array, count: int) -> Reduction:
-        """That of a triangular factor (m + 1, m + 1)."""
+        """The summary of a triangular factor (m + 1, m + 1)."""
         summary = cls.empty(names)
         summary.absorb(np.ascontiguousarray(factor.T), count=count)
         return summary
 
     @classmethod
     def stacked(cls, parts: list[Reduction]) -> Reduction:
-        """One summary of several by reflections, in double precision.
+        """Merge several summaries by reflections, in double precision.
 
-        For columns that are nearly dependent in every part, where rotations without square roots lose their digits.
+        Use it if the columns are nearly dependent in every part. Square-root-free rotations then lose digits.
         """
         factor = np.linalg.qr(np.vstack([part.factor for part in parts]), mode="r")
         return cls.of_factor(parts[0].names, np.asarray(factor), sum(part.count for part in parts))
 
     def without(self, names: tuple[str, ...]) -> Reduction:
-        """The summary of the other columns, these at their best for each estimate: nothing is set to zero."""
+        """The summary without these columns; they are estimated freely, not set to zero."""
         rest = tuple(name for name in self.names if name not in names)
         order = [*(self.names.index(name) for name in (*names, *rest)), len(self.names)]
         factor = np.asarray(np.linalg.qr(self.factor[:, order], mode="r"))
         return self.of_factor(rest, factor[len(names) :, len(names) :], self.count)
 
     def behind_first(self) -> Reduction:
-        """The summary of the columns behind the first, that at its best for each estimate, with all digits carried."""
+        """The summary without the first column, which is estimated freely; all digits are kept."""
         return Reduction(self.names[1:], self.weight[:, 1:].copy(), self.unit[:, 1:, 1:].copy(), self.count)
 
     def less(self, name: str, multiple: float) -> Reduction:
-        """The summary of the observations less ``multiple`` times a column."""
+        """The summary after ``multiple`` times a column is subtracted from the observations."""
         unit = self.unit.copy()
         unit[0, :, -1] -= multiple * self.unit[0, :, self.names.index(name)]
         result = Reduction.empty(self.names)

@@ -1,6 +1,6 @@
-"""What is asked of a calibration, checked against the record, and the angle that the coupling turns with.
+"""The request of a calibration, checked against the record, and the phase angle of the coupling.
 
-The run file and the arguments of a call together make the request. ``phase_source`` says where the angle comes from:
+The run file and the arguments of a call together make the request. ``phase_source`` gives the source of the angle:
 as read, integrated from a log of rates, or predicted from the input.
 """
 
@@ -58,14 +58,14 @@ def make_request(
     phase_source: str | None,
     per_run: list[str] | tuple[str, ...] | None = None,
 ) -> Request:
-    """Merge call arguments over the run file's wishes and check them against the record.
+    """Replace settings of the run file by call arguments and check the request against the record.
 
     Raises
     ------
     ArgumentError
         For an unknown option or term.
     CalibrationError
-        If the record lacks what a term needs, or has lost the phase that ``shared`` needs.
+        If the record lacks data for a term, or lost the phase that ``shared`` needs.
     """
     model, estimation = run.model, run.estimation
     request = Request(
@@ -96,7 +96,7 @@ def make_request(
 
 
 def check_per_run(per_run: tuple[str, ...], terms: tuple[str, ...]) -> None:
-    """Terms that may differ between runs: such whose regressor does not turn with the phase, except K.
+    """Check the terms that may differ between runs: their regressor must not turn with the phase, and not K.
 
     Raises
     ------
@@ -159,12 +159,12 @@ def _check_record(run: Run, request: Request) -> None:
 
 
 def check_servo(request: Request) -> None:
-    """The terms of the servo need the phase that the coupling carries, and a method that holds it.
+    """Check the servo terms: they need the phase of the coupling and a method that can estimate them.
 
     Raises
     ------
     CalibrationError
-        If one is asked for without tan_beta, or of another method.
+        If a servo term is requested without tan_beta, or with another method.
     """
     asked = [name for name in SERVO_TERMS if name in request.terms]
     if not asked:
@@ -182,13 +182,13 @@ def check_servo(request: Request) -> None:
 
 
 PLAUSIBLE = 0.3
-"""Part of ``K |a|`` by which the rate of a sound instrument may differ from ``K a_x - Omega_x``."""
+"""Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``."""
 GROSS = 10.0
-"""Medians of that difference beyond which a rate is a spike, too."""
+"""Multiple of the median difference above which a rate is a spike."""
 
 
 def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
-    """The angle that the coupling turns with: as read, integrated from a rate, or predicted from input."""
+    """The phase angle of the coupling: as read, integrated from a rate, or predicted from the input."""
     predicted = request.phase_source == "input"
     if not predicted and run.kind != "rate":
         return run.output
@@ -209,7 +209,7 @@ def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
 
 
 def _corrected(run: Run, rate: Array, part: slice) -> Array:
-    """End correction of the interval into each row of a slice; it takes two rows before and one after."""
+    """End correction for the interval into each row of a slice. Needs two rows before and one after the slice."""
     window = slice(max(part.start - 2, 0), min(part.stop + 1, run.size))
     step = np.diff(run.t[window])
     step[run.begins[window][1:]] = 0.0
@@ -228,9 +228,9 @@ def _end_correction(rate: Array, step: Array) -> Array:
 
 
 def steady_rates(run: Run) -> Array:
-    """Rates of a log with those replaced by ``K a_x - Omega_x`` that no motion explains; the log's own if there is none.
+    """Rates of a log; rates that no motion explains are replaced by ``K a_x - Omega_x``. The log itself without such rates.
 
-    Integrated, a spike would turn the phase of all that follows.
+    A spike in the rate would shift the integrated phase of all later samples.
     """
     if not any((_surplus(run, part) > _plausible(run, part)).any() for part in spans(run.size)):
         return run.output
@@ -249,12 +249,12 @@ def _expected(run: Run, part: slice) -> Array:
 
 
 def _surplus(run: Run, part: slice) -> Array:
-    """By how much the rate differs from what is expected."""
+    """Difference between rate and expected rate."""
     surplus: Array = np.abs(run.output[part] - _expected(run, part))
     return surplus
 
 
 def _plausible(run: Run, part: slice) -> Array:
-    """How large that may be."""
+    """Largest plausible difference."""
     limit: Array = PLAUSIBLE * abs(run.scale_factor) * np.linalg.norm(run.f[part], axis=1)
     return limit if run.base_rate is None else limit + np.linalg.norm(run.base_rate[part], axis=1)

@@ -1,8 +1,8 @@
-"""Solve the summaries: linear estimate, one phase for all or one per phase group, covariance, named coefficients.
+"""Solve the summaries: linear estimate, one phase or one per phase group, covariance, named coefficients.
 
-The vector of linear parameters is ``[local of group 0, local of group 1, ..., shared]`` before the
-phase is used. Several groups share tan_beta and the harmonics: Gauss-Newton on the stacked triangular factors, from the
-linear solution, brings that in. The results get names and file units last.
+Without the phase, the linear parameters are ``[local of group 0, local of group 1, ..., shared]``. If several groups share
+tan_beta and the harmonics, Gauss-Newton on the stacked triangular factors imposes this, starting from the linear
+solution. Names and file units are applied last.
 """
 
 from __future__ import annotations
@@ -21,23 +21,22 @@ from piga.records.terms import si_factor, unit_of
 Array = NDArray[np.float64]
 
 KNOTS = 32
-"""Steps in which the rate wanders over a record; it is linear in time between them."""
+"""Number of steps of a bias drift over a record; the rate is linear in time between them."""
 DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
-"""Names of their columns in a summary."""
+"""Names of the drift columns in a summary."""
 
 ITERATIONS = 50
 SCAN = 72
-"""Phases tried for each group before refinement: the cost on the circle has at most two minima."""
+"""Phases tried for each group before refinement; the cost has at most two minima on the circle."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Which parameter every column of every phase group belongs to.
+    """Assigns a parameter to every column of every phase group.
 
-    A group's columns are its local ones (``p, q`` and the harmonics, which turn with its phase) and its
-    shared ones; ``keys`` name the parameters behind the shared columns of all groups, as (term, run), the run
-    None where one parameter serves all runs; ``tails[g]`` are the indices into ``keys`` of the shared
-    columns of group g.
+    The columns of a group are local (``p, q`` and the harmonics, which turn with its phase) or shared. ``keys`` name the
+    parameters of the shared columns of all groups as (term, run). The run is None if one parameter serves all runs.
+    ``tails[g]`` are the indices into ``keys`` of the shared columns of group g.
     """
 
     coupled: bool
@@ -52,7 +51,7 @@ class Layout:
 
     @property
     def head(self) -> int:
-        """Number of amplitudes before those of ``keys``."""
+        """Number of amplitudes before the ``keys``."""
         return (1 if self.coupled else 0) + 2 * len(self.orders)
 
     @property
@@ -68,7 +67,7 @@ class Layout:
         return (*head, *self.keys)
 
     def linear(self, amplitudes: Array, phase: float, group: int) -> Array:
-        """Column coefficients of a group with this phase."""
+        """Column coefficients of a group at this phase."""
         parts: list[float] = []
         at = 0
         if self.coupled:
@@ -120,7 +119,7 @@ class Layout:
         return result
 
     def embedded(self, factor: Array, group: int) -> Array:
-        """Triangular factor of a group with its shared columns set among those of ``keys``; not triangular."""
+        """Triangular factor of a group, with its shared columns placed among ``keys``; not triangular."""
         result = np.zeros((factor.shape[0], self.local + len(self.keys) + 1))
         result[:, : self.local] = factor[:, : self.local]
         result[:, self.local + self.tails[group]] = factor[:, self.local : -1]
@@ -129,16 +128,16 @@ class Layout:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of ``embedded``, the last (the observation) left out."""
+        """Names of the columns of ``embedded``, without the last (the observation)."""
         local: tuple[str, ...] = ("p", "q") if self.coupled else ()
         local += tuple(f"{kind}{order}" for order in self.orders for kind in ("s", "c"))
         return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
 
 
 def layout_of(design: Design, groups: int | None = None, extra: tuple[str, ...] = ()) -> Layout:
-    """The layout of one run: every shared column, and every ``extra`` one, is its own parameter in all groups.
+    """The layout of one run: every shared and every ``extra`` column is one parameter in all groups.
 
-    ``groups`` is the number of phase groups; that of the design unless given.
+    ``groups`` is the number of phase groups; default: that of the design.
     """
     count = len(set(design.groups)) if groups is None else groups
     keys = tuple((name, None) for name in (*design.shared_names, *extra))
@@ -150,9 +149,9 @@ def layout_of(design: Design, groups: int | None = None, extra: tuple[str, ...] 
 class Estimate:
     """Estimate in internal parameters.
 
-    ``amplitudes`` are, in this order, the coupling amplitude ``K tan_beta`` (if asked for), then
-    ``K s_n, K c_n`` per harmonic in the frame of alpha, then the shared linear parameters; ``phases`` one
-    phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``jacobians`` hold, per
+    ``amplitudes`` are, in this order, the coupling amplitude ``K tan_beta`` (if requested),
+    ``K s_n, K c_n`` per harmonic in the frame of alpha, and the shared linear parameters. ``phases`` holds one
+    phi per group. ``covariance`` is that of ``[amplitudes, phases]`` for unit noise. ``jacobians`` hold, for each
     phase group, the derivative of its column coefficients by ``[amplitudes, phases]``.
     """
 
@@ -165,18 +164,18 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Solution(Estimate):
-    """Estimate of one run: ``values`` (segments, m) are the linear column coefficients of every segment."""
+    """Estimate of one run; ``values`` (segments, m) are the column coefficients of every segment."""
 
     values: Array
 
 
 def drift_columns(summary: Reduction) -> tuple[str, ...]:
-    """Names of the columns of a bias drift, behind those of the model; none where there is no drift."""
+    """Names of the bias drift columns, which follow those of the model; empty without a drift."""
     return summary.names[-KNOTS:] if summary.names[-KNOTS:] == DRIFT_NAMES else ()
 
 
 def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
-    """One summary of several."""
+    """Merge several summaries into one."""
     if drift_columns(summaries[0]):
         return Reduction.stacked([summaries[index] for index in indices])
     total = Reduction.empty(summaries[0].names)
@@ -186,15 +185,15 @@ def merged(summaries: list[Reduction], indices: list[int]) -> Reduction:
 
 
 def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
-    """One summary per phase group, from those of the segments."""
+    """One summary per phase group, from summaries per segment."""
     return [merged(summaries, [s for s, own in enumerate(groups) if own == g]) for g in range(max(groups) + 1)]
 
 
 def solve(design: Design, summaries: list[Reduction]) -> Solution:
     """Estimate from one summary per segment, with the phases of the design.
 
-    The summaries may be those of the first segments alone. What they hold behind the columns of the design, a bias drift, is
-    estimated with them and left out.
+    The summaries may cover only the first segments. Columns of a bias drift after those of the design are estimated
+    too, but not returned.
     """
     groups = design.groups[: len(summaries)]
     count = max(groups) + 1
@@ -214,7 +213,7 @@ def solve(design: Design, summaries: list[Reduction]) -> Solution:
 
 
 def _without_last(estimate: Estimate, size: int, extra: int) -> Estimate:
-    """The estimate less the ``extra`` amplitudes behind the first ``size``, their columns and their covariance."""
+    """The estimate without the ``extra`` amplitudes after the first ``size``, their columns and covariance."""
     behind = np.arange(size, size + extra)
     return Estimate(
         estimate.amplitudes[:size],
@@ -251,7 +250,7 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
 
 
 def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
-    """One phase per group, amplitudes shared."""
+    """Solve with one phase per group and common amplitudes."""
     if not layout.coupled:
         raise CalibrationError(
             "harmonics with more than one phase (phase 'per-segment', or several runs) need 'tan_beta' among the "
@@ -288,7 +287,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
 
 
 def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
-    """Shared parameters and coupling amplitude with the local columns of every group left free."""
+    """Shared parameters and coupling amplitude, with free local columns in every group."""
     local = layout.local
     factors = [part.factor for part in parts]
     rest = [layout.embedded(factor, group)[local:, local:] for group, factor in enumerate(factors)]
@@ -308,14 +307,14 @@ def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
 
 
 def _least_squares(factor: Array) -> Array:
-    """Solution of least norm of a triangular system, its columns scaled to one."""
+    """Minimum-norm solution of a triangular system; its columns are scaled to one."""
     scale = np.linalg.norm(factor[:, :-1], axis=0)
     scale[scale == 0.0] = 1.0
     return np.linalg.lstsq(factor[:, :-1] / scale, factor[:, -1], rcond=1e-12)[0] / scale
 
 
 def _scan(layout: Layout, amplitudes: Array, factor: Array, group: int) -> float:
-    """Best of SCAN phases for one group."""
+    """Best of ``SCAN`` phases for one group."""
     m = factor.shape[0] - 1
     trial = 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi
     costs = [np.sum((factor[:m, :m] @ layout.linear(amplitudes, p, group) - factor[:m, m]) ** 2) for p in trial]
@@ -361,7 +360,7 @@ def _damped_step(R: Array, residual: Array, damping: float) -> Array:
 
 
 def _inverse_information(R: Array) -> Array:
-    """``(R'R)^-1`` with a column scaling; a phase that the record does not hold gets the circle's spread."""
+    """``(R'R)^-1`` with column scaling; an undetermined phase gets the spread of the circle."""
     scale = np.linalg.norm(R, axis=0)
     scale[scale == 0.0] = 1.0
     _, r = np.linalg.qr(R / scale)
@@ -373,7 +372,7 @@ def _inverse_information(R: Array) -> Array:
 
 
 Owner = tuple[str | None, str | None]
-"""Segment and run that a phase belongs to; None where it serves all of them."""
+"""Segment and run of a phase; None if the phase serves all of them."""
 
 
 def name_coefficients(
@@ -397,8 +396,8 @@ def name_parameters(
     """Coefficients in file units and their covariance in the same units and order.
 
     Internal amplitudes are multiples of K (``K tan_beta``, ``K k0``, ...); division by K, estimated or
-    nominal (``scale_factor``), and the change of units are carried through the covariance to first order
-    (JCGM 100, 5.1). ``terms`` give the order, ``owners`` say whose the phases are.
+    nominal (``scale_factor``), and the change of units are propagated through the covariance to first order
+    (JCGM 100, 5.1). ``terms`` give the order; ``owners`` give the segment and run of each phase.
     """
     keys = layout.amplitude_keys
     total = np.concatenate([estimate.amplitudes, estimate.phases])
@@ -428,7 +427,7 @@ def name_parameters(
 
 
 def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> None:
-    """Report tan_beta >= 0: its sign goes into the phase; phases into (-pi, pi]."""
+    """Make tan_beta >= 0 by moving its sign into the phase; phases in (-pi, pi]."""
     if not layout.coupled:
         return
     if values[0] < 0.0:
@@ -448,7 +447,7 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
 def _in_asked_order(
     terms: tuple[str, ...], coefficients: tuple[Coefficient, ...], covariance: Array
 ) -> tuple[tuple[Coefficient, ...], Array]:
-    """Coefficients in the order of the request, phi behind tan_beta."""
+    """Coefficients in the order of the request; phi follows tan_beta."""
     rank = {name: i for i, name in enumerate(terms)}
     rank["phi"] = rank.get("tan_beta", 0)
     order = sorted(range(len(coefficients)), key=lambda i: (rank[coefficients[i].name], i))
@@ -456,10 +455,10 @@ def _in_asked_order(
 
 
 def parameter_rows(design: Design, solution: Solution, segment: int, rows: Array) -> Array:
-    """Rows of a segment in the parameters of a finished fit, linear about its solution, reduced to ``[parameters | rest]``.
+    """Rows of a segment in the parameters of a finished fit, reduced to ``[parameters | rest]``; linear about the fit.
 
-    With one phase the parameters are the column coefficients, and nothing is approximated. With a phase per
-    segment they are the amplitudes, and the phase of a segment is taken out of its own rows.
+    With one phase the parameters are the column coefficients, and nothing is approximated. With one phase per
+    segment they are the amplitudes, and the phase of a segment is eliminated from its own rows.
 
     Parameters
     ----------
@@ -468,7 +467,7 @@ def parameter_rows(design: Design, solution: Solution, segment: int, rows: Array
     segment:
         Index of the segment.
     rows:
-        (k, m + r): weighted columns of the model in the order of ``design.names``, then any others.
+        (k, m + r): weighted model columns in the order of ``design.names``, then any other columns.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Threads where they pay: short records are worked on at once, long ones by a pool."""
+"""Threads for long records; work on short records is done at once."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from functools import cache
 from typing import Any
 
 SHORT = 1 << 16
-"""Rows up to which handing work to a thread takes longer than the work."""
+"""Rows below which handing work to a thread takes longer than the work."""
 
 
 class _AtOnce(Executor):
-    """An executor that does the work when it is handed in."""
+    """An executor that does the work immediately."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         done: Future[Any] = Future()
@@ -22,10 +22,10 @@ class _AtOnce(Executor):
 
 
 class _Shared(ThreadPoolExecutor):
-    """Threads that are kept for the next user: starting one takes as long as a block of work."""
+    """Threads kept for the next user; starting a thread takes as long as one block of work."""
 
     def __exit__(self, *_error: object) -> None:
-        """Leave the threads waiting."""
+        """Keep the threads."""
 
 
 @cache
@@ -38,10 +38,10 @@ if hasattr(os, "register_at_fork"):
 
 
 def workers(rows: int, threads: int) -> Executor:
-    """Executor for work on a record of so many rows; with one thread, work is done in the order it is handed in."""
+    """Executor for work on a record of ``rows`` rows; one thread does the work in order of submission."""
     return _AtOnce() if rows <= SHORT else _shared(threads)
 
 
 def beside(rows: int) -> Executor:
-    """Executor for one piece of work on a record that itself hands work to :func:`workers`."""
+    """Executor for one task on a record that itself submits work to :func:`workers`."""
     return _AtOnce() if rows <= SHORT else ThreadPoolExecutor(1)
