@@ -1,1 +1,1 @@
-"""Tests to come: positions, length and what they will tell."""
+"""Plan tests: positions, durations and expected uncertainties."""

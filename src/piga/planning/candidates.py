@@ -1,8 +1,8 @@
-"""Candidates of a plan: positions and levels, and the information that a visit of some length gives.
+"""Candidates of a plan: positions and levels, and the information from a visit of given duration.
 
-The information is that of the estimator: a noiseless segment of the candidate is made with its stand and
-the exact motion, turned into the regressors of the calibration, whitened with its noise model. It is
-averaged over four starting angles of the gimbal, a quarter turn apart, since a test meets any.
+The information is that of the estimator. The stand and the exact motion give a noiseless segment of the candidate.
+Its regressors are whitened with the noise model of the calibration. The information is averaged over four
+starting angles of the gimbal, a quarter turn apart, because a test may start at any angle.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from piga.stand.scenario import (
 Array = NDArray[np.float64]
 
 STARTS = 4
-"""Starting angles of the gimbal, evenly spaced, that the information is averaged over."""
+"""Number of evenly spaced starting angles of the gimbal for the average of the information."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One position or level: ``table`` is its stand with this one alone; ``force`` [m/s^2] (3,) in base axes.
+    """One position or level: ``table`` is the stand with only this one; ``force`` [m/s^2] (3,) in base axes.
 
     ``margin`` is ``|u_x|/(u_t tan_beta)``: below 1 the instrument is locked. ``revolution`` [s] is the time
     of one revolution of the gimbal.
@@ -105,7 +105,7 @@ def noise_of(request: PlanRequest) -> Noise:
     Raises
     ------
     CalibrationError
-        If the electronics have no noise at all: any plan would be perfect.
+        If the electronics have no noise; every plan would then be perfect.
     """
     e = request.scenario.electronics
     count = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 0.0
@@ -152,7 +152,7 @@ def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...]) 
 
 
 def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
-    """Coefficients that all positions share, in the order of the request; ``phi`` behind tan_beta if shared."""
+    """Coefficients common to all positions, in the order of the request; ``phi`` follows tan_beta if it is common."""
     names: list[str] = []
     for name in request.model.terms:
         names += [name, "phi"] if name == "tan_beta" and request.model.phase == "shared" else [name]
@@ -206,7 +206,7 @@ def _segments(request: PlanRequest, candidate: Candidate) -> Design:
 
 
 def _servo_state(request: PlanRequest, design: Design) -> ServoState:
-    """Where the columns of the servo are combined: phase zero, the expected coefficients."""
+    """State of the servo columns: phase zero, expected coefficients."""
     truth, K = _truth(request), design.run.scale_factor
     return ServoState(
         (0.0,) * STARTS,
@@ -217,9 +217,9 @@ def _servo_state(request: PlanRequest, design: Design) -> ServoState:
 
 
 def _jacobian(request: PlanRequest, design: Design) -> Array:
-    """Derivative of the column coefficients by the named ones (file units), phi among them and last.
+    """Derivative of the column coefficients by the named coefficients (file units); phi is last.
 
-    The output zero is taken at alpha = 0, so phi = 0; ``K theta`` is linear in each named coefficient.
+    The output zero is at alpha = 0, so phi = 0. ``K theta`` is linear in each named coefficient.
     """
     names = [name for name in coefficient_names(request) if name != "phi"]
     truth = _truth(request)
@@ -259,7 +259,7 @@ def _truth(request: PlanRequest) -> dict[str, float]:
 
 
 def _without_phase(information: Array, request: PlanRequest, design: Design) -> Array:
-    """Information in the order of the names; a phase of the segment's own is eliminated (Schur complement)."""
+    """Information in the order of the names; a phase per segment is eliminated (Schur complement)."""
     names = coefficient_names(request)
     if "p" not in design.names and not design.request.harmonics:
         return information[:, :-1, :-1]

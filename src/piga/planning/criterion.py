@@ -1,4 +1,4 @@
-"""Optimal design: what makes one information matrix better than another, the best mixture, and whole visits from it.
+"""Optimal design: criteria for information matrices, the best mixture, and whole visits derived from it.
 
 With ``C = M^-1`` the covariance and ``L`` the rows of interest, all criteria are logarithms of
 homogeneous convex functions of ``M``: D ``log det(L C L')/r``;
@@ -6,7 +6,7 @@ power means ``(1/p) log mean((L C L')_ii^p)``, with p = 1 the A-criterion, r = 1
 large p the largest entry. Each has the derivative ``-tr(S dM)`` with ``tr(S M) = 1``, so the general
 equivalence theorem reads: a mixture is optimal if and only if no candidate has
 ``tr(S A_j) > 1``; for D this is the statement that the largest directional derivative ``r tr(S A_j)``
-equals the number r of parameters. An exchange search makes whole visits of a mixture, dwells in steps, within the time.
+equals the number r of parameters. An exchange search turns a mixture into whole visits, with dwells in steps.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 GAP = 1e-6
-"""Largest directional derivative, less its value at the optimum, that ends the search."""
+"""Excess of the largest directional derivative over its value at the optimum that ends the search."""
 ROUNDS = 60
 MIXED = 1e-6
-"""Share of the equal mixture in every candidate: keeps the mixture regular where the optimum is not."""
+"""Share of the equal mixture in every candidate; keeps the mixture regular if the optimum is singular."""
 RIDGE = 1e-13
-"""Information added to each scaled parameter: a singular plan gets a finite, useless value."""
+"""Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
 GUARD = 0.02
 """Share of the D-criterion of all parameters in a guarded criterion."""
 LARGEST_POWER = 64.0
-"""Power that stands for the largest of the variances: within r^(1/64) of it."""
+"""Power that approximates the largest variance, within a factor r^(1/64)."""
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """What is minimised: ``rows`` (r, m) of interest in scaled parameters; ``power`` 0 is D.
+    """The criterion to minimise: ``rows`` (r, m) of interest in scaled parameters; ``power`` 0 is D.
 
-    ``guard`` is the share of the D-criterion of all parameters mixed in: it keeps those parameters
-    determined that are not of interest.
+    ``guard`` is the share of the D-criterion of all parameters. It keeps parameters determined that are not of
+    interest.
     """
 
     rows: Array
@@ -49,7 +49,7 @@ class Criterion:
     guard: float = 0.0
 
     def guarded(self) -> Criterion:
-        """With the guard where the rows leave parameters out."""
+        """The criterion with the guard, if the rows do not cover all parameters."""
         left_out = self.rows.shape[0] < self.rows.shape[1]
         return replace(self, guard=GUARD) if left_out else self
 
@@ -101,15 +101,15 @@ class Mixture:
 
     @property
     def gap(self) -> float:
-        """By how much the certificate is missed: the criterion is at most this above the optimum."""
+        """Excess of the certificate; the criterion is at most this above the optimum."""
         return float(self.derivatives.max()) - 1.0
 
 
 def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:
     """Optimal weights for candidate information matrices (n, m, m) per unit of cost, scaled parameters.
 
-    The convex problem is solved on a few candidates (sequential quadratic programming, SciPy), those with
-    the largest directional derivative are added, and so on: the certificate is over all of them.
+    The convex problem is solved on a few candidates (sequential quadratic programming, SciPy). The candidates with
+    the largest directional derivative are added, and the problem is solved again. The certificate covers all candidates.
 
     Raises
     ------
@@ -174,12 +174,12 @@ def _solve(matrices: Array, criterion: Criterion, start: Array) -> Array:
 IMPROVEMENT = 1e-7
 """Smallest improvement of the criterion that counts."""
 JUMPS = (1, 5)
-"""Dwell steps that pass from one visit to another at a time."""
+"""Dwell steps moved from one visit to another at a time."""
 
 
 @dataclass(frozen=True)
 class PlanLimits:
-    """Times in dwell steps: ``total`` (dwells and moves between them), ``move``, ``shortest`` dwell."""
+    """Times in dwell steps: ``total`` (dwells and moves), ``move``, ``shortest`` and ``longest`` dwell."""
 
     total: float
     move: float
@@ -187,7 +187,7 @@ class PlanLimits:
     longest: int
 
     def room(self, dwells: Index) -> int:
-        """Dwell steps that are left."""
+        """Free dwell steps."""
         return int(np.floor(self.total - dwells.sum() - self.move * (dwells.size - 1) + 1e-9))
 
 
@@ -201,7 +201,7 @@ class Schedule:
 
 
 def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Index, dwells: Index) -> Schedule:
-    """Steepest descent over exchanges: another place, time from visit to visit, a visit more or less.
+    """Steepest descent over exchanges: another place, time moved between visits, one visit more or less.
 
     ``tables`` (n, steps, m, m) hold the information of 1, 2, ... dwell steps, scaled parameters.
     """
@@ -227,7 +227,7 @@ def _information(tables: Array, places: Index, dwells: Index) -> Array:
 
 
 def _fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Index]:
-    """Dwells within the limits, visits left out from the end until the test fits, time to spare given away."""
+    """Visits within the limits: surplus visits are removed from the end, spare time is distributed."""
     dwells = np.clip(dwells, limits.shortest, limits.longest)
     while limits.room(dwells) < 0:
         if dwells.max() > limits.shortest:
@@ -240,7 +240,7 @@ def _fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, In
 
 
 def _neighbours(tables: Array, limits: PlanLimits, places: Index, dwells: Index) -> Iterator[tuple]:
-    """Changes of the information (b, m, m) with the function that makes the visits of each."""
+    """Changed information matrices (b, m, m), and a function that builds the visits of each."""
     own = tables[places, dwells - 1]
     count = tables.shape[0]
     for k in range(places.size):
@@ -279,7 +279,7 @@ def _neighbours(tables: Array, limits: PlanLimits, places: Index, dwells: Index)
 
 
 def _fewer(tables: Array, limits: PlanLimits, places: Index, dwells: Index, own: Array) -> Iterator[tuple]:
-    """One visit less, its time and its move to another or in equal parts to all."""
+    """One visit less; its dwell and move time go to one other visit or equally to all."""
     if places.size < 2:
         return
     for k in range(places.size):
@@ -302,7 +302,7 @@ def _put(values: Index, at: int, value: Any) -> Index:
 
 
 def start_of(mixture: Mixture, steps: int, limits: PlanLimits) -> tuple[Index, Index]:
-    """Visits that share the time as the mixture does, the small ones left out.
+    """Visits with the time shares of the mixture; small shares are dropped.
 
     The candidates of the mixture are (place, dwell) pairs, ``steps`` dwells per place.
     """

@@ -1,4 +1,4 @@
-"""The mounting question: which skew of the instrument keeps it out of the lock zone over a profile.
+"""The mounting question: which skew keeps the instrument out of the lock zone over a profile.
 
 With ``u = K f - Omega`` the instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. Turning the
 instrument by a skew ``sigma`` towards the direction at ``clock`` about the platform's X axis makes
@@ -28,10 +28,10 @@ CHUNK = 20000
 
 @dataclass(frozen=True)
 class Mounting:
-    """Margins of all mountings: ``margins`` (skews, clocks), ``inside`` the share of time below ``limit``.
+    """Margins of all mountings: ``margins`` (skews, clocks), and ``inside``, the share of time below ``limit``.
 
-    ``best`` indexes both; ``margin_history`` (n,) is ``|u_x|/(u_t tan(beta))`` of the best at times ``t`` [s],
-    ``unskewed_history`` that of the instrument not skewed.
+    ``best`` is the index of the best one. ``margin_history`` (n,) is its ``|u_x|/(u_t tan(beta))`` at times ``t`` [s];
+    ``unskewed_history`` is that of the instrument without skew.
     """
 
     skews: Array
@@ -61,7 +61,7 @@ class Mounting:
 
     @property
     def acceptable(self) -> Array:
-        """Skews [rad] that keep the wanted margin at their best direction."""
+        """Skews [rad] that reach the wanted margin at their best direction."""
         return self.skews[self.margins.max(axis=1) >= self.limit]
 
 
@@ -125,9 +125,9 @@ def _axes(skew: float, clocks: Array) -> Array:
 
 
 def _ratios(u: Array, axes: Array, tangent: float) -> Array:
-    """``|u_x|/(u_t tan(beta))`` per row and axis; infinite where nothing acts across.
+    """``|u_x|/(u_t tan(beta))`` per row and axis; infinite without transverse input.
 
-    Where ``u_x`` has changed its sign since the row before, the profile went through the lock zone: 0.
+    0 if ``u_x`` changed its sign since the previous row: the profile crossed the lock zone.
     """
     signed = u @ axes
     along = np.abs(signed)
@@ -150,6 +150,6 @@ def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float
 
 
 def _largest(margins: Array) -> tuple[int, int]:
-    """Largest margin; of several alike the first."""
+    """Index of the largest margin; the first one if several are equal."""
     at = int(np.argmax(margins))
     return at // margins.shape[1], at % margins.shape[1]

@@ -1,9 +1,9 @@
-"""Planning a test: which positions or levels, and how long in each, make the coefficients most certain.
+"""Plan a test: the positions or levels, and the dwell in each, that give the smallest uncertainties.
 
-A visit of length tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The best
-mixture of visits per second of test is a convex problem; its value bounds every test from below. An
-exchange search makes whole visits of it, and what is reported is predicted by the estimator itself on
-the noiseless record of the very test that is exported: a scenario that ``piga simulate`` runs, and one JSON document.
+A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The best
+mixture of visits per second of test is a convex problem; its value is a lower bound for every test. An
+exchange search turns it into whole visits. The reported uncertainties are predicted by the estimator on the
+noiseless record of the exported test. The export is a scenario for ``piga simulate`` and one JSON document.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ from piga.stand.write_run import given_values, toml_table
 Array = NDArray[np.float64]
 
 STANDARD = (4, 6, 12, 24)
-"""Numbers of evenly spaced positions of the standard plans."""
+"""Numbers of evenly spaced positions in the standard plans."""
 STRETCHES = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Durations of the figure, relative to the wanted one."""
+"""Durations in the figure, relative to the planned duration."""
 ATTEMPTS = 12
-"""Durations tried for a wanted uncertainty."""
+"""Most durations tried to reach a wanted uncertainty."""
 
 
 @dataclass(frozen=True)
 class Excluded:
-    """A candidate that is left out, and why."""
+    """An excluded candidate and the reason."""
 
     candidate: Candidate
     reason: str
@@ -64,8 +64,8 @@ class Excluded:
 class Cheapest:
     """The shortest test found that reaches the wanted uncertainties.
 
-    ``bound`` [s]: no test of these candidates and dwells is shorter. ``plan`` is None when the stand's own
-    uncertainty forbids it; then ``refusal`` says which.
+    ``bound`` [s] is a lower bound of the duration for these candidates and dwells. ``plan`` is None if the
+    uncertainty of the stand prevents it; ``refusal`` then names the uncertainty.
     """
 
     bound: float
@@ -75,12 +75,12 @@ class Cheapest:
 
 @dataclass(frozen=True)
 class Plan:
-    """A planned test, and what it is compared with.
+    """A planned test and its comparison plans.
 
-    ``shares`` are the shares of the test time of the usable candidates in the best mixture,
-    ``largest_derivative`` its certificate (the number of coefficients for D, else 1). ``efficiency`` is that of
-    the criterion relative to the bound of the convex problem, as a ratio of variances, 1 at best;
-    ``stretched`` the planned and the last standard test for other durations.
+    ``shares`` are the time shares of the usable candidates in the best mixture. ``largest_derivative`` is its
+    certificate (the number of coefficients for D, else 1). ``efficiency`` is the ratio of variances between the bound
+    of the convex problem and the plan, at most 1. ``stretched`` holds the planned and the last standard test for
+    other durations.
     """
 
     request: PlanRequest
@@ -104,7 +104,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Search:
-    """Everything that the search for one request needs: scaled tables per usable candidate."""
+    """Data of the search for one request: scaled tables of the usable candidates."""
 
     request: PlanRequest
     usable: tuple[Candidate, ...]
@@ -199,7 +199,7 @@ def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[E
 
 
 def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest:
-    """Refuse what cannot be planned; the longest dwell is cut to the duration."""
+    """Refuse a request that cannot be planned; the longest dwell is limited to the duration."""
     if not usable:
         raise CalibrationError(
             f"every position is within {request.settings.margin:g} times the lock zone",
@@ -223,7 +223,7 @@ def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest
 
 
 def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
-    """Tables scaled by the uncertainty that equal time on all candidates gives; refuses what is confounded."""
+    """Tables scaled by the uncertainty of equal time on all candidates; refuses confounded terms."""
     dwell = max(request.dwell_step, min(request.longest_dwell, 3.0 * request.dwell_step))
     predict(request, "all", tuple(Visit(c, dwell) for c in usable), type_b=False, refuse=True)
     tables = information_tables(request, usable)
@@ -237,7 +237,7 @@ def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
 def _standard(
     request: PlanRequest, usable: tuple[Candidate, ...], duration: float
 ) -> list[tuple[str, tuple[Visit, ...]]]:
-    """Standard plans that fit a duration: evenly spaced positions; without a dividing head equal time on all."""
+    """Standard plans for a duration: evenly spaced positions, or equal time on all without a dividing head."""
     head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
     if head is None:
         places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
@@ -267,7 +267,7 @@ def _whole_samples(request: PlanRequest, dwell: float) -> float:
 def _best(
     search: _Search, criterion: Criterion, mixture: Mixture, standard: tuple[Prediction, ...]
 ) -> tuple[Prediction, float]:
-    """The best test for the wanted duration; a standard plan that keeps the margin where none is better."""
+    """The best test for the duration; a standard plan that keeps the margin if no test is better."""
     request = search.request
     visits = _search_visits(search, criterion, mixture, request.duration, standard)
     planned = predict(request, "planned", visits)
@@ -298,7 +298,7 @@ def _search_visits(
     duration: float,
     starts: tuple[Prediction, ...] = (),
 ) -> tuple[Visit, ...]:
-    """Exchange search from the mixture and from those standard plans that lie on the candidates."""
+    """Exchange search from the mixture and from the standard plans whose positions are candidates."""
     limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
     begun = [start_of(mixture, steps, limits)]
     angles = {c.label: k for k, c in enumerate(search.usable)}
@@ -312,7 +312,7 @@ def _search_visits(
 
 
 def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Visit, ...]:
-    """Visits in the order of the stand, dwells in whole revolutions of the gimbal, spare time given away."""
+    """Visits in the order of the stand, dwells in whole gimbal revolutions, spare time distributed."""
     request, step = search.request, search.request.dwell_step
     order = np.argsort(schedule.places, kind="stable")
     chosen = [search.usable[int(k)] for k in schedule.places[order]]
@@ -335,7 +335,7 @@ def _finished(search: _Search, schedule: Schedule, duration: float) -> tuple[Vis
 def _stretched(
     search: _Search, criterion: Criterion, mixture: Mixture, here: tuple[float, Prediction, Prediction]
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
-    """The planned and the last standard plan for other durations; ``here`` is the row of the wanted one."""
+    """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
     rows = []
     for factor in STRETCHES:
         if factor == 1.0:
@@ -353,7 +353,7 @@ def _stretched(
 
 
 def _cheapest(search: _Search, best: Prediction) -> Cheapest:
-    """The shortest test for the wanted standard uncertainties, Type B of the stand included."""
+    """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
     request = search.request
     targets = {}
     for name, wanted in request.wanted.items():

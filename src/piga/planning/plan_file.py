@@ -1,7 +1,7 @@
-"""The plan file (TOML): a scenario whose stand lists the candidates, and what is wanted of the test.
+"""The plan file (TOML): a scenario whose stand lists the candidates, and the wishes for the test.
 
-Every table of a scenario may stand in it with its meaning there: ``[truth]`` is what the instrument is
-expected to be, ``[stand]`` holds the positions or levels to choose from, ``[electronics]`` the noise.
+It may contain every table of a scenario. ``[truth]`` gives the expected instrument, ``[stand]`` the candidate
+positions or levels, ``[electronics]`` the noise.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 STANDS = (DividingHeadTable, CentrifugeTable, RateTableTable)
 """Stands whose positions or levels can be chosen one by one."""
 TIMELY = ("k0_t", "k0_T", "k1_T")
-"""Terms whose information depends on when a position is taken, not only on how long."""
+"""Terms whose information depends on the time of a visit, not only on its duration."""
 
 
 class PlanSettings(TomlTable, frozen=True):
@@ -110,7 +110,7 @@ def read_plan(path: str | Path) -> PlanRequest:
     Raises
     ------
     RunFileError
-        For an unknown key, a wrong unit or a wish that cannot be planned; names file and key.
+        For an unknown key, a wrong unit or a request that cannot be planned; names file and key.
     """
     path = Path(path)
     table = read_toml(path, PlanTable)
@@ -134,7 +134,7 @@ def _converted(table: dict[str, Any], kind: type[T], name: str) -> T:
 
 
 def _check(table: PlanTable, model: ModelTable) -> None:
-    """Refuse what the information of a single position cannot tell."""
+    """Refuse requests that the information of single positions cannot answer."""
     for name in model.terms:
         if name in TIMELY:
             raise RunFileError(
@@ -205,7 +205,7 @@ def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: Uncer
 
 
 def _move(table: PlanTable) -> float:
-    """Time between two visits: as given, else the longest that the stands name."""
+    """Time between two visits: as given, or else the longest time of the stands."""
     if table.plan.move is not None:
         return to_si(table.plan.move, "s", what="[plan] move")
     stand = table.stand

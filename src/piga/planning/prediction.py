@@ -1,4 +1,4 @@
-"""What a test will give: the calibration of its noiseless record, with the covariance of the estimator."""
+"""Predict the result of a test: calibration of its noiseless record, with the covariance of the estimator."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Visit:
 class Prediction:
     """Predicted result of a test.
 
-    ``coefficients`` carry the standard uncertainty of Type A; ``covariance`` is theirs; ``type_b`` (n,) the
-    standard uncertainty that the stand adds. File units. ``refusal`` says why there is none.
+    ``coefficients`` have standard uncertainties of Type A with ``covariance``. ``type_b`` (n,) is the standard
+    uncertainty by the stand. File units. ``refusal`` gives the reason if there is no result.
     """
 
     name: str
@@ -56,12 +56,12 @@ class Prediction:
         return sum(visit.dwell for visit in self.visits)
 
     def std(self, name: str) -> float:
-        """Standard uncertainty of Type A of a coefficient; infinite where it is not determined."""
+        """Type A standard uncertainty of a coefficient; infinite if it is not determined."""
         stds = [c.std for c in self.coefficients if c.name == name and c.segment is None]
         return stds[0] if stds else float("inf")
 
     def combined(self, name: str) -> float:
-        """Standard uncertainty of both types."""
+        """Combined standard uncertainty of a coefficient."""
         for k, c in enumerate(self.coefficients):
             if c.name == name and c.segment is None:
                 return float(np.hypot(c.std, 0.0 if self.type_b is None else self.type_b[k]))
@@ -81,7 +81,7 @@ def predict(
     Raises
     ------
     IdentifiabilityError
-        With ``refuse``, if the test cannot separate the terms; else the reason stands in the result.
+        With ``refuse``, if the test cannot determine the terms; otherwise the result holds the reason.
     """
     run = noiseless_run(request, visits)
     duration = duration_of(visits, request.move)
@@ -122,7 +122,7 @@ def predict(
 
 
 def noiseless_run(request: PlanRequest, visits: tuple[Visit, ...]) -> Run:
-    """The record of the test without noise and imperfections, with what its budget needs."""
+    """The record of the test without noise and imperfections, with the data for its budget."""
     stand = Composite(tuple(visit.candidate.stand(visit.dwell, request) for visit in visits), request.move)
     e = request.scenario.electronics
     quiet = replace(

@@ -1,10 +1,10 @@
-"""How the coefficients of one instrument move over the years: stability, drift, control limits, forecasts.
+"""The coefficients of one instrument over the years: stability, drift, control limits, forecasts.
 
-Each record gives a value with a standard uncertainty. Its part of Type B from sources that act alike in all
-records (the same standard of gravity or angle) is *common*: no number of records averages it away, and it
-cancels in differences between records. The rest is the record's own. Records of one day are merged first:
-what scatters inside a day is turn-on to turn-on, what scatters between days beyond that is day to day, and
-what is left as a line is drift. Own derivation; see docs/trend.md.
+Each record gives a value with a standard uncertainty. Sources of Type B that act alike in all records (the same
+standard of gravity or angle) are *common*. Averaging over records does not reduce them, and they cancel in
+differences between records. The other sources belong to one record. Records of one day are merged first. Scatter
+within a day is turn-on to turn-on. Additional scatter between days is day to day. The remaining line is drift. Own
+derivation; see docs/trend.md.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ Array = NDArray[np.float64]
 YEAR = 31557600.0
 """One year [s], as the unit ``year``."""
 HistoryEntry = tuple[str, dt.datetime, Calibration | CalibrationFigures]
-"""Record id, time of the calibration (with time zone), and the calibration or its figures, as a store gives them."""
+"""Record id, time of the calibration (with time zone), and the calibration or its figures, as in a store."""
 Common = float | Mapping[str, float]
-"""Part (0 to 1) of the Type B variance that records share: for all sources, or by source name (others: 1)."""
+"""Share (0 to 1) of the Type B variance common to the records: for all sources, or by source name (others: 1)."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One record in a trend: value, whole standard uncertainty and its own part, in file units.
+    """One record in a trend: value, combined standard uncertainty, and the record's own part of it, in file units.
 
-    ``coverage`` is that of the record's coefficient, ``own_half_width`` the half-width for 95 % of its own part.
-    ``forecast`` is what the records of earlier days let expect of this one, or None while there are too few;
-    ``score`` the deviation from it as a standard normal number, nan without one.
+    ``coverage`` is that of the record's coefficient. ``own_half_width`` is the 95 % half-width of the own part.
+    ``forecast`` comes from the records of earlier days; None if there are too few. ``score`` is the deviation from the
+    forecast as a standard normal number, nan without forecast.
     """
 
     record: str
@@ -73,7 +73,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Chart:
-    """Control chart of the days: score of each day mean, its moving average, and the limit of that."""
+    """Control chart of the days: score of each day mean, its moving average, and the limit of the average."""
 
     time: Array
     score: Array
@@ -90,7 +90,7 @@ class Chart:
 class CoefficientTrend:
     """The trend of one coefficient; times in years since ``Trend.start``, values in ``unit``.
 
-    ``last_shared`` (sources,) are the errors that the last record shares with others.
+    ``last_shared`` (sources,) are the errors common to the last record and other records.
     """
 
     key: str
@@ -102,7 +102,7 @@ class CoefficientTrend:
 
     @property
     def turn_on(self) -> float:
-        """Standard deviation inside days beyond the stated uncertainty; nan without repeats."""
+        """Standard deviation within days beyond the stated uncertainty; nan without repeats."""
         return math.sqrt(float(self.model.within)) if self.model.freedom else math.nan
 
     @property
@@ -116,7 +116,7 @@ class CoefficientTrend:
         return self.model.drift
 
     def next_record(self, time: float) -> Forecast:
-        """What a further record, as good as the last one and by the same standards, is expected to show."""
+        """Forecast of a further record with the uncertainty and the standards of the last one."""
         return self.model.record_at(time, self.points[-1].own, self.last_shared)
 
 
@@ -152,15 +152,15 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
     Parameters
     ----------
     history:
-        Records of one instrument, in any order. They are taken one by one: a generator need not hold them all.
+        Records of one instrument, in any order. They are read one by one; a generator works.
     common:
-        Part of the Type B variance that the records share (default: all of it). What is drawn anew in each test
-        (``..._repeatability``) is shared by none, unless it is named.
+        Share of the Type B variance common to the records (default: all of it). A source with a new value in each
+        test (``..._repeatability``) is not common unless it is named.
 
     Raises
     ------
     ArgumentError
-        For fewer than two records, several instruments, a record named twice, or a part outside 0 to 1.
+        For fewer than two records, several instruments, a duplicate record, or a share outside 0 to 1.
     """
     entries = [
         (name, time, calibration.figures() if isinstance(calibration, Calibration) else calibration)
@@ -220,7 +220,7 @@ class _Records:
     common: Common
 
     def shared_keys(self) -> list[str]:
-        """Coefficients that all records hold, in the order of the last; phases are left out (one per power-up)."""
+        """Coefficients that all records hold, in the order of the last record; without phases (one per power-up)."""
         everywhere = set.intersection(*(set(one) for one in self.by_key))
         return [key for key, c in self.by_key[-1].items() if key in everywhere and c.name != "phi"]
 
@@ -265,16 +265,16 @@ class _Records:
         return CoefficientTrend(key, held[0].unit, points, chart, model, last)
 
     def _model(self, values: Array, variances: Array, shared: Array) -> TrendModel:
-        """The lines so far; without a line where there are too few days."""
+        """The lines up to each day; no line if there are too few days."""
         if self.days[-1] + 1 >= LEAST_DAYS:
             return lines_so_far(self.years, values, variances, self.days, shared)
         merged = merge_by_day(self.years, values, variances, self.days)
         return TrendModel(None, merged.within, merged.freedom, float(np.median(merged.variances)))
 
     def _own_half_widths(self, key: str, held: Sequence[Coefficient], own: Array) -> Array:
-        """Half-width for 95 % of each record's own part: k for its own effective degrees of freedom, times ``own``.
+        """95 % half-width of each record's own part: coverage factor at its effective degrees of freedom, times ``own``.
 
-        ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The shared part of each source is taken off.
+        ``sum(u_i^4/nu_i) = u^4/nu`` over all sources (JCGM 100, G.2b). The common part of each source is subtracted.
         """
         taken_off = {
             source: 1.0 - (1.0 - _shared_part(self.common, source)) ** 2
@@ -293,7 +293,7 @@ class _Records:
     def _expected(
         self, model: TrendModel, values: Array, own: Array, shared: Array
     ) -> tuple[list[Forecast | None], Array, Array]:
-        """What the days before let expect of each record; scores of the records and of the days (nan: too few days)."""
+        """Forecast of each record from earlier days, and scores of records and days (nan: too few days)."""
         late = np.flatnonzero(self.days >= LEAST_DAYS)
         scores, day_scores = np.full(values.size, math.nan), np.full(int(self.days[-1]) + 1, math.nan)
         forecasts: list[Forecast | None] = [None] * values.size
@@ -318,9 +318,9 @@ class _Records:
 
 
 def _shared_part(common: Common, source: str) -> float:
-    """Part of the variance of a source of Type B that all records share.
+    """Share of the variance of a Type B source that is common to all records.
 
-    What is drawn anew in each test is never shared, unless it is named.
+    A source with a new value in each test is not common unless it is named.
     """
     if isinstance(common, Mapping) and source in common:
         return float(common[source])
@@ -330,7 +330,7 @@ def _shared_part(common: Common, source: str) -> float:
 
 
 def common_contributions(key: str, figures: Sequence[CalibrationFigures], common: Common) -> Array:
-    """What each source of Type B does alike in all records, (sources, records), from their budgets."""
+    """Contribution of each Type B source that is common to all records, (sources, records), from their budgets."""
     sources = sorted({row.source for one in figures for row in one.type_b})
     places = {source: i for i, source in enumerate(sources)}
     table = np.zeros((len(sources), len(figures)))
@@ -342,13 +342,13 @@ def common_contributions(key: str, figures: Sequence[CalibrationFigures], common
 
 
 SHORT = 0.25
-"""Years of history below which a drift per year is an extrapolation worth a remark."""
+"""Length of the history [years] below which a drift per year is an extrapolation and gets a remark."""
 
 
 def alarms_in_words(
     trends: Sequence[CoefficientTrend], names: Sequence[str], times: Sequence[dt.datetime]
 ) -> tuple[str, ...]:
-    """What is out of control: records beyond their forecast, and shifts that the moving average shows."""
+    """Alarms: records outside their forecast, and shifts in the moving average."""
     sentences: list[str] = []
     for trend in trends:
         for point, time in zip(trend.points, times, strict=True):
@@ -385,7 +385,7 @@ def remarks_in_words(
     days: NDArray[np.int64],
     span: float,
 ) -> tuple[str, ...]:
-    """What a reader must know to judge the figures."""
+    """Remarks needed to judge the figures."""
     sentences = [*_drifts(trends), *_scatter(trends)]
     count = int(days[-1]) + 1
     if count < 3:
@@ -433,7 +433,7 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def _to_two_digits_of(half: float, number: float) -> str:
-    """A number to the place of the second digit of a half-width, in the notation of the tables: ``−1.45 × 10⁻⁶``."""
+    """A number rounded to the second digit of a half-width, written as in the tables: ``−1.45 × 10⁻⁶``."""
     last = math.floor(math.log10(half)) - 1
     first = math.floor(math.log10(abs(number))) if number else last
     power = first if first < -3 else 0
@@ -442,7 +442,7 @@ def _to_two_digits_of(half: float, number: float) -> str:
 
 
 def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:
-    """Where the scatter of the days contradicts the stated uncertainties, by chi-square."""
+    """Remarks where the scatter of the days contradicts the stated uncertainties, by chi-square."""
     from scipy.special import chdtr, chdtrc
 
     sentences = []

@@ -1,12 +1,12 @@
-"""A straight line through values whose uncertainties are known, with an excess variance, its forecasts and control chart.
+"""A straight line through values with known uncertainties, with an excess variance, forecasts and control chart.
 
-Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i`` with ``var(e_i) = v_i`` stated and ``var(d_i) = tau^2`` estimated
+Model: ``y_i = b_0 + b_1 (t_i - t_0) + d_i + e_i``. ``var(e_i) = v_i`` is stated. ``var(d_i) = tau^2`` is estimated
 from the scatter (Paule and Mandel's condition: the weighted residual sum equals its expectation). Intervals
-use the weighted residual sum and Student's t with ``n - 2`` degrees of freedom (Hartung and Knapp), so that
-with equal ``v_i`` they are those of ordinary least squares, unless the values scatter far less than the stated
-``v_i`` let expect: the sum is not taken below its 20 % quantile.
+use the weighted residual sum and Student's t with ``n - 2`` degrees of freedom (Hartung and Knapp). With equal
+``v_i`` they are those of ordinary least squares, with one exception: the sum is never taken below its 20 %
+quantile, for values that scatter far less than ``v_i``.
 
-One object holds one line (floats) or the lines of many days ((k,) arrays): the same formulas serve both.
+One object holds one line (floats) or the lines of many days ((k,) arrays); the same formulas serve both.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from piga.records.coverage import coverage_factor, welch_satterthwaite
 
 Array = NDArray[np.float64]
 Values = Any
-"""A float, or an array (k,) for as many lines."""
+"""A float for one line, or an array (k,) for k lines."""
 
 LEAST = 0.2
-"""Probability of the quantile below which the weighted residual sum is not believed: chance makes few values agree."""
+"""Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
 DOUBT = 0.01
-"""Probability of a scatter so small (or so large) that it contradicts the stated uncertainties."""
+"""Probability below which a small or large scatter contradicts the stated uncertainties."""
 TINY = 1e-12
-"""Least standard uncertainty taken, relative to the largest value: keeps exact values from infinite weight."""
+"""Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
 LEAST_DAYS = 3
-"""Days that a line with uncertainty needs."""
+"""Fewest days for a line with uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ class Line:
     Attributes
     ----------
     level, slope:
-        Value at ``origin``, where level and slope are not correlated, and change per unit of time.
+        Value at ``origin``, and change per unit of time. The two are not correlated.
     level_variance, slope_variance:
         Their variances from the scatter about the line.
     shared:
-        (2, sources) or (k, 2, sources): what errors that the values share bring into level and slope.
+        (2, sources) or (k, 2, sources): effect of errors common to the values on level and slope.
     excess, stated:
-        Variance ``tau^2`` beyond the stated one, zero if the stated one explains the scatter; mean stated one.
+        Variance ``tau^2`` beyond the stated one, zero if the stated one explains the scatter; mean stated variance.
     scale:
-        Weighted residual sum over ``n - 2`` after the excess: 1, or less when the values scatter less
+        Weighted residual sum over ``n - 2`` with the excess included: 1, or less if the values scatter less
         than stated, but not less than its 20 % quantile.
     chi2:
-        Weighted residual sum with the stated variances alone; has ``n - 2`` degrees of freedom.
+        Weighted residual sum with the stated variances alone; ``n - 2`` degrees of freedom.
     """
 
     origin: Values
@@ -80,14 +80,14 @@ class Line:
         return self.level + self.slope * since, self.level_variance + self.slope_variance * since**2
 
     def shared_at(self, time: Values) -> Array:
-        """(..., sources) what errors that the values share bring into the value at ``time``."""
+        """(..., sources) effect of common errors on the value at ``time``."""
         since = np.asarray(time - self.origin)[..., None]
         return self.shared[..., 0, :] + since * self.shared[..., 1, :]
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Values for a time with their standard uncertainty and (effective) degrees of freedom."""
+    """Values at a time with their standard uncertainty and (effective) degrees of freedom."""
 
     time: Values
     value: Values
@@ -95,11 +95,11 @@ class Forecast:
     degrees_of_freedom: Values
 
     def half_width(self, probability: float = 0.95) -> float:
-        """Half the interval of that probability, by Student's t."""
+        """Half-width of the interval of a probability, by Student's t."""
         return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * float(self.std)
 
     def score(self, value: Values) -> Values:
-        """Deviation of a value from this forecast, as the standard normal number of the same probability."""
+        """Deviation of a value from this forecast, as a standard normal number of the same probability."""
         from scipy.special import ndtri_exp, stdtr
 
         deviation = (value - self.value) / self.std
@@ -109,7 +109,7 @@ class Forecast:
         return np.where(known, deviation, normal)[()]
 
     def rows(self) -> list[Forecast]:
-        """Each of many by itself."""
+        """The forecasts as a list, one per line."""
         columns = (self.time, self.value, self.std, self.degrees_of_freedom)
         return [Forecast(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
@@ -123,7 +123,7 @@ class TrendModel:
     line:
         Line through the day means, None with fewer than three days.
     within, freedom:
-        Variance inside days beyond the stated one (0 without repeats) and its degrees of freedom.
+        Variance within days beyond the stated one (0 without repeats), and its degrees of freedom.
     day_variance:
         Median variance of a day mean.
     """
@@ -134,7 +134,7 @@ class TrendModel:
     day_variance: Values
 
     def take(self, index: int | NDArray[np.int64]) -> TrendModel:
-        """One of many, or several."""
+        """One of many models, or several."""
         line = self.line
         if line is not None:
             line = Line(*(getattr(line, field.name)[index] for field in fields(line)))
@@ -151,24 +151,24 @@ class TrendModel:
         return _combined(1.0, line.slope, parts)
 
     def coefficient_at(self, time: Values) -> Forecast:
-        """The coefficient at a turn-on at that time, with the errors that all records share."""
+        """The coefficient at a turn-on at a time, including common errors of all records."""
         return self._forecast(time, 0.0, self.within, None)
 
     def record_at(self, time: Values, own: Values, shared: Array) -> Forecast:
-        """What a record is expected to show; ``own`` is its own standard uncertainty, ``shared`` the rest."""
+        """Forecast of a record; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
         day = np.where(self.freedom, np.minimum(own**2, self.day_variance), own**2)
         return self._forecast(time, day, self.within + own**2 - day, shared)
 
     def day_at(self, time: Values, variance: Values, shared: Array) -> Forecast:
-        """What the mean of a day's records is expected to be; ``variance`` is its own."""
+        """Forecast of the mean of a day's records; ``variance`` is its own variance."""
         return self._forecast(time, variance, 0.0, shared)
 
     def _forecast(self, time: Values, day: Values, inside: Values, shared: Array | None) -> Forecast:
-        """``day`` and ``inside`` are variances that a value has beside the line's: as a day mean, and more.
+        """Forecast with variances beside that of the line: ``day`` between days, and ``inside`` within the day.
 
-        The scatter of the days gives instability and stated variance together. For a value whose own variance
-        is smaller than theirs the two must be told apart, and that is uncertain: up to half the standard
-        uncertainty of the instability's variance is added, which keeps the intervals near 95 % in simulation.
+        The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
+        needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's
+        variance is therefore added. In simulation this keeps the intervals near 95 %.
         """
         line = self.line
         if line is None:
@@ -201,8 +201,8 @@ def _combined(time: Values, value: Values, parts: tuple[tuple[Values, Values], .
 class Days:
     """Values merged by day: mean time, weighted mean and its variance, (days,) each.
 
-    ``within`` is the variance inside days beyond the stated one (0 without repeats), ``spread`` the
-    pooled standard deviation inside days (nan without repeats), ``freedom`` its degrees of freedom.
+    ``within`` is the variance within days beyond the stated one (0 without repeats), ``spread`` the
+    pooled standard deviation within days (nan without repeats), ``freedom`` its degrees of freedom.
     """
 
     time: Array
@@ -214,7 +214,7 @@ class Days:
 
 
 def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64]) -> Days:
-    """Weighted mean of each day with a common excess variance inside days (Paule and Mandel).
+    """Weighted mean of each day, with a common excess variance within days (Paule and Mandel).
 
     Parameters
     ----------
@@ -242,19 +242,19 @@ def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:
 def lines_so_far(
     time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array
 ) -> TrendModel:
-    """The lines through the days before each day from the fourth on, and last the one through all days.
+    """Lines through the days before each day, from the fourth day on; the last line is through all days.
 
     Parameters
     ----------
     time, values, variances, days:
-        As for :func:`merge_by_day`; variances are those of errors that the values do not share.
+        As for :func:`merge_by_day`; variances of errors that are not common to the values.
     shared:
-        (sources, n) errors that the values share.
+        (sources, n) errors common to the values.
 
     Returns
     -------
     Model
-        Of (days - 2,) lines: the first through three days, the last through all.
+        With (days - 2,) lines: the first through three days, the last through all.
 
     Raises
     ------
@@ -277,7 +277,7 @@ def lines_so_far(
 
 
 def _line(figures: Array, known: Array) -> Line:
-    """The lines from what the kernel gives of each."""
+    """The lines from the results of the kernel."""
     from scipy.special import chdtri
 
     _, origin, level, slope, weight, moment, excess, chi2, residual_sum, stated, _ = figures.T
@@ -299,7 +299,7 @@ def _line(figures: Array, known: Array) -> Line:
 
 
 def _not_exact(values: Array, variances: Array) -> Array:
-    """The variances, none so small that its value would have infinite weight."""
+    """The variances with a lower bound, so that no value has infinite weight."""
     return np.maximum(variances, (TINY * float(np.abs(values).max() or 1.0)) ** 2)
 
 

@@ -7,11 +7,11 @@ unknown and uniform in every stretch:
 
     cov(e_j, e_k) = sum_m c^2/(2 pi^2 m^2) cos(2 pi m (psi_j - psi_k)/c) exp(-2 pi^2 m^2 v_jk/c^2)
 
-with v_jk the variance to which the path from j to k is known: its rate by the estimate, and the random walk.
+v_jk is the variance of the path from j to k: by the uncertainty of its estimated rate, and by the random walk.
 
-Each stretch is projected on its slowest cosines (all its information on rates and ripple), where random
-walk, white noise and quantisation have small full covariance matrices; generalised least squares there
-weights a stretch in which few counts change by what it really tells.
+Each stretch is projected on its slowest cosines, which hold all its information on rates and ripple. There random
+walk, white noise and quantisation have small full covariance matrices. Generalised least squares then gives a
+stretch with few count changes its right weight.
 """
 
 from __future__ import annotations
@@ -48,39 +48,39 @@ from piga.records.run import Run
 Array = NDArray[np.float64]
 
 WHITE = 0.15
-"""White noise, in squared counts, above which counting is dithered and the plain whitening is right (one
-twelfth of it is the counting itself)."""
+"""White noise [squared counts] above which it dithers the counting and plain whitening is right (one twelfth of
+it is the counting itself)."""
 WALKS = 0.1
-"""Random walk from sample to sample, in squared counts, above which it is dithered too."""
+"""Random walk from sample to sample [squared counts] above which it dithers the counting."""
 PASSES = 9
-"""Alternations between path, noise levels and estimate."""
+"""Most alternations between path, noise levels and estimate."""
 TRUSTED = 3
-"""Passes after which the random walk found is let dither the counting: before, what the path misses passes for a
-random walk, and taking its dither for granted ends at no random walk at all."""
+"""Passes before the estimated random walk may dither the counting. Earlier, errors of the path look like a random
+walk; if their dither were used, the iteration would end without a random walk."""
 LEVELS = 6
 """Levels of white noise tried, over three decades."""
 SIGNIFICANT = 0.5
-"""Gain in twice the log-likelihood from which white noise besides the counting is taken as real."""
+"""Gain in twice the log-likelihood above which white noise besides the counting is accepted."""
 SETTLED = 0.03
-"""Relative change of the random walk's variance at which the alternation ends."""
+"""Relative change of the random walk's variance that ends the alternation."""
 WALKS_TRIED = 13
-"""Random walks tried in each of three rounds, ever closer to the likely ones."""
+"""Trial random walks in each of three rounds, in ever narrower ranges."""
 UNLIKELY = 18.0
-"""Twice the loss of logarithmic probability beyond which a random walk is looked at no more."""
+"""Loss in twice the log-probability above which a random walk is dropped."""
 LONG = 1 << 16
-"""Rows from which a look at the saw-tooth along the path comes first: one that is white costs nothing else."""
+"""Rows above which the saw-tooth along the path is tested first. If it is white, no more is computed."""
 SAME = 0.05
-"""Counts, over the number of harmonics, by which a path may move before it is followed again."""
+"""Largest motion of the path, in counts over the number of harmonics, before it is followed again."""
 SPREADS = (0.5, 0.2)
-"""Uncertainty of the path over a stretch [counts] in the first passes, when there is no estimate to trust."""
+"""Uncertainty of the path over a stretch [counts] in the first passes, before there is an estimate."""
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """All stretches of a record projected on K contrasts: rows (S, K, m + 1), covariances of unit noises.
+    """All stretches of a record projected on K contrasts: rows (S, K, m + 1) and covariances of unit noises.
 
-    ``walk`` (S, K, K) per rad^2/s, ``white`` (S, K, K) per rad^2, ``counting`` (M + 1, S, K, K) per harmonic
-    and of all further ones together [rad^2]; ``segment`` (S,) of each.
+    ``walk`` (S, K, K) per rad^2/s, ``white`` (S, K, K) per rad^2. ``counting`` (M + 1, S, K, K) per harmonic,
+    and for all further harmonics together [rad^2]. ``segment`` (S,) of each stretch.
     """
 
     rows: Array
@@ -94,7 +94,7 @@ class Stretches:
 
     @classmethod
     def of(cls, design: Design, modes: int, count: float) -> Stretches:
-        """Rows and covariances of a design, without those of the counting."""
+        """Rows and covariances of a design, without the covariances of the counting."""
         parts = find_stretches(design, modes)
         return cls(
             np.array([part.rows for part in parts]),
@@ -108,7 +108,7 @@ class Stretches:
         )
 
     def along(self, path: Path, noise: Noise, spread: float) -> Stretches:
-        """The same with the covariances of the counting along a path."""
+        """The stretches with the covariances of the counting along a path."""
         counting = counting_covariances(path.teeth, path.solution, self.design.groups, noise.walk, spread)
         return replace(self, counting=counting)
 
@@ -128,7 +128,7 @@ class Stretches:
 
 @dataclass(frozen=True)
 class Path:
-    """The path of a solution, and the saw-tooth of the counting along it (or one that is nearly the same)."""
+    """The path of a solution, and the saw-tooth of the counting along it or along a nearly equal path."""
 
     solution: Solution
     teeth: list[SawTooth] = field(repr=False)
@@ -141,7 +141,7 @@ class Path:
         return cls(solution, teeth, solution.values)
 
     def next(self, stretches: Stretches, solution: Solution) -> Path:
-        """The path of another solution; followed again only where it is another one."""
+        """The path of another solution; it is followed again only if it differs."""
         finest = max(len(tooth.cosines) for tooth in self.teeth)
         if stretches.moved(solution.values - self.followed) < SAME * stretches.count / finest:
             return replace(self, solution=solution)
@@ -156,7 +156,7 @@ def _shares(count: float) -> Array:
 
 @dataclass(frozen=True)
 class Counted:
-    """Weights found for a coarsely counted record: its stretches, noise besides the counting, contrasts used.
+    """Weights for a coarsely counted record: its stretches, noise besides the counting, number of contrasts.
 
     ``walks``: random walks [rad^2/s] that the record allows, and their probabilities.
     """
@@ -193,7 +193,7 @@ class Counted:
 
 
 def count_of(run: Run) -> float:
-    """Angle of one count [rad]: as stated, or seen in a log whose steps are all multiples of one; else 0."""
+    """Angle of one count [rad]: as stated, or seen from steps that are all multiples of one value; else 0."""
     if run.resolution > 0.0 or run.kind == "rate":
         return run.resolution
     steps = np.abs(np.diff(run.output[:4096]))
@@ -260,7 +260,7 @@ def _is_white(design: Design, solution: Solution, modes: int, count: float) -> b
 
 
 def _rows(stretches: Stretches, values: Array | None) -> Array:
-    """Rows ``[x | y]``; with ``values`` (segments, m), taken as they are (several phases), the rest ``[y]`` alone."""
+    """Rows ``[x | y]``; with ``values`` (segments, m) (several phases), only the residual rows ``[y]``."""
     if values is None:
         return stretches.rows
     modelled = np.einsum("skm,sm->sk", stretches.rows[:, :, :-1], values[stretches.segment])
@@ -270,7 +270,7 @@ def _rows(stretches: Stretches, values: Array | None) -> Array:
 def _levels(
     rows: Array, stretches: Stretches, white: float, *, again: bool
 ) -> tuple[Noise, tuple[Array, Array]]:
-    """Noise besides the counting by restricted likelihood: the random walk, ``again`` with the white noise."""
+    """Noise besides the counting by restricted likelihood: the random walk; with ``again`` also white noise."""
     walk, walks = _likely_walks(rows, stretches, white)
     if again:
         levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, LEVELS)
@@ -280,10 +280,10 @@ def _levels(
 
 
 def _likely_walks(rows: Array, stretches: Stretches, white: float) -> tuple[float, tuple[Array, Array]]:
-    """The random walk to weight by, those that the record allows, and their probabilities.
+    """The random walk for the weights, the random walks that the record allows, and their probabilities.
 
-    Restricted likelihood times Jeffreys' prior (the root of its Fisher information), which gives Student's t
-    where the random walk is all there is. The one to weight by has the mean precision of the slowest contrast.
+    Restricted likelihood times Jeffreys' prior (the root of its Fisher information). It gives Student's t if there is
+    only random walk. The random walk for the weights has the mean precision of the slowest contrast.
     """
     flat, eigen = _diagonal(rows, stretches, white)
     strongest = float(np.median(eigen.reshape(len(rows), -1)[:, -1]))
@@ -303,7 +303,7 @@ def _likely_walks(rows: Array, stretches: Stretches, white: float) -> tuple[floa
 
 
 def _log_probability(flat: Array, eigen: Array, walk: float) -> float:
-    """Twice the logarithm of restricted likelihood times root of Fisher information, of a random walk."""
+    """Twice the log of restricted likelihood times root of Fisher information, for a random walk."""
     size = 1.0 + walk * eigen
     q, r = np.linalg.qr(flat / np.sqrt(size)[:, None])
     diagonal, share, basis = np.abs(np.diag(r)), eigen / size, q[:, :-1]
@@ -322,7 +322,7 @@ def _diagonal(rows: Array, stretches: Stretches, white: float) -> tuple[Array, A
 
 
 def _best(deviance: Callable[[float], float], levels: Array) -> float:
-    """Level of least deviance (parabola through the best on the logarithmic grid); 0 unless that is clearly worse."""
+    """Level of least deviance (parabola through the best on the logarithmic grid); 0 unless 0 is clearly worse."""
     deviances = np.array([deviance(level) for level in levels])
     at = int(np.argmin(deviances))
     best = float(levels[at])

@@ -1,4 +1,4 @@
-"""Noise levels of the output, found from the residual increments by maximum likelihood."""
+"""Noise levels of the output, estimated from the residual increments by maximum likelihood."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Information = Callable[[Array], Array]
 """``log|X' V^-1 X|`` (up to a constant) as a function of ``log10(q h/r)``."""
 
 LOWEST, HIGHEST = -10.0, 4.0
-"""Range of ``log10(q h/r)`` searched: from pure angle noise to pure random walk."""
+"""Search range of ``log10(q h/r)``: from pure angle noise to pure random walk."""
 SAMPLE = 1 << 17
-"""Increments that the first, coarse passes over a long record look at."""
+"""Increments used by the first, coarse passes over a long record."""
 SIGNIFICANT = 1.5
-"""Gain in twice the log-likelihood from which a random walk is weighted by; a fainter one goes into the covariance
-alone (:mod:`piga.calibration.intervals.faint_walk`)."""
+"""Gain in twice the log-likelihood above which a random walk enters the weights. A smaller one enters only the
+covariance (:mod:`piga.calibration.intervals.faint_walk`)."""
 NEGLIGIBLE = 1e-3
-"""Gain up to which a level makes no difference to the weights: it is left as found."""
+"""Gain below which a level does not affect the weights and is left as it is."""
 REFINEMENTS = 4
-"""Passes over the residuals; one less when the ratio is known to a decade."""
+"""Passes over the residuals; one less if the ratio is known to a decade."""
 
 
 @dataclass(frozen=True)
 class Noise:
     """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s].
 
-    Besides them one of two slow noises: a bias ``drift`` [rad^2/s^3], a random walk of the rate; ``scatter``
-    [rad^2/s^2] of the rate from segment to segment. ``stated`` [rad^2/s^2] is the variance of the rate of each segment
-    that the run file states (what is set anew at each position); empty where it states none.
+    There may also be one of two slow noises. A bias ``drift`` [rad^2/s^3] is a random walk of the rate. ``scatter``
+    [rad^2/s^2] is the variance of the rate from segment to segment. ``stated`` [rad^2/s^2] is the variance of the rate of
+    each segment by the run file (sources with a new value at each position); empty if it states none.
     """
 
     white: float
@@ -47,7 +47,7 @@ class Noise:
 
     @property
     def scattered(self) -> Array | None:
-        """Variance of the rate of each segment, stated and found [rad^2/s^2]; None where it is ``scatter`` or none."""
+        """Variance of the rate of each segment, stated and estimated [rad^2/s^2]; None without a stated part."""
         return np.array(self.stated) + self.scatter if self.stated else None
 
     @property
@@ -72,19 +72,19 @@ class Noise:
 
     @property
     def slow(self) -> float:
-        """Level of the slow noise, whichever it is."""
+        """Level of the slow noise, drift or scatter."""
         return self.drift + self.scatter
 
     def slower(self, factor: float) -> Noise:
-        """The same with ``factor`` times the slow noise."""
+        """The levels with ``factor`` times the slow noise."""
         return replace(self, drift=factor * self.drift, scatter=factor * self.scatter)
 
     def without_slow(self) -> Noise:
-        """White noise and random walk, and what is stated."""
+        """White noise, random walk and the stated scatter."""
         return replace(self, drift=0.0, scatter=0.0)
 
     def close_to(self, other: Noise, step: float, tolerance: float = 0.02) -> bool:
-        """True when both give nearly the same weights: variances of an increment and of a long span agree."""
+        """True if both give nearly the same weights: equal variances of an increment and of a long span."""
         short = (2.0 * self.white + self.walk * step) / (2.0 * other.white + other.walk * step)
         total = self.walk * step + 1e-4 * self.white
         other_total = other.walk * step + 1e-4 * other.white
@@ -107,12 +107,12 @@ def find_noise(
 ) -> Noise:
     """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
 
-    Maximises the restricted likelihood of the first-order moving average (docs/theory/calibration) concentrated
-    over its scale, on a grid of the ratio kappa = q/r refined ``REFINEMENTS`` times:
-    ``(n - m) log S + sum log v + log|X' V^-1 X|`` with m ``parameters`` fitted. The last term, what the fit
-    itself took out of the slow noise, is ``information`` of ``log10(kappa h)``; without it the fit's part is
-    left out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
-    around levels found before.
+    It maximises the restricted likelihood of the first-order moving average (docs/theory/calibration), concentrated
+    over its scale, on a grid of the ratio kappa = q/r that is refined ``REFINEMENTS`` times:
+    ``(n - m) log S + sum log v + log|X' V^-1 X|``, with m ``parameters`` fitted. The last term is the slow noise that the
+    fit took up; it is ``information`` as a function of ``log10(kappa h)``. Without ``information`` it is left
+    out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
+    around earlier levels.
     """
     count = sum(int(np.count_nonzero(h[rows] > 0.0)) for rows in spans(h.size))
     freedom = max(count - parameters, 1)
@@ -152,7 +152,7 @@ def find_noise(
 
 
 def least_on_grid(grid: Array, objective: Array) -> float:
-    """Grid point of the least objective, refined by the parabola through its neighbours."""
+    """Grid point of the least objective, refined by a parabola through its neighbours."""
     at = int(np.argmin(objective))
     if at in (0, grid.size - 1):
         return float(grid[at])
@@ -163,7 +163,7 @@ def least_on_grid(grid: Array, objective: Array) -> float:
 
 
 def natural_spline(x: Array, y: Array) -> Information:
-    """Cubic spline through points (n,), its second derivative 0 at both ends; beyond them the outer cubics go on."""
+    """Natural cubic spline through points (n,); the outer cubics continue outside."""
     h, last = np.diff(x), x.size - 1
     slope, inner = np.diff(y) / h, np.arange(1, last)
     matrix, right = np.eye(x.size), np.zeros(x.size)
@@ -182,7 +182,7 @@ def natural_spline(x: Array, y: Array) -> Information:
 
 
 def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
-    """Sums of the likelihood over the record, two halves on two threads."""
+    """Sums of the likelihood over the record; two threads compute one half each."""
     middle = d.size // 2
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
     results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]

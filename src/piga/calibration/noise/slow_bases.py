@@ -1,7 +1,7 @@
-"""Slow noise of the rate as a few columns of the angle: a random walk, or a rate of its own in every segment.
+"""Slow noise of the rate as a few angle columns: a random walk, or a rate of its own in every segment.
 
-``size`` columns are whitened with the rows of a segment; in the factor of a record they are ``count`` columns,
-``placed`` by segment. Own derivation, docs/theory.
+A segment has ``size`` such columns, which are whitened with its rows. The factor of a record has ``count`` columns;
+``placed`` puts the columns of a segment there. Own derivation, docs/theory.
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ from piga.records.run import Run
 Array = NDArray[np.float64]
 
 FEWEST, MOST_SEGMENTS = 4, 128
-"""Segments from which on and up to which a scatter of their rates is looked for."""
+"""Fewest and most segments for the scatter search."""
 
 
 class NoiseColumns(Protocol):
-    """Columns of slow noises: independent numbers move the rate."""
+    """Columns of slow noises: independent random numbers change the rate."""
 
     @property
     def size(self) -> int:
-        """Columns beside those of a segment's rows."""
+        """Number of noise columns of a segment."""
 
     @property
     def count(self) -> int:
-        """Columns in the factor of a record: independent numbers."""
+        """Number of noise columns in the factor of a record: the independent numbers."""
 
     def angle(self, t: Array) -> Array:
-        """Angle (size, n) that numbers of one add up to the times ``t`` (n,)."""
+        """Angle (size, n) at the times ``t`` (n,) if the numbers are one."""
 
     def increments(self, t: Array, h: Array) -> Array:
         """Columns (size, n) of the increments that end at ``t`` and last ``h``."""
 
     def placed(self, factor: Array, segment: int) -> Array:
-        """A segment's factor ``[noise | rest]`` of ``size`` columns and more, with ``count`` columns in place of them."""
+        """A segment's factor ``[noise | rest]``, its ``size`` noise columns expanded to ``count``."""
 
 
 class SlowBasis(NoiseColumns, Protocol):
-    """Columns of a slow noise: its numbers are of one variance."""
+    """Columns of one slow noise; its numbers have equal variance."""
 
     def noise(self, other: Noise, variance: float) -> Noise:
-        """The levels ``other`` with this noise, numbers of ``variance`` [rad^2/s^2]."""
+        """The levels ``other`` with this noise; its numbers have ``variance`` [rad^2/s^2]."""
 
     def unit(self) -> float:
-        """Variance of the numbers for a level of one."""
+        """Variance of the numbers at level one."""
 
 
 @dataclass(frozen=True)
 class DriftBasis:
-    """The rate is a sum of KNOTS ramps, each from 0 to its own step within ``spacing`` [s], zero at the middle.
+    """The rate is a sum of KNOTS ramps and is zero at the middle. A ramp rises from 0 to its step in ``spacing`` [s].
 
-    The steps of a random walk are independent and of one variance. Zero at the middle of the record: a bias
-    estimated with it is the bias there.
+    The steps of a random walk are independent with equal variance. Because the drift is zero at the middle of the
+    record, an estimated bias is the bias there.
     """
 
     start: float
@@ -68,12 +68,12 @@ class DriftBasis:
 
     @classmethod
     def of(cls, run: Run) -> DriftBasis:
-        """That of a record, over all its stretches and the time between them."""
+        """Basis for one record, over all its stretches and the gaps between them."""
         first, last = float(run.t[0]), float(run.t[-1])
         return cls(first, (last - first) / KNOTS)
 
     def angle(self, t: Array) -> Array:
-        """Angle (KNOTS, n) that unit steps add from the start to the times ``t`` (n,)."""
+        """Angle (KNOTS, n) at the times ``t`` (n,) by unit steps from the start."""
         at = (t - self.start) / self.spacing
         since = np.maximum(at - np.arange(KNOTS)[:, None], 0.0)
         ramp = np.where(since < 1.0, 0.5 * since**2, since - 0.5)
@@ -82,7 +82,7 @@ class DriftBasis:
         return angle
 
     def increments(self, t: Array, h: Array) -> Array:
-        """Columns (KNOTS, n) of the increments that end at ``t`` and last ``h``; zero where none is formed."""
+        """Columns (KNOTS, n) of the increments that end at ``t`` and last ``h``; zero without an increment."""
         formed = h > 0.0
         columns: Array = (self.angle(t) - self.angle(t - h * formed)) * formed
         return columns
@@ -92,7 +92,7 @@ class DriftBasis:
         return factor
 
     def noise(self, other: Noise, variance: float) -> Noise:
-        """The levels ``other`` with a bias drift of steps of ``variance`` [rad^2/s^2]."""
+        """The levels ``other`` with a bias drift; its steps have ``variance`` [rad^2/s^2]."""
         return replace(other, drift=variance / self.spacing, scatter=0.0)
 
     def unit(self) -> float:
@@ -102,14 +102,14 @@ class DriftBasis:
 
 @dataclass(frozen=True)
 class SegmentBasis:
-    """Rates that scatter from segment to segment: each has its own, independent and of one variance."""
+    """Rates that scatter from segment to segment, independent and with equal variance."""
 
     starts: Array = field(repr=False)
     size: int = field(default=1, init=False)
 
     @classmethod
     def of(cls, run: Run) -> SegmentBasis:
-        """That of a record."""
+        """Basis for one run."""
         return cls(np.asarray(run.t[run.segment_edges()[:-1]]))
 
     @property
@@ -118,7 +118,7 @@ class SegmentBasis:
         return self.starts.size
 
     def angle(self, t: Array) -> Array:
-        """Time since the beginning of the own segment (1, n)."""
+        """Time since the beginning of the segment (1, n)."""
         own = np.maximum(np.searchsorted(self.starts, t, side="right") - 1, 0)
         angle: Array = (t - self.starts[own])[None]
         return angle
@@ -128,7 +128,7 @@ class SegmentBasis:
         return h[None]
 
     def placed(self, factor: Array, segment: int) -> Array:
-        """A column for every segment, zero in all but its own."""
+        """One column per segment, zero in all other segments."""
         own = np.zeros((len(factor), self.count))
         own[:, segment] = factor[:, 0]
         return np.hstack([own, factor[:, 1:]])
@@ -144,23 +144,23 @@ class SegmentBasis:
 
 @dataclass(frozen=True)
 class BesideStated:
-    """Columns of another slow noise, if any, behind those of rates that scatter from segment to segment."""
+    """Columns of the scatter from segment to segment, followed by those of another slow noise, if any."""
 
     segments: SegmentBasis
     other: SlowBasis | None
 
     @property
     def size(self) -> int:
-        """Columns beside those of a segment's rows."""
+        """Number of noise columns of a segment."""
         return 1 + (0 if self.other is None else self.other.size)
 
     @property
     def count(self) -> int:
-        """One number for each segment, and those of the other noise."""
+        """One number per segment, and those of the other noise."""
         return self.segments.count + (0 if self.other is None else self.other.count)
 
     def angle(self, t: Array) -> Array:
-        """Angle (size, n) that numbers of one add up to the times ``t`` (n,)."""
+        """Angle (size, n) at the times ``t`` (n,) if the numbers are one."""
         own = self.segments.angle(t)
         return own if self.other is None else np.vstack([own, self.other.angle(t)])
 
@@ -170,14 +170,14 @@ class BesideStated:
         return own if self.other is None else np.vstack([own, self.other.increments(t, h)])
 
     def placed(self, factor: Array, segment: int) -> Array:
-        """A column for every segment, then those of the other noise, then the rest."""
+        """One column per segment, then those of the other noise, then the rest."""
         own = self.segments.placed(factor[:, :1], segment)
         rest = factor[:, 1:] if self.other is None else self.other.placed(factor[:, 1:], segment)
         return np.hstack([own, rest])
 
 
 def slow_bases(run: Run) -> tuple[SlowBasis, ...]:
-    """What may move the rate of a record: a bias drift; scatter from segment to segment where there are some."""
+    """Slow noises to search in a record: bias drift, and scatter if there are enough segments."""
     drift = DriftBasis.of(run)
     few = not FEWEST <= len(run.labels) <= MOST_SEGMENTS
     return (drift,) if few else (drift, SegmentBasis.of(run))

@@ -1,9 +1,9 @@
-"""Stretches of a coarsely counted record: projected on their slowest cosines, and the saw-tooth of the counts along them.
+"""Stretches of a coarsely counted record: their slowest cosines, and the saw-tooth of the counts along them.
 
-A stretch is what lies between two breaks of the output. Its samples are averaged over bins and the bins projected on
-contrasts; both are sums over samples, so that a record of any length is projected in a bounded memory.
-The waves ``exp(2 pi i m alpha/c)`` of the saw-tooth are summed over the bins of every stretch once for a path. Their
-covariance follows from them for any random walk.
+A stretch is the record between two breaks of the output. Its samples are averaged over bins, and the bins are
+projected on contrasts. Both are sums over samples, so memory is bounded for any length of record.
+The waves ``exp(2 pi i m alpha/c)`` of the saw-tooth are summed over the bins of every stretch once per path. Their
+covariance for any random walk follows from these sums.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from piga.records.spool import extent
 Array = NDArray[np.float64]
 
 LEAST, LOST = 8, 0.01
-"""Samples of a stretch that is used at all; share of all samples up to which short stretches are not."""
+"""Fewest samples of a used stretch; largest share of all samples in unused short stretches."""
 MODES = 24
-"""Cosines per stretch at least; four more per turn of the output and order of the model."""
+"""Fewest cosines per stretch; four more per turn of the output and order of the model."""
 MOST_MODES = 160
 
 
@@ -34,8 +34,8 @@ MOST_MODES = 160
 class Stretch:
     """Rows ``start`` to ``stop`` of a segment, bin edges counted in its good samples, contrasts (K, bins).
 
-    ``limits`` are the first and last time [s], ``span`` is largest less least reading [rad]. Filled by one pass over
-    the record: sums over the bins of the angle columns (m + 1, bins) and of the time, the angle columns at the end.
+    ``limits`` are the first and last time [s]; ``span`` is largest minus smallest reading [rad]. One pass over the record
+    fills the sums over the bins, of the angle columns (m + 1, bins) and of the time, and the angle columns at the end.
     """
 
     segment: int
@@ -51,7 +51,7 @@ class Stretch:
 
     @classmethod
     def of(cls, run: Run, start: int, stop: int, size: int, modes: int, columns: int) -> Stretch:
-        """An empty one of ``size`` good samples."""
+        """An empty stretch of ``size`` good samples."""
         bins = min(size, 4 * modes)
         edges = np.linspace(0, size, bins + 1).astype(np.int64)
         least, most = extent(run.output[start:stop])
@@ -79,11 +79,11 @@ class Stretch:
         return self.contrasts @ self.mean(self.angle).T
 
     def mean(self, sums: Array) -> Array:
-        """Means over the bins from sums over them, last axis."""
+        """Means over the bins (last axis) from sums."""
         return sums / np.diff(self.edges)
 
     def add(self, sums: Array, first: int, values: Array) -> None:
-        """Add good samples (.., n) behind the first ``first`` ones to sums over the bins."""
+        """Add good samples (.., n) that follow the first ``first`` ones to sums over the bins."""
         low = int(np.searchsorted(self.edges, first, side="right")) - 1
         high = int(np.searchsorted(self.edges, first + values.shape[-1], side="left"))
         cuts = np.maximum(self.edges[low:high] - first, 0)
@@ -91,7 +91,7 @@ class Stretch:
 
 
 def modes_of(design: Design) -> int:
-    """Contrasts per stretch: enough for the ripple of the fastest one, no more than the shortest allows; 0: none."""
+    """Contrasts per stretch: enough for the fastest ripple, but no more than the shortest stretch allows; 0: none."""
     run = design.run
     starts, stops, _ = _limits(run)
     turns = float(np.abs(run.output[stops - 1] - run.output[starts]).max()) / (2.0 * math.pi)
@@ -100,14 +100,14 @@ def modes_of(design: Design) -> int:
 
 
 def most_modes(run: Run) -> int:
-    """Contrasts that the stretches of a record have, the shortest left out that hold a hundredth of its samples."""
+    """Most contrasts for all stretches, except the shortest ones that hold a hundredth of the samples."""
     sizes = np.sort(_limits(run)[2])
     usable = sizes[(np.cumsum(sizes) > LOST * sizes.sum()) & (sizes >= LEAST)]
     return int(usable.min()) - 2 if usable.size else 0
 
 
 def _limits(run: Run) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """First row of every stretch, the row behind it, and its number of good samples."""
+    """First row, end row and number of good samples of every stretch."""
     starts = np.flatnonzero(run.begins)
     stops = np.append(starts[1:], run.size)
     if run.left_out is None:
@@ -117,7 +117,7 @@ def _limits(run: Run) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.
 
 
 def empty_stretches(run: Run, modes: int, columns: int) -> list[Stretch]:
-    """All stretches long enough for so many contrasts."""
+    """All stretches that are long enough for this number of contrasts."""
     return [
         Stretch.of(run, int(start), int(stop), int(size), modes, columns)
         for start, stop, size in zip(*_limits(run), strict=True)
@@ -138,9 +138,9 @@ def find_stretches(design: Design, modes: int) -> list[Stretch]:
 def angle_pieces(
     stretches: list[Stretch], parts: Iterator[tuple[Block, Array]]
 ) -> Iterator[tuple[Stretch, int, NDArray[np.int64] | slice, Array]]:
-    """Stretch, its good samples before, rows of the next ones, and angles (.., n) there since its start, in order.
+    """In order: stretch, its number of earlier good samples, rows of the next ones, and their angles since its start.
 
-    ``parts`` are the blocks of a record with the increments (.., n) to be summed.
+    The angles have shape (.., n). ``parts`` are the blocks of a record with the increments (.., n) to sum.
     """
     index, carry, seen = 0, np.zeros(0), 0
     for block, increments in parts:
@@ -174,14 +174,14 @@ def _good(block: Block, low: int, high: int) -> tuple[NDArray[np.int64] | slice,
 
 
 def _from_zero(block: Block, increments: Array) -> tuple[int, Array]:
-    """First row and increments of a block; the first row of all, which ends no increment, is put before."""
+    """First row and increments of a block. The first row of the record, which ends no increment, is prepended."""
     if block.start != 1:
         return block.start, increments
     return 0, np.concatenate([np.zeros_like(increments[..., :1]), increments], axis=-1)
 
 
 def _contrasts(modes: int, bins: int) -> Array:
-    """Slowest cosines of the second kind, and the difference of the ends (which a random walk is known by)."""
+    """Slowest cosines of the second kind, and the difference of the ends, which shows a random walk."""
     at = (np.arange(bins) + 0.5) / bins
     cosines = math.sqrt(2.0 / bins) * np.cos(np.pi * np.arange(1, modes)[:, None] * at)
     ends = np.zeros(bins)
@@ -203,17 +203,17 @@ def white_covariance(stretch: Stretch) -> Array:
 HARMONICS = 8
 """Harmonics of the saw-tooth that white noise damps one by one."""
 FINE, SHORT = 24, 10_000
-"""Harmonics followed in stretches up to so many samples (else those above); the rest counts as white."""
+"""Harmonics followed in stretches of up to so many samples (else ``HARMONICS``); the rest counts as white."""
 SLOW, FINEST = 4.0, 96
-"""Counts in a stretch up to which so many harmonics of the saw-tooth are followed."""
+"""Most counts in a stretch for which ``FINEST`` harmonics are followed; that number."""
 MOST_DAMPED = 0.5
-"""Damping by the errors of the estimate that is taken out at most, as a share of that by the random walk."""
+"""Largest correction for damping by errors of the estimate, as a share of the damping by the random walk."""
 GROUPS, EVEN, RARE = 4, 0.6, 7.0
-"""Slow to fast groups of contrasts in which the mean power of the saw-tooth over that of white noise is looked at, by
-how much it may differ from one there, and how much of it any contrast may have beyond the logarithm of their number
-(it is exponentially distributed)."""
+"""Test of the saw-tooth against white noise. Number of contrast groups, slow to fast; allowed difference of their mean
+power ratio from one; allowed ratio of a single contrast beyond the logarithm of their number (the ratio is
+exponentially distributed)."""
 LOOKED = 160
-"""Contrasts in all stretches together that are looked at, where the stretches have as many."""
+"""Contrasts in all stretches together for this test, if the stretches have as many."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class SawTooth:
 
     @classmethod
     def of(cls, stretch: Stretch, count: float) -> SawTooth:
-        """Nothing gathered yet."""
+        """An empty saw-tooth."""
         followed = FINE if stretch.size <= SHORT else HARMONICS
         if stretch.span < SLOW * count:
             followed = FINEST
@@ -241,11 +241,11 @@ class SawTooth:
         return variances
 
     def covariance(self, walk: float, spread: float) -> Array:
-        """Covariance of the contrasts by each harmonic, and all others (HARMONICS + 1, K, K) [rad^2].
+        """Covariance of the contrasts by each harmonic, and by all others (HARMONICS + 1, K, K) [rad^2].
 
-        The path wanders by a random walk of ``walk`` [counts^2/s]: what is out of phase by then is not correlated. A
-        line along it is uncertain by a further ``spread`` [counts^2] at the ends against each other; a negative one
-        takes away damping that is already in the path. Harmonics beyond those followed are white.
+        The path moves by a random walk of ``walk`` [counts^2/s], which reduces the correlation of the waves. The ends of a
+        line along the path have a further relative uncertainty ``spread`` [counts^2]. A negative ``spread`` removes
+        damping that is already in the path. Harmonics beyond those followed are white.
         """
         stretch, phi, bins = self.stretch, self.stretch.contrasts, self.stretch.time.size
         times = stretch.mean(stretch.time)
@@ -258,7 +258,7 @@ class SawTooth:
         return phi @ harmonics @ phi.T
 
     def over_white(self) -> Array:
-        """Power of the harmonics followed in each contrast (K,), over that of white noise of the same variance."""
+        """Power of the followed harmonics in each contrast (K,), relative to white noise of the same variance."""
         stretch, phi = self.stretch, self.stretch.contrasts
         waves = [phi @ stretch.mean(part).T for part in (self.cosines, self.sines)]
         white = (phi**2 / np.diff(stretch.edges)).sum(axis=1) * self.power.sum()
@@ -266,7 +266,7 @@ class SawTooth:
 
 
 def follow(design: Design, stretches: list[Stretch], count: float, values: Array) -> list[SawTooth]:
-    """The saw-tooth of every stretch along the path that column coefficients ``values`` (segments, m) give."""
+    """The saw-tooth of every stretch along the path of column coefficients ``values`` (segments, m)."""
     teeth = {stretch.start: SawTooth.of(stretch, count) for stretch in stretches}
     output = design.run.output
     for stretch, first, rows, residual in angle_pieces(stretches, _residuals(design, values)):
@@ -277,13 +277,13 @@ def follow(design: Design, stretches: list[Stretch], count: float, values: Array
 
 
 def _residuals(design: Design, values: Array) -> Iterator[tuple[Block, Array]]:
-    """Blocks with their observed less modelled increments."""
+    """Blocks with observed minus modelled increments."""
     for block in design.blocks():
         yield block, block.columns[-1] - values[block.segment] @ block.columns[:-1]
 
 
 def looks_white(teeth: list[SawTooth]) -> bool:
-    """True where the saw-tooth along its path has the power that white noise has in slow and fast contrasts alike."""
+    """True if the saw-tooth has the power of white noise in slow and fast contrasts."""
     over = np.stack([tooth.over_white()[:-1] for tooth in teeth])
     even = all(abs(part.mean() - 1.0) < EVEN for part in np.array_split(over, GROUPS, axis=1))
     return bool(even and over.max() < RARE + math.log(over.size))
@@ -294,7 +294,7 @@ def counting_covariances(
 ) -> Array:
     """Covariances (HARMONICS + 1, S, K, K) by the counting along a path [rad^2].
 
-    ``walk`` [rad^2/s] is the random walk, ``spread`` [counts] what the path is uncertain by beside the solution.
+    ``walk`` [rad^2/s] is the random walk; ``spread`` [counts] is the uncertainty of the path besides the solution.
     """
     covariances = []
     for tooth in teeth:
@@ -304,7 +304,7 @@ def counting_covariances(
 
 
 def _damped(stretch: Stretch, solution: Solution, groups: tuple[int, ...], walk: float) -> float:
-    """Variance [rad^2] by which waves along the estimated path are damped already, on average."""
+    """Mean variance [rad^2] by which waves along the estimated path are already damped."""
     jacobian = solution.jacobians[groups[stretch.segment]]
     far = stretch.end[:-1]
     damped = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)

@@ -1,4 +1,4 @@
-"""From blocks to per-segment summaries: whitening, and the residuals of an estimate."""
+"""Weight rows: from blocks to summaries per segment by whitening, and the residuals of an estimate."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from piga.records.spool import arrays_like
 Array = NDArray[np.float64]
 
 FIXED = 1e-12
-"""Variance of the rate of a segment that does not scatter, over that of the one that scatters most."""
+"""Variance of the rate of a segment without scatter, relative to the largest scatter."""
 RATE = "rate of the segment"
-"""Name of the column of a scatter until it is integrated out."""
+"""Name of the scatter column before it is integrated out."""
 
 
 @dataclass
 class Whitener:
-    """Whitens blocks in order; carries the recursion from block to block.
+    """Whitens blocks in order; its state continues from block to block.
 
     ``mode`` is ``"increments"`` (moving-average noise), ``"rates"`` (each increment divided by its
     interval, equal weights: the rate method) or ``"samples"`` (a rate log, equal weights).
@@ -70,7 +70,7 @@ def weighting_mode(design: Design, method: str) -> str:
 def weighted_blocks(
     design: Design, mode: str, noise: Noise, basis: NoiseColumns | None = None
 ) -> Iterator[tuple[Block, Array]]:
-    """Blocks with their weighted columns, in order; those of a slow noise come before the last."""
+    """Blocks with their weighted columns in order; columns of a slow noise precede the last."""
     whitener = Whitener(mode, noise, len(design.names) + (0 if basis is None else basis.size) + 1)
     for block in design.blocks():
         yield block, whitener.apply_columns(_with_slow(design, block, basis), block.h)
@@ -85,9 +85,9 @@ def _with_slow(design: Design, block: Block, basis: NoiseColumns | None) -> Arra
 
 
 def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
-    """Share c by which ``x - c b (b'x)`` makes rows white that are so but for a rate of ``variance`` along b, ``b'b = square``.
+    """Share c for which ``x - c b (b'x)`` whitens rows that are white but for a rate along b; ``b'b = square``.
 
-    ``(I + v b b')^-1/2 = I - c b b'``, ``c = (1 - (1 + v b'b)^-1/2)/b'b``.
+    The rate has ``variance`` v. ``(I + v b b')^-1/2 = I - c b b'``, ``c = (1 - (1 + v b'b)^-1/2)/b'b``.
     """
     size = np.asarray(square, dtype=float)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -98,10 +98,9 @@ def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
 def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
     """One summary per segment of the weighted rows.
 
-    With a bias drift the summaries have its columns behind those of the model, and what is known of its steps
-    beforehand is in the first one;
-    :func:`~piga.calibration.model.solution.solve` integrates it out. A scatter of the segments, stated or found, is
-    integrated out of each.
+    A bias drift adds its columns after those of the model. The first summary also holds the prior of its steps;
+    :func:`~piga.calibration.model.solution.solve` integrates the drift out. A scatter of the segments, stated or
+    estimated, is integrated out of each summary.
     """
     if mode != "increments":
         return _absorbed(design, design.names, weighted_blocks(design, mode, noise))
@@ -119,7 +118,7 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
 def _reduce_scattered(
     design: Design, mode: str, noise: Noise, drift: DriftBasis | None, names: tuple[str, ...]
 ) -> list[Reduction]:
-    """With rates that scatter: that of each segment, known to be zero with its variance, is integrated out."""
+    """Summaries with scattered rates: the rate of each segment, zero with its variance, is integrated out."""
     m = len(design.names)
     order = [m, *range(m), *range(m + 1, len(names) + 2)]
     segments = SegmentBasis.of(design.run)
@@ -152,7 +151,7 @@ def _absorbed(design: Design, names: tuple[str, ...], blocks: Iterator[tuple[Blo
 
 
 def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:
-    """Rows that say: the steps of the drift, the last columns, are zero with this variance."""
+    """Prior rows: the steps of the drift, the last columns, are zero with this variance."""
     size = len(names)
     known = np.zeros((size + 1, size + 1))
     at = np.arange(size - KNOTS, size)
@@ -161,7 +160,7 @@ def _steps_known(names: tuple[str, ...], variance: float) -> Reduction:
 
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
-    """Observed less modelled increments and their intervals; ``values`` (segments, m) per segment."""
+    """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
     arrays = arrays_like(design.run.t)
     d, h = arrays.zeros(design.run.size), arrays.zeros(design.run.size)
     for block in design.blocks():
