@@ -1,4 +1,4 @@
-"""One place that says how kernels are compiled.
+"""Decorators that compile the kernels.
 
 Kernels take floats and float64 arrays, raise nothing a user should read, and run unchanged with
 ``NUMBA_DISABLE_JIT=1``. ``nogil`` lets plain threads run them on all cores; ``cache`` keeps the
@@ -29,9 +29,9 @@ except ImportError:  # Windows: every process compiles for itself
 F = TypeVar("F", bound=Callable[..., Any])
 
 LOCK = "compiling.lock"
-"""File in the folder of the compiled kernels that the process which compiles holds."""
+"""Lock file in the folder of compiled kernels; the compiling process holds it."""
 PATIENCE = 60.0
-"""Longest wait for another process [s]: a stopped one holds nobody up for longer."""
+"""Longest wait for another process [s]; a stopped process delays others no longer than this."""
 
 
 class _SoundCacheFile(IndexDataCacheFile):
@@ -43,7 +43,7 @@ class _SoundCacheFile(IndexDataCacheFile):
     """
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep a compiled kernel where there is room."""
+        """Store a compiled kernel if there is space."""
         with suppress(OSError):
             super().save(key, data)  # type: ignore[no-untyped-call]
 
@@ -73,7 +73,7 @@ class _SoundCacheFile(IndexDataCacheFile):
         self._write(self._data_path(name), packed)  # type: ignore[no-untyped-call]
 
     def _read(self, path: str) -> bytes:
-        """What stands behind the SHA-256; FileNotFoundError where it does not fit, and the file is removed."""
+        """Content after the SHA-256. If it does not match, the file is removed and FileNotFoundError is raised."""
         raw = Path(path).read_bytes()
         if hashlib.sha256(raw[32:]).digest() != raw[:32]:
             self._remove(path)
@@ -91,10 +91,10 @@ class _SoundCacheFile(IndexDataCacheFile):
 
 
 def _hold(folder: Path) -> IO[bytes] | None:
-    """Hold the lock of a folder until what is returned is closed; None where it cannot be had.
+    """Hold the lock of a folder until the returned file is closed; None if the lock is not available.
 
-    Of several processes one compiles, and the others take what it has kept. The system releases the lock when a process
-    ends, however it ends.
+    One of several processes compiles, and the others load the stored result. The system releases the lock when a process
+    ends, for any reason.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Velocity increments at other times: the running velocity, linear inside each interval, read at the new times."""
+"""Resample velocity increments: the running velocity, linear within each interval, at new times."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def resample(
     t: Array, dv: Array, flags: NDArray[np.int32], period: float, state: Array, marks: NDArray[np.int32],
     times: Array, rows: Array, found: NDArray[np.int32],
 ) -> int:  # fmt: skip
-    """Increments (n, c) to ``rows`` at ``start + k period``; returns how many. State in and out.
+    """Resample increments (n, c) to ``rows`` at ``start + k period``; returns their number. State in and out.
 
-    A new increment is what brings the sum of those given out to the running velocity at its time; ``found``
-    holds the flags of all rows whose intervals it touches, ``marks`` those of the row that is not finished.
+    A new increment is the running velocity at its time less the sum of the increments already given out. ``found``
+    holds the flags of all rows that overlap it; ``marks`` holds those of the unfinished row.
     """
     width, count = dv.shape[1], 0
     given = VELOCITY + width

@@ -1,4 +1,4 @@
-r"""What the output says of the mean force of every interval (or of the force at every sample).
+r"""Mean specific force of every interval (or force at every sample) indicated by the output.
 
 **Angles.** Compensation of angle records: the exact inverse of the motion over each sample interval.
 
@@ -8,9 +8,9 @@ motion [own derivation, docs/theory/compensation] says, without approximation,
 .. math:: A \cos\delta = 2 q\cot q\,\sin\delta - (Y \sin\alpha_m - Z \cos\alpha_m), \qquad
           q^2 = (A^2 - Y^2 - Z^2)/4 .
 
-``Y, Z`` are known from the reference, ``A`` is wanted; with ``e = A - 2 delta`` the equation is solved for the
-small ``e``, so that no digit of the angle is lost. Input that is linear between samples is brought to
-constant increments by the fourth-order Magnus terms, the slope of ``a_x`` taken from the intervals before.
+``Y, Z`` are known from the reference; ``A`` is wanted. The equation is solved for the small ``e = A - 2 delta``, so
+that no digit of the angle is lost. Input that is linear between samples is converted to constant increments by the
+fourth-order Magnus terms. The slope of ``a_x`` is taken from earlier intervals.
 
 **Near.** Angle records that turn little between samples: the coupling integrated from its values at the samples.
 
@@ -20,22 +20,22 @@ ends, where the angle is known (Euler-Maclaurin [own derivation, docs/theory/com
 
 .. math:: \bar g = \tfrac12 (g_0 + g_1) + \tfrac{h}{12} (g_0' - g_1') - \tfrac{h^3}{720} (g_0''' - g_1''') .
 
-Transverse input is linear between samples; ``u_x`` is so with the change that backward differences of its means
-give (three intervals; fewer at the beginning of a stretch). The derivatives need ``u_x`` itself: the equation is linear
-in it. No angle between samples is needed, so one sine and cosine per sample does.
+Transverse input is linear between samples. ``u_x`` is linear too; its change follows from backward differences of its
+means (three intervals; fewer at the beginning of a stretch). The derivatives contain ``u_x`` itself, and the equation is
+linear in it. No angle between samples is needed, so one sine and cosine per sample is enough.
 
-**Between.** What the known inputs do between samples: base rate and reference, smooth through the samples there and before.
+**Between.** Motion of the known inputs between samples: base rate and reference, smooth through these and earlier samples.
 
-The mean of a smooth input over an interval is that of both ends less ``h^2/12`` of its second derivative in the
-middle. The last four samples give it, causally, as the cubic through them has it (exact for a cubic, whatever the
-intervals; the formula of Adams and Moulton where they are even):
+The mean of a smooth input over an interval is the mean of both ends less ``h^2/12`` of its second derivative in the
+middle. The second derivative is that of the cubic through the last four samples. It is causal, and exact for a cubic with
+any intervals; for even intervals it is the formula of Adams and Moulton:
 
 .. math:: \bar x = \tfrac12 (x_0 + x_1) - \tfrac{h^2}{12} \ddot x, \qquad
           \ddot x = D_0 + \varrho (D_0 - D_1), \quad
           \varrho = \frac{h_0 + 2 h_1}{2 (h_0 + h_1 + h_2)} ,
 
-with ``D_0``, ``D_1`` the second derivatives by three samples, the latest and those one sample before, limited so that
-nothing rings (:mod:`piga._kernels.arithmetic.smooth`). What that leaves is estimated, too, for ``u_ax``.
+``D_0`` is the second derivative from the last three samples, ``D_1`` that from one sample earlier. They are limited so that
+nothing rings (:mod:`piga._kernels.arithmetic.smooth`). The remaining error is estimated for ``u_ax``.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ from piga._kernels.jit import exact, inline, kernel
 Array = NDArray[np.float64]
 
 FAR_TURN = 0.25
-"""Half the angle turned in an interval [rad] up to which the series hold."""
+"""Largest half turn in an interval [rad] for the series."""
 FAR_PRODUCT = 1e-9
-"""``(Y^2 + Z^2) delta^2`` up to which two corrections reach rounding."""
+"""Largest ``(Y^2 + Z^2) delta^2`` for which two corrections reach rounding."""
 NEWTON = 60
 NEAR_TURN = 0.03
-"""Angle turned in an interval [rad] up to which the formula holds."""
+"""Largest turn in an interval [rad] for the formula."""
 NEAR_COUPLING = 1e-3
-"""Angle that the transverse input could turn in an interval [rad] up to which the formula holds."""
+"""Largest angle in an interval [rad] by the transverse input for the formula."""
 EVEN = 1e-4
 """Half the relative change of the interval up to which a series takes the place of a division (1e-8 of the rise)."""
 LIMITED, NEXT_ORDER = 0.5, 0.15
@@ -122,7 +122,7 @@ def find_nodes(stop: int, phi: float, w: Array) -> None:
 
 @exact
 def far_nodes(stop: int, phi: float, w: Array) -> None:
-    """The same at angles beyond the fast reduction."""
+    """Like :func:`find_nodes`, at angles beyond the fast reduction."""
     for j in range(stop):
         alpha = phi + w[at.PSI + j]
         if abs(alpha) > LIMIT:
@@ -135,7 +135,7 @@ def far_nodes(stop: int, phi: float, w: Array) -> None:
 
 @inline
 def is_near(turn: float, h: float, y: float, z: float) -> bool:
-    """True for an interval that the formula holds for."""
+    """True if the formula is valid for an interval."""
     return (abs(turn) <= NEAR_TURN) & (abs(h) * (abs(y) + abs(z)) <= NEAR_COUPLING)
 
 
@@ -185,7 +185,7 @@ def invert_near(stop: int, K: float, w: Array) -> None:
 
 @inline
 def curved(bend: float, j: int, w: Array) -> float:
-    """What a change ``bend`` of ``h u_x`` over interval ``j`` adds to the mean of ``u_x``."""
+    """Addition to the mean of ``u_x`` by a change ``bend`` of ``h u_x`` over interval ``j``."""
     g0, g1, q0, q1 = w[at.COUPLING + j - 1], w[at.COUPLING + j], w[at.ACROSS + j - 1], w[at.ACROSS + j]
     turn = w[at.PSI + j] - w[at.PSI + j - 1]
     share = (q0 + q1) * (1 / 24 + (1 / 240) * (turn * turn))
@@ -201,7 +201,7 @@ def is_odd(j: int, w: Array) -> bool:
 
 @exact
 def invert_odd(stop: int, K: float, w: Array) -> None:
-    """The same next to the beginning of a stretch, and where intervals differ: with the differences there are."""
+    """Like :func:`invert_near`, near the beginning of a stretch and where intervals differ, with fewer differences."""
     for j in range(1, stop):
         s0, s1, s2 = w[at.STEP + j], w[at.STEP + j - 1], w[at.STEP + j - 2]
         x = 0.5 * (s1 * w[at.INVERSE + j] - 1.0)
@@ -217,7 +217,7 @@ def invert_odd(stop: int, K: float, w: Array) -> None:
 
 @exact
 def take_far(stop: int, w: Array) -> None:
-    """Put the exact inverse in where an interval turns far."""
+    """Insert the exact inverse where an interval turns far."""
     for j in range(1, stop):
         turn, h = w[at.PSI + j] - w[at.PSI + j - 1], w[at.STEP + j]
         if not is_near(turn, h, w[at.RATE_Y + j], w[at.RATE_Z + j]):
@@ -386,7 +386,7 @@ def published_formula(n: int, K: float, w: Array) -> None:
 
 @exact
 def find_weights(n: int, w: Array) -> None:
-    """What the second derivatives of all inputs need of the intervals."""
+    """Weights of the second derivatives of all inputs, from the intervals."""
     for j in range(n + 1):
         h0, h1, h2 = w[at.STEP + j], w[at.STEP + j - 1], w[at.STEP + j - 2]
         some = (h0 != 0.0) & (h1 != 0.0)
@@ -397,7 +397,7 @@ def find_weights(n: int, w: Array) -> None:
 
 @exact
 def find_bow(n: int, row: int, bow: int, left: int, w: Array) -> None:
-    """Mean of an input over every interval less that of both ends, and the standard uncertainty of it."""
+    """Mean of an input over every interval less the mean of both ends, and its standard uncertainty."""
     for j in range(n + 1):
         x0, x1, x2 = w[row + j], w[row + j - 1], w[row + j - 2]
         change = (x0 - x1) * w[at.INVERSE + j] - (x1 - x2) * w[at.INVERSE + j - 1]
@@ -415,7 +415,7 @@ def find_bow(n: int, row: int, bow: int, left: int, w: Array) -> None:
 
 @inline
 def begun(x0: float, x1: float) -> float:
-    """The same for the first interval of a stretch; an input that does not change has none."""
+    """Standard uncertainty in the first interval of a stretch; 0 for an input that does not change."""
     return (BEGUN * abs(x0 - x1) + (0.5 * TURNED * abs(x0 + x1) if x0 != x1 else 0.0)) * (1.0 / 12.0)
 
 

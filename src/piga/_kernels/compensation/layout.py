@@ -1,4 +1,4 @@
-"""Where things stand in the flat arrays of the compensation kernels.
+"""Positions in the flat arrays of the compensation kernels.
 
 One flat work array with rows of ``STRIDE`` numbers: all rows have one base, so the compiler sees that they
 do not overlap. Entry 0 of a row is the last sample (or interval) of what came before, entry ``j`` belongs

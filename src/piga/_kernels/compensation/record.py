@@ -1,7 +1,7 @@
-"""One instrument: a chunk of any size through the stages, block by block, state in and state out.
+"""Compensate a chunk of any size of one instrument, block by block; state in, state out.
 
-Angles and rates take the same kernel. What a chunk does not hold (angle or rate) is None: the compiler leaves out what
-belongs to it. Everything else that is absent is an empty array.
+Angles and rates use the same kernel. A missing angle or rate is None; the compiler then omits its code. Any other
+missing input is an empty array.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def compensate_record(
 def load_block(
     start: int, n: int, samples: Samples, psi: Array | None, p: Array, light: bool, state: Array, w: Array
 ) -> None:
-    """Bring a block of samples and what came before it into the work array; ``light``: less of it."""
+    """Load a block of samples and its past into the work array; ``light``: only part of it."""
     K, tangent = p[at.P_K], p[at.P_TAN_BETA]
     coupling, offset_y, offset_z = K * tangent, p[at.P_OFFSET_Y], p[at.P_OFFSET_Z]
     load_past(coupling, offset_y, offset_z, tangent, state, w)
@@ -194,7 +194,7 @@ def load_block(
 def load_past(
     coupling: float, offset_y: float, offset_z: float, tangent: float, state: Array, w: Array
 ) -> None:  # fmt: skip
-    """What the block needs of the samples and intervals before it."""
+    """Load the earlier samples and intervals that the block needs."""
     w[at.TIME], w[at.PSI], w[at.PSI - 1] = state[at.S_TIME], state[at.S_PSI], state[at.S_PSI_BEFORE]
     w[at.FORCE_Y], w[at.FORCE_Z] = state[at.S_FORCE_Y], state[at.S_FORCE_Z]
     w[at.OMEGA_X], w[at.WARMTH] = state[at.S_OMEGA_X], state[at.S_WARMTH]
@@ -228,7 +228,7 @@ def find_steps(start: int, n: int, begins: NDArray[np.bool_], valid: bool, w: Ar
 
 @exact
 def save_last(start: int, n: int, samples: Samples, state: Array, w: Array) -> None:
-    """Keep what the next block needs to know of this one."""
+    """Save the data that the next block needs."""
     last, known = start + n - 1, samples.y.size > 0
     state[at.S_VALID] = 1.0
     state[at.S_TIME], state[at.S_PSI] = w[at.TIME + n], w[at.PSI + n]
@@ -247,7 +247,7 @@ def save_last(start: int, n: int, samples: Samples, state: Array, w: Array) -> N
 
 @exact
 def describe_intervals(n: int, K: float, full: bool, w: Array) -> None:
-    """Means of the known inputs over every interval; ``full``: times, temperatures and changes, too."""
+    """Means of the known inputs over every interval; ``full``: also times, temperatures and changes."""
     inverse = 1.0 / K
     for j in range(1, n + 1):
         w[at.MEAN_Y + j] = 0.5 * (w[at.FORCE_Y + j - 1] + w[at.FORCE_Y + j])
@@ -278,7 +278,7 @@ def write_intervals(start: int, n: int, w: Array, rows: RowArrays) -> None:
 
 @exact
 def write_samples(start: int, n: int, w: Array, rows: RowArrays) -> None:
-    """Results of a block of samples."""
+    """Write the results of a block of samples."""
     stop = start + n
     ax, dv, u, flags = rows.ax[start:stop], rows.dv[start:stop], rows.u[start:stop], rows.flags[start:stop]
     for j in range(n):
@@ -348,7 +348,7 @@ def follow_rate(n: int, rate: Array, p: Array, valid: bool, state: Array, w: Arr
 
 @exact
 def describe_samples(n: int, full: bool, rate: Array, K: float, typical: float, w: Array) -> None:
-    """The inputs at the samples, in the rows that hold means for intervals; ``full``: for the error model, too."""
+    """The inputs at the samples, in the rows for interval means; ``full``: also those for the error model."""
     inverse, usual = 1.0 / K, 1.0 / typical
     for j in range(1, n + 1):
         w[at.MEAN_Y + j], w[at.MEAN_Z + j] = w[at.FORCE_Y + j], w[at.FORCE_Z + j]

@@ -92,9 +92,9 @@ class SetRows(NamedTuple):
 
 
 EXACT_ROUNDS = 3
-"""Rounds with the exact equations behind the linear one; each leaves less than 1e-4 of the misfit before it."""
+"""Rounds with the exact equations after the linear one; each reduces the misfit by more than 1e4."""
 TERM_ROUNDS = 7
-"""The same with an error model: each round leaves about ``2 k2 a_x`` (0.4 % for 2e-3 per g at 1 g) of it."""
+"""The same with an error model; each round leaves about ``2 k2 a_x`` of the misfit (0.4 % for 2e-3 per g at 1 g)."""
 # rows of the set
 FORCE_X, FORCE_Y, FORCE_Z = 0 * at.STRIDE, 1 * at.STRIDE, 2 * at.STRIDE
 EARLY_X, EARLY_Y, EARLY_Z = 3 * at.STRIDE, 4 * at.STRIDE, 5 * at.STRIDE
@@ -114,7 +114,7 @@ PLAIN_PLACES = (12, 15, 18)  # the same of the solution without weights
 
 @exact
 def one_of(samples: SetSamples, i: int) -> Samples:
-    """What is known of one instrument; its transverse force is not."""
+    """Known inputs of one instrument; the transverse force is not known."""
     return Samples(
         samples.t, samples.none, samples.none, samples.begins, samples.base_rate[i], samples.temperature[i]
     )  # fmt: skip
@@ -152,7 +152,7 @@ def sample_axis(rows: int, p: Array, axes: Array, w: Array) -> None:
 
 @kernel
 def find_base(rows: int, sampled: bool, w: Array) -> None:
-    """What base rate and first harmonic add: averaged over every interval, and its change; or at every sample."""
+    """Contribution of base rate and first harmonic: mean over every interval and its change, or at every sample."""
     if sampled:
         for j in range(1, rows + 1):
             w[at.BASE_X + j] = w[at.OMEGA_X + j]
@@ -381,7 +381,7 @@ def find_rise(rows: int, early: int, rise: int, bend: int, w: Array, c: Array) -
 
 @exact
 def turn_bend(n: int, axes: Array, c: Array, out: Array) -> None:
-    """What the change of the force may be off by in the axes of an instrument, into ``out`` (3, rows)."""
+    """Uncertainty of the change of the force in the axes of an instrument, into ``out`` (3, rows)."""
     for j in range(1, n + 1):
         x, y, z = c[BEND_X + j], c[BEND_Y + j], c[BEND_Z + j]
         for k in range(3):
@@ -486,7 +486,7 @@ def weigh_all(n: int, sampled: bool, set_of: SetModels, states: Array, work: Set
 
 @exact
 def take_early(places: tuple[int, int, int], set_state: Array, c: Array) -> None:
-    """Early estimates of the rows before the block, of the solution that they are of."""
+    """Early estimates of the rows before the block, for one of the two solutions."""
     for k in range(3):
         for axis in range(3):
             c[EARLY_X + axis * at.STRIDE - k] = set_state[places[k] + axis]
@@ -494,7 +494,7 @@ def take_early(places: tuple[int, int, int], set_state: Array, c: Array) -> None
 
 @exact
 def save_early(n: int, places: tuple[int, int, int], set_state: Array, c: Array) -> None:
-    """Keep those of the last rows."""
+    """Save the early estimates of the last rows."""
     for k in range(3):
         for axis in range(3):
             set_state[places[k] + axis] = c[EARLY_X + axis * at.STRIDE + n - k]

@@ -1,8 +1,8 @@
-"""The error model inverted, and the uncertainty and validity of what comes out, on rows of interval means (or samples).
+"""Inverse of the error model, with uncertainty and validity of the result, on rows of interval means (or samples).
 
-The covariance of the coefficients stands in a triangular factor ``R`` (``R'R`` is the covariance), so the variance
-``|R x|^2`` of the regressors ``x`` of a row is a sum of squares. What is rare (the dead zone) is done row by row, and only
-in blocks where it occurs.
+A triangular factor ``R`` holds the covariance ``R'R`` of the coefficients. The variance ``|R x|^2`` for the regressors
+``x`` of a row is then a sum of squares. The dead zone is rare. It is computed row by row, and only in blocks where it
+occurs.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ def odd_square_mean(a: float, change: float) -> float:
 
 @exact
 def invert_terms(n: int, p: Array, has_terms: bool, sampled: bool, w: Array) -> None:
-    """Specific force ``a_x`` from the indicated one, to rounding: solved for the terms that are linear in it first.
+    """Specific force ``a_x`` from the indicated force, to rounding; terms linear in it are solved first.
 
-    ``has_terms`` False: without error terms it is the indicated one. ``sampled``: rows are samples, not intervals.
+    ``has_terms`` False: no error terms, the result is the indicated force. ``sampled``: rows are samples, not intervals.
     """
     if not has_terms:
         for j in range(1, n + 1):
@@ -116,7 +116,7 @@ def servo_error(p: Array, j: int, sampled: bool, half: float, w: Array) -> float
 
 @exact
 def invert_powers(n: int, k2: float, k3: float, w: Array) -> None:
-    """Go on with ``k2 a^2 + k3 a^3`` by Newton's method; the inverse of the derivative is carried along by it, too."""
+    """Add ``k2 a^2 + k3 a^3`` by Newton's method; the inverse of the derivative is updated too."""
     for j in range(1, n + 1):
         a, inverse, right, gain = w[at.FORCE + j], w[at.DERIVATIVE + j], w[at.PARTIAL + j], w[at.SQUARE + j]
         spread = w[at.SLOPE + j] * w[at.SLOPE + j] * (1 / 12)
@@ -132,7 +132,7 @@ def invert_powers(n: int, k2: float, k3: float, w: Array) -> None:
 
 @exact
 def invert_odd_square(n: int, p: Array, w: Array) -> None:
-    """Go on with the term ``k2o a|a|``, from the solution without it."""
+    """Add the term ``k2o a|a|`` to the solution without it."""
     for j in range(1, n + 1):
         change = w[at.SLOPE + j]
         a = start = w[at.FORCE + j]
@@ -158,7 +158,7 @@ def sample_harmonics(n: int, orders: Array, sines: Array, cosines: Array, w: Arr
 
 
 ONE = 0
-"""In place of a row: 1."""
+"""Stands for a row of ones."""
 FIRST_FACTOR = np.array([
     ONE, at.FORCE, at.FORCE, at.FORCE, at.FORCE, at.MEAN_Y, at.MEAN_Z, at.FORCE, at.FORCE, at.MEAN_Y, at.MEAN_Z,
     at.MEAN_Y, at.MEAN_TIME, at.MEAN_T, at.FORCE,
@@ -205,7 +205,7 @@ def fill_regressor(code: int, n: int, p: Array, w: Array, x: Array) -> None:
 
 @exact
 def fill_product(code: int, n: int, p: Array, w: Array, x: Array) -> None:
-    """The same for a term that is a product of inputs."""
+    """Like :func:`fill_regressor`, for a term that is a product of inputs."""
     first, second = FIRST_FACTOR[code - at.P_TERMS], SECOND_FACTOR[code - at.P_TERMS]
     reference = p[at.P_TIME_REFERENCE] if code == K0_T else 0.0
     one, other = w[first : first + n + 1], w[second : second + n + 1]
@@ -272,7 +272,7 @@ def four(factor: Array, i: int, k: int) -> tuple[float, float, float, float]:
 
 @exact
 def regressor(n: int, k: int, count: int, w: Array) -> Array:
-    """Row of a regressor, the last one for all behind it."""
+    """Row of a regressor; for ``k`` beyond the last regressor, the last one."""
     start = at.REGRESSORS + (k if k < count else count - 1) * at.STRIDE
     return w[start : start + n + 1]
 
@@ -306,7 +306,7 @@ def find_uncertainty(n: int, per: int, scaled: bool, p: Array, w: Array) -> None
 
 @exact
 def widened(u: float, a: float, y: float, z: float, tangent: float) -> float:
-    """Standard uncertainty with the dead zone, falling to nothing where ``|a|`` reaches ``NEAR`` times its half-width."""
+    """Standard uncertainty including the dead zone, whose part vanishes at ``|a|`` = ``NEAR`` times its half-width."""
     dead, size = tangent * math.sqrt(y * y + z * z), abs(a)
     if size >= NEAR * dead:
         return u

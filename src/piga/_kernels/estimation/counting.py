@@ -1,4 +1,4 @@
-"""The saw-tooth that counting adds: its harmonics along a path, and their covariance where that is known only roughly."""
+"""The saw-tooth error of counting: its harmonics along a path, and their covariance for an uncertain path."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from piga._kernels.jit import kernel, reducing_kernel
 Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-6
-"""Damping factor from which on higher harmonics are left out."""
+"""Damping factor below which higher harmonics are left out."""
 LANES = 64
-"""Samples whose waves are raised side by side."""
+"""Samples whose waves are computed side by side."""
 
 
 @reducing_kernel

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 CONFIRM = 8
 """Samples that must agree on another level before it counts as a jump."""
 PATIENCE = 2
-"""Misses beyond the hits after which a supposed new level is given up."""
+"""Misses beyond the hits after which a candidate level is dropped."""
 
 
 @kernel
@@ -95,10 +95,10 @@ def merge_rows(columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
 
 @kernel
 def correct_samples(d: Array, begins: NDArray[np.bool_], flags: NDArray[np.int8], wrong: Array) -> None:
-    """What every reading is too large by: jumps so far, and spikes against their good neighbours.
+    """Error of every reading: jumps so far, and spikes relative to their good neighbours.
 
-    ``d`` (n,) are residual increments. A jump (flag 2) is what the residual angle differs by from the last good sample
-    before it; between good samples of a stretch the residual angle without jumps is linear, beyond them constant.
+    ``d`` (n,) are residual increments. A jump (flag 2) is the change of the residual angle since the last good sample. The
+    residual angle without jumps is linear between good samples of a stretch and constant outside them.
     """
     angle = shift = base = level = calm_angle = 0.0
     good, calm, first = -1, False, 0
@@ -126,14 +126,14 @@ def correct_samples(d: Array, begins: NDArray[np.bool_], flags: NDArray[np.int8]
 
 @kernel
 def _bridge(wrong: Array, before: int, after: int, left: float, right: float, base: float) -> None:
-    """Samples between two good ones, whose residual angle ``wrong`` holds: how far they are off the line."""
+    """Error of samples between two good ones: residual angle ``wrong`` less the straight line."""
     for k in range(before + 1, after):
         wrong[k] += base - (left + (right - left) * (k - before) / (after - before))
 
 
 @kernel
 def _close(wrong: Array, first: int, good: int, stop: int, level: float, base: float, shift: float) -> None:
-    """The end of a stretch: samples behind its last good one; a stretch without any keeps the jumps so far."""
+    """Error at the end of a stretch, after its last good sample; a stretch without good samples keeps earlier jumps."""
     if good >= 0:
         _bridge(wrong, good, stop, level, level, base)
     else:

@@ -88,7 +88,7 @@ def coupling_columns(
 
 
 _ROWS = {"a_x": 0, "m_Y": 1, "m_Z": 2, "k0_T": 3, "k0_t": 4}
-"""Terms that are one of the inputs: which of x, y, z, temperature, time."""
+"""Terms that equal one input: index of x, y, z, temperature or time."""
 _PAIRS = {
     "k2": (0, 0), "k_XY": (0, 1), "k_XZ": (0, 2), "k_YY": (1, 1), "k_ZZ": (2, 2), "k_YZ": (1, 2), "k1_T": (0, 3),
 }  # fmt: skip
@@ -262,7 +262,7 @@ def smooth_bows(x: Array, h: Array, out: Array) -> bool:
 
 
 def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Array, out: Array) -> None:
-    """Add to a column of :func:`product_column` what the bows (3, n) of the force make of it, to first order."""
+    """Add the effect of the force bows (3, n) to a column of :func:`product_column`, to first order."""
     inputs = (*f, temperature)
     if _ROW_OF.get(code, len(bows)) < len(bows):
         out += h * bows[_ROW_OF[code]]
@@ -280,7 +280,7 @@ def add_product_bows(code: int, f: Array, bows: Array, temperature: Array, h: Ar
 def add_coupling_bows(
     psi: Array, y: Array, z: Array, h: Array, order: float, cosine: Array, sine: Array
 ) -> None:
-    """Add to the columns of :func:`coupling_columns` what the bows ``y, z`` (n,) of the transverse input make of them.
+    """Add the effect of the transverse bows ``y, z`` (n,) to the columns of :func:`coupling_columns`.
 
     A bow is a parabola in the interval: it weighs with the angle by the moment of ``1 - v^2``.
     """

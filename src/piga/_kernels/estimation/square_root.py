@@ -3,9 +3,9 @@
 The factor ``R`` of the augmented matrix ``[X | y]`` is a fixed-size summary: the last column holds
 ``Q'y`` and its last diagonal element the norm of the residual.
 
-Long blocks are reduced by Householder reflections in double precision; what comes out, and short
-blocks, are gathered by square-root-free rotations (Gentleman 1973, AS 75) in double-double, so that the
-result does not depend on how the rows were split.
+Long blocks are reduced by Householder reflections in double precision. The results and short blocks are combined by
+square-root-free rotations (Gentleman 1973, AS 75) in double-double, so that the result does not depend on how the
+rows were split.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from piga._kernels.jit import exact, kernel, reducing_kernel
 Array = NDArray[np.float64]
 
 NOTHING = 1e-29
-"""Share of an element that is rounding of double-double arithmetic when it is all that is left."""
+"""Share of an element below which a remainder is double-double rounding."""
 SMALLEST = 1e-250
-"""Square of a column that is nothing but rounding of rounding: equal columns leave ever smaller ones."""
+"""Squared column size below which a column is only rounding; equal columns leave ever smaller remainders."""
 
 
 @reducing_kernel

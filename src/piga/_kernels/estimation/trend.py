@@ -50,7 +50,7 @@ def inner_sum(y: Array, v: Array, first: Index, days: int, excess: float) -> tup
 
 @kernel
 def inner_excess(y: Array, v: Array, first: Index, days: int, freedom: int, start: float) -> float:
-    """Variance inside days beyond the stated one; ``start`` is a guess."""
+    """Variance within days beyond the stated one; ``start`` is a first guess."""
     guess = max(start, 0.0)
     for _ in range(STEPS):
         total, slope = inner_sum(y, v, first, days, guess)
@@ -157,9 +157,9 @@ def days_so_far(
     first:
         (days + 1,) where each day begins, and the end.
     shared:
-        (sources, n) errors that records share.
+        (sources, n) errors common to the records.
     least:
-        Days that a line needs.
+        Fewest days for a line.
     figures:
         (days + 1 - least, 11) out: variance inside days, the five of :func:`line_through`, excess, residual sum with
         the stated variances and with the excess, mean and median variance of a day. Row ``d - least`` is for the

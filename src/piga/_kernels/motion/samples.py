@@ -31,7 +31,7 @@ from piga._kernels.motion.step import (
 Array = NDArray[np.float64]
 
 LENGTH = PAIR_P
-"""Interval lengths [s] while steps are made from means: the pairs come later."""
+"""Row of interval lengths [s] during :func:`steps_from_means`; it holds the pairs later."""
 
 
 @kernel
@@ -92,7 +92,7 @@ def steps_from_means(w: Array, m: int) -> None:
 
 @kernel
 def fill_edges(w: Array, m: int, lead: int, follow: int) -> None:
-    """Stand-ins for the neighbours that the first and last interval of a record do not have."""
+    """Substitutes for the missing neighbours of the first and last interval of a record."""
     for row in (LENGTH, RATE_A, RATE_Y, RATE_Z):
         if lead == 0:
             w[row] = w[row + 1]

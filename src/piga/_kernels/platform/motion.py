@@ -178,7 +178,7 @@ class Base(NamedTuple):
 
 
 class TrueRows(NamedTuple):
-    """What is written.
+    """Output arrays.
 
     ``dv`` (n, 3) by Simpson's rule, ``force`` (n + 1, 3) at the nodes, ``gimbals`` (n + 1, 3), ``ring`` and ``eta``
     (n + 1,), ``spin`` (n, 3) or (0, 3): turn of the platform over the step in P axes.

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class ErrorDynamics(NamedTuple):
-    """A navigator at rest and what is wrong with it.
+    """A navigator at rest and its errors.
 
     ``r0, f0`` position [m] and specific force [m/s^2] of the base and ``axes`` its ``C_n^e``, all in Earth axes at time
     zero; errors of attitude [rad], drift [rad/s], bias [m/s^2] and reference height [m]; ``gains`` of the altitude
@@ -98,7 +98,7 @@ def propagate_errors(start: Array, model: ErrorDynamics, h: float, out: Array) -
 
 
 class Correction(NamedTuple):
-    """What the navigator knows of the misalignments, row by row.
+    """Misalignments known to the navigator, row by row.
 
     ``z1, z2`` (n, 2) cosine and sine of the case encoders; ``tan_eta, sec_eta`` (n,) or (1,); ``tips`` (6,) = cosine
     and sine of phase 1 and 2, m1, m2 [rad], with harmonics over the encoder angle in ``a1, b1, a2, b2`` (K,) [rad].
@@ -123,7 +123,7 @@ class Triad(NamedTuple):
 
 
 class Stepping(NamedTuple):
-    """How the navigator steps.
+    """Settings of the navigator's steps.
 
     ``h`` step [s]; every ``every``-th new state is kept; ``damping`` (2,) gains [1/s, 1/s^2]; ``earth`` (5,) = GM,
     1.5 J2 a^2, b, e^2, 1/(1 - e^2).
@@ -364,7 +364,7 @@ def base_angles(
 def local_level(
     states: States, known: Correction, triad: Triad, earth_rate: float, semi_major: float, e2: float, out: Array
 ) -> None:
-    """Navigator states to what the navigator shows, ``out`` (n, 9).
+    """Convert navigator states to the displayed quantities, ``out`` (n, 9).
 
     Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]. ``known`` is of
     the instants of the states; ``triad`` of time zero, its drift along triad axes turned out as one rotation vector.

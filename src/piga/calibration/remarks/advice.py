@@ -1,10 +1,10 @@
 """Advice on a reference or an output that was read wrongly: swapped axes, wrong sign, wrong unit.
 
-Every signed permutation of the axes of the reference is fitted to a thinned record with the scale factor
-free. The sign of X0 and a factor of the reference then show in the scale factor alone; a factor of the
-output also in the phase of the coupling, so the likely ones are fitted too. Nothing is ever applied: the words say
-what is wrong with the data, and which entry of the run file to change. A unit 'larger' by a factor makes the same
-numbers of the file mean that much more.
+Every signed permutation of the reference axes is fitted to a thinned record with a free scale factor. The sign of
+X0 and a factor of the reference then affect only the scale factor. A factor of the output also affects the phase of
+the coupling, so likely factors are fitted too. Nothing is changed in the data. The advice says what is wrong with the
+data and which entry of the run file to change. If a unit is 'larger' by a factor, the same numbers in the file mean
+that much more.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdviceSettings:
-    """When another reading of the data is advised, and on how many samples readings are tried (own choices).
+    """Limits for advice on another reading of the data, and the samples used (own choices).
 
     Attributes
     ----------
@@ -44,17 +44,17 @@ class AdviceSettings:
     as_good:
         Ratio of residuals up to which readings cannot be told apart.
     off:
-        Ratio of the scale factor to the nominal one above which something is wrong, and no other reading is likely.
+        Ratio of the scale factor to the nominal one above which an error is reported, even if no reading explains it.
     most_alike:
-        Readings named that the record cannot tell from the best.
+        Most readings named that the record cannot tell from the best one.
     snap:
-        Relative distance of the scale factor from a known factor that is taken for it (nominal values are close).
+        Largest relative distance of the scale factor ratio from a known factor (nominal values are close).
     samples:
-        Samples that are looked at.
+        Samples used.
     window:
-        Samples of a stretch in a row, at most.
+        Most consecutive samples of a stretch.
     turn:
-        Turn of the output between samples looked at [rad].
+        Turn of the output between used samples [rad].
     """
 
     far_better: float = 3.0
@@ -78,7 +78,7 @@ _PLACES = ("first", "second", "third")
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor between two units; ``units`` (larger, smaller) by the key of ``[data]`` where they are mixed up."""
+    """A factor between two units; ``units`` (larger, smaller) by the key of ``[data]`` if units are mixed up."""
 
     value: float
     units: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -95,7 +95,7 @@ FACTORS = (
     Factor(360.0, {"output": ("rev", "deg")}),
     Factor(4.0),
 )
-"""Factors of units that are mixed up, and the four edges of a quadrature encoder."""
+"""Factors between units that are often mixed up, and the four edges of a quadrature encoder."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class AdviceReading:
 
     @property
     def changes(self) -> int:
-        """How much of the run file would have to change."""
+        """Number of changes to the run file."""
         moved = sum(axis != place for place, axis in enumerate(self.axes))
         return 2 * moved + 3 * self.signs.count(-1) + (2 if self.output != 1.0 else 0)
 
@@ -118,7 +118,7 @@ class AdviceReading:
         return [AXES[place] for place, sign in enumerate(self.signs) if sign < 0]
 
     def words(self) -> str:
-        """What is wrong if this reading is right."""
+        """Error in the data if this reading is right."""
         parts = []
         swapped = [AXES[place] for place, axis in enumerate(self.axes) if axis != place]
         if len(swapped) == 2:
@@ -136,7 +136,7 @@ class AdviceReading:
         return " and ".join(parts) or "the data as they are"
 
     def remedy(self, run: Run) -> str:
-        """What to change in the run file, or in the data, if this reading is right."""
+        """Change to the run file or the data if this reading is right."""
         parts = []
         if self.axes != (0, 1, 2):
             order = ", ".join(_PLACES[axis] for axis in self.axes)
@@ -153,14 +153,14 @@ class AdviceReading:
 
 
 def factor_near(ratio: float) -> Factor | None:
-    """The factor that a ratio, or its inverse, is next to; None where none is near."""
+    """The factor close to a ratio or to its inverse; None if no factor is close."""
     ratio = max(ratio, 1.0 / ratio)
     near = min(FACTORS, key=lambda factor: abs(ratio / factor.value - 1.0))
     return near if abs(ratio / near.value - 1.0) < ADVICE.snap else None
 
 
 def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading], run: Run) -> str:
-    """The data fit far better with a reading; ``alike`` are those that the record cannot tell from it."""
+    """Advice for a reading that fits far better; ``alike`` are readings that the record cannot tell from it."""
     others = "; ".join(other.words() for other in alike)
     equal = f" (this record cannot tell it from: {others})" if others else ""
     times = f"{float(f'{ratio:.1g}'):.0f}"
@@ -170,7 +170,7 @@ def better_words(ratio: float, reading: AdviceReading, alike: list[AdviceReading
 
 
 def sign_words(*, output: bool) -> str:
-    """The scale factor is negative; ``output``: that of the output may be the wrong sign."""
+    """Advice for a negative scale factor; ``output``: the sign of the output may be wrong."""
     what = "X0 of the reference or the output has" if output else "X0 of the reference has"
     return (
         f"the scale factor comes out negative: {what} the wrong sign; change it in the data file; not applied"
@@ -178,7 +178,7 @@ def sign_words(*, output: bool) -> str:
 
 
 def unit_words(ratio: float, factor: Factor, run: Run, *, output: bool) -> str:
-    """The scale factor is ``ratio`` times the nominal one; ``output``: the output's unit may be to blame."""
+    """Advice for a scale factor of ``ratio`` times the nominal one; ``output``: the output's unit may be wrong."""
     larger, size = ratio > 1.0, f"{factor.value:.6g}"
     mixed = [(key, factor.units[key]) for key in ("reference", "time") if key in factor.units]
     times = f"{'multiplied' if larger else 'divided'} by {size}"
@@ -200,7 +200,7 @@ def unit_words(ratio: float, factor: Factor, run: Run, *, output: bool) -> str:
 
 
 def _output_unit(run: Run, value: float, *, larger: bool) -> str:
-    """The change of the output's unit by a factor."""
+    """Change of the output's unit by a factor."""
     if run.resolution > 0.0:
         return f"[instrument] counts_per_revolution {'divided' if larger else 'multiplied'} by {value:.6g}"
     factor = factor_near(value)
@@ -210,7 +210,7 @@ def _output_unit(run: Run, value: float, *, larger: bool) -> str:
 
 
 def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> str:
-    """``[data] key`` with one of two units where it says the other."""
+    """Advice to replace one of two units by the other in ``[data] key``."""
     right, wrong = (f"'{unit}/s'" if rate else f"'{unit}'" for unit in (units if larger else units[::-1]))
     return f"[data] {key} unit = {right} where it says {wrong}"
 
@@ -225,9 +225,9 @@ class Trial:
 
 
 def looks_wrong(result: Calibration) -> bool:
-    """True when a finished calibration calls for trying other readings.
+    """True if other readings should be tried for a finished calibration.
 
-    Its scale factor is far from the nominal one, or its residuals are not white.
+    The scale factor is far from the nominal one, or the residuals are not white.
     """
     values = {c.name: c.value for c in result.coefficients}
     nominal = result.scale_factor_nominal * G0
@@ -237,7 +237,7 @@ def looks_wrong(result: Calibration) -> bool:
 
 
 def advise(run: Run, request: Request) -> tuple[str, ...]:
-    """What the data would fit far better with, in words; nothing when they fit as they are.
+    """Readings that fit the data far better, in words; empty if the data fit as they are.
 
     Parameters
     ----------
@@ -266,14 +266,14 @@ def advise(run: Run, request: Request) -> tuple[str, ...]:
 
 
 def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
-    """The same error with advice in its remedy."""
+    """The same error with advice added to its remedy."""
     if words:
         PigaError.__init__(error, error.message, remedy="; or ".join(filter(None, (error.remedy, *words))))
     return error
 
 
 def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]:
-    """A scale factor that is negative, or off by the factor of a unit; the output may be what is wrong."""
+    """Advice for a scale factor that is negative or off by the factor of a unit."""
     as_good = [t.reading.output for t in trials if t.residual <= ADVICE.as_good * trial.residual]
     sentences = (sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
     ratio = abs(trial.scale)
@@ -284,7 +284,7 @@ def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]
 
 
 def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:
-    """Fits of all permutations and of what their scale factors suggest."""
+    """Fits of all permutations and of the factors that their scale factors suggest."""
     base = AdviceReading()
     plain = _fit(run, request, sample, base)
     for x, y, z in permutations(range(3)):
@@ -303,9 +303,9 @@ def _trials(run: Run, request: Request, sample: Sample) -> Iterator[Trial]:
 
 
 def _fit(run: Run, request: Request, sample: Sample, reading: AdviceReading) -> Trial:
-    """Residual of a reading: whitened root mean square, the phase of each segment free where it is so.
+    """Whitened root-mean-square residual of a reading; with one phase per segment if the request has it.
 
-    A tenth of a per cent of the coupling is lost to the trapezoid, in all readings alike.
+    The trapezoid loses 0.1 % of the coupling, equally in all readings.
     """
     turning = ["p", "q"] if "tan_beta" in request.terms else []
     turning += [f"{kind}{order}" for order in request.harmonics for kind in ("s", "c")]
@@ -340,7 +340,7 @@ def _whitened(run: Run, sample: Sample, reading: AdviceReading, names: list[str]
 
 
 def _without(rows: Array, free: int) -> Array:
-    """Rows of a segment less what its first ``free`` columns take, and without them."""
+    """Rows of a segment after its first ``free`` columns are eliminated."""
     basis = np.linalg.svd(rows[:free].T, full_matrices=False)[0]
     return rows[free:] - (rows[free:] @ basis) @ basis.T
 
@@ -374,7 +374,7 @@ class Sample:
 
 
 def sample_of(run: Run, request: Request) -> Sample:
-    """Windows spread over the record, samples skipped while the output turns little and the force is straight."""
+    """Windows spread over the record. Samples are skipped while the output turns little and the force is straight."""
     index, begins = _thinned(run)
     point = run.kind == "rate"
     output = gathered(run.output, index)
@@ -399,7 +399,7 @@ def sample_of(run: Run, request: Request) -> Sample:
 
 
 def _thinned(run: Run) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Rows to look at, and where windows of them begin."""
+    """Rows to use, and the first row of each window."""
     begun: NDArray[np.int64] = np.unique(np.append(np.flatnonzero(run.begins), 0))
     starts = begun[:: max(1, math.ceil(begun.size * 12 / ADVICE.samples))].tolist()
     ends = np.append(np.flatnonzero(run.begins)[1:], run.size)

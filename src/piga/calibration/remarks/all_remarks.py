@@ -1,9 +1,9 @@
-"""What a finished calibration says about model and data: leverage, missing terms, data read wrongly, warm positions.
+"""Remarks on a finished calibration: leverage, missing terms, data read wrongly, temperature in step with force.
 
-One cause gets one remark: data that fit far better when read otherwise look as if terms were missing, and a
-missing term moves single segments. So advice on the data holds back the suggestions of terms, and both hold
-back the remarks on segments that move a coefficient. Nothing is ever applied. All are looked for without a slow noise,
-which joins the segments or takes up what a missing term leaves; a suggestion then says so.
+One cause gets one remark. Data that were read wrongly look as if terms were missing, and a missing term affects single
+segments. Advice on the data therefore suppresses suggestions of terms, and both suppress remarks on segments that
+move a coefficient. Nothing is changed. All remarks use a fit without slow noise, because slow noise joins the segments and
+takes up the signature of a missing term; a suggestion says so.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Remarks:
 
 
 def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
-    """What the fit behind a result says: it needs neither its residuals nor the rest of it.
+    """Remarks from the fit alone, without its residuals.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
 def _in_reported_uncertainties(
     leverage: dict[str, SegmentLeverage], known: tuple[Coefficient, ...], coefficients: tuple[Coefficient, ...]
 ) -> None:
-    """The shifts of the table in units of the standard uncertainties that are reported."""
+    """The shifts of the table in units of the reported standard uncertainties."""
     for row in leverage.values():
         for one, reported in zip(known, coefficients, strict=True):
             shift = row.shift.get(one.name)
@@ -69,9 +69,9 @@ def _in_reported_uncertainties(
 def with_remarks(
     result: Calibration, fit: Fit, remarks: Remarks, doubts: tuple[LeftOut, ...] = ()
 ) -> Calibration:
-    """The result with ``leverage``, ``missing_terms`` and ``advice`` among its diagnostics and in its notes.
+    """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
 
-    What the servo leaves is said by the suggestion of its term, or in words of its own.
+    A signature of the servo is reported by the suggestion of its term or by a sentence of its own.
     """
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
@@ -91,7 +91,7 @@ def with_remarks(
 
 
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
-    """Coefficients with the standard uncertainties that they would have without a slow noise."""
+    """Coefficients with standard uncertainties without slow noise."""
     named = [np.diag(name_coefficients(one.design, one.solution, one.covariance)[1]) for one in (fit, plain)]
     return tuple(
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
@@ -101,7 +101,7 @@ def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, .
 
 @dataclass(frozen=True)
 class WarmSettings:
-    """When it is worth a remark.
+    """Limits for the remark on temperature in step with force.
 
     Attributes
     ----------
@@ -109,8 +109,8 @@ class WarmSettings:
         Ratio [1] of the standard uncertainties of the scale factor with ``k0_T`` and without it, by the fit alone. Chosen
         on eight starting phases of a swing in step with a tumble.
     bias:
-        Change of the bias with temperature [g/K] that an instrument may have: it must move the scale factor by more than
-        its standard uncertainty.
+        Change of the bias with temperature [g/K] that an instrument may have. The remark needs an effect on the scale
+        factor above its standard uncertainty.
     """
 
     growth: float = 1.5

@@ -1,14 +1,14 @@
-"""What the servo leaves where its terms are not asked for: sources of Type B, so that doing nothing is honest.
+"""Effect of servo terms that the model does not contain, as sources of Type B.
 
-With ``a_x^2 + a_t^2 = N`` throughout, ``a_x a_t^2 = N a_x - a_x^3``: a servo of finite stiffness and a third-order
-coefficient fit the record alike, and the scale factor under one is ``1 + k3 N`` times that under the other. No data of such a
-stand choose between them. So a suggestion names the scale factor under each. Where such a signature is clear and
-neither term is asked for, or ``k3`` alone, both meanings are a source of Type B. The damping of the float under the servo
-turns the phase: where its wave is clear and ``servo_damping`` is not asked for, so is what the term would change
-(docs/theory/servo).
+If ``a_x^2 + a_t^2 = N`` is constant, ``a_x a_t^2 = N a_x - a_x^3``. A servo of finite stiffness and a third-order
+coefficient then fit the record alike. The scale factor of one model is ``1 + k3 N`` times that of the other. Data of
+such a stand cannot decide. A suggestion therefore gives the scale factor of both models. If the signature is clear and
+neither term is requested, or only ``k3``, the difference is a source of Type B. The damping of the float under the
+servo turns the phase. If its wave is clear and ``servo_damping`` is not requested, the change by this term is a source
+too (docs/theory/servo).
 
-Runs together may tell what one stand cannot. Where they tell ``servo`` from ``k3``, the one that fits better is the one to
-add, and what it would change is in the budget.
+Several runs may decide what one stand cannot. If they tell ``servo`` from ``k3``, the better one is suggested, and its
+effect is in the budget.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class LeftOutSettings:
-    """When what the servo leaves is a source of the budget (own choices).
+    """Limits for servo effects that enter the budget (own choices).
 
     Attributes
     ----------
     clear:
-        Probability of as strong a signature by chance, below which what it may mean is in the budget.
+        Probability of such a signature by chance, below which it enters the budget.
     seen:
-        Standard uncertainties above which a k3 that is asked for is said to have another meaning.
+        Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported.
     """
 
     clear: float = 0.01
@@ -71,17 +71,17 @@ LEFT_OUT = LeftOutSettings()
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
-"""Names in the budget: they begin as :data:`piga.records.coverage.OF_THE_MODEL` has it."""
+"""Names in the budget. They begin as :data:`piga.records.coverage.OF_THE_MODEL` requires."""
 TURNED = ("phi", "tan_beta")
-"""Coefficients that ``servo_damping`` is mostly taken for."""
+"""Coefficients that take up most of a missing ``servo_damping``."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A clear signature of the servo that no term of the model takes.
+    """A clear signature of the servo that no term of the model takes up.
 
-    ``change`` is the half-width of what it makes of each coefficient of the result (file units); ``words`` are its note,
-    none where the signature is not clear by itself.
+    ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
+    empty if the signature is not clear by itself.
     """
 
     source: str
@@ -90,21 +90,21 @@ class LeftOut:
 
     @property
     def covariance(self) -> Array:
-        """What it adds to the covariance of the coefficients."""
+        """Its contribution to the covariance of the coefficients."""
         return np.outer(self.change, self.change) / 3.0
 
     def row(self, coefficients: tuple[Coefficient, ...]) -> BudgetEntry:
-        """Its row of the budget: anything between the half-widths is as likely."""
+        """Its row of the budget: a uniform distribution between the half-widths."""
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 
 
 def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[LeftOut, ...]:
-    """What the servo leaves in a record; none where nothing is clear, where terms take it, or the stand tells them apart.
+    """Servo signatures in a record; empty if none is clear, or terms take them up, or the stand can decide.
 
     Parameters
     ----------
     plain:
-        The fit without a slow noise, which would take up what a missing term leaves.
+        The fit without slow noise. Slow noise would take up the signature of a missing term.
     coefficients:
         Those of the result.
     """
@@ -143,9 +143,9 @@ def left_out_terms(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[L
 
 
 def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
-    """Coefficients (file units) by key of the same fit with more terms; None where the record cannot tell them apart.
+    """Coefficients (file units) by key of the fit with more terms; None if the record cannot tell them apart.
 
-    What a term turns depends on the weights of every row: the rows that candidates are tested on are too coarse for it.
+    The change by a term depends on the weights of every row. The coarse rows for testing candidates are not enough.
     """
     request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
     raw = Design(plain.design.run, request, plain.design.scale_factor)
@@ -165,7 +165,7 @@ def _both_meanings(
     k3: float,
     square: float,
 ) -> LeftOut:
-    """A cube that neither ``servo`` nor ``k3`` takes; ``k3`` [1/(m/s^2)^2] beside the coefficients ``after``."""
+    """A cube that neither ``servo`` nor ``k3`` takes up; ``k3`` [1/(m/s^2)^2] comes with the coefficients ``after``."""
     cube = after["scale_factor"]
     under = {"servo": cube * (1.0 + k3 * square), "k3": cube}
     change = np.array([0.0 if c.name == "phi" else after[c.key] - before[c.key] for c in coefficients])
@@ -175,9 +175,9 @@ def _both_meanings(
 def cubic_doubt(
     coefficients: tuple[Coefficient, ...], change: Array, under: dict[str, float], size: float
 ) -> LeftOut:
-    """A clear cube of ``size`` (file unit) whose meaning the stand cannot tell.
+    """A clear cube of ``size`` (file unit) for which the stand cannot tell servo from k3.
 
-    ``change`` is that of the coefficients when a cube is added; ``under`` is K with each term (file unit).
+    ``change`` is the change of the coefficients if a cube is added; ``under`` is K with each term (file unit).
     """
     at = next(i for i, c in enumerate(coefficients) if c.name == "scale_factor")
     change = change.copy()
@@ -193,7 +193,7 @@ def cubic_doubt(
 
 
 def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
-    """The other meaning of a ``k3`` that is asked for, where ``a_x^2 + a_t^2`` is ``square`` [m^2/s^4] throughout."""
+    """The other meaning of a requested ``k3``, if ``a_x^2 + a_t^2`` is constant: ``square`` [m^2/s^4]."""
     named = {c.name: c for c in coefficients}
     scale, k3 = named.get("scale_factor"), named.get("k3")
     if scale is None or k3 is None or abs(k3.value) <= LEFT_OUT.seen * k3.std:
@@ -204,7 +204,7 @@ def asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[Le
 
 
 def asked_words(scale: Coefficient, shift: float) -> str:
-    """The note on a ``k3`` that is asked for; with ``servo`` in its place the scale factor moves by ``shift``."""
+    """The note on a requested ``k3``; with ``servo`` in its place the scale factor changes by ``shift``."""
     return (
         "k3 may as well be the servo: a_x^2 + a_t^2 never changes here, and with 'servo' in the place of 'k3' the fit "
         f"is the same and scale_factor is {scale.value + shift:.8g} instead of {scale.value:.8g} {scale.unit}, "
@@ -222,9 +222,9 @@ def damped(
 ) -> LeftOut:
     """A wave of ``servo_damping`` that the model lacks.
 
-    It is looked at where it is clear, or where a clear cube says that the servo gives way: then a damping is expected.
-    ``before`` and ``after`` are the coefficients without it and with it. What it turns is held from the reported value on,
-    which may have other weights. One standard uncertainty of the damping is added to its size.
+    It is examined if it is clear, or if a clear cube shows that the servo yields; a damping is then expected. ``before`` and
+    ``after`` are the coefficients without and with it. Its change is applied to the reported values, which may have other
+    weights. One standard uncertainty of the damping is added to its size.
     """
     size, std = abs(float(test.columns[0])), float(test.std[0])
     damping = float(test.columns[0]) / scale_factor / si_factor("servo_damping")
@@ -248,14 +248,14 @@ def damped(
 def difference(
     coefficients: tuple[Coefficient, ...], before: dict[str, float], after: dict[str, float]
 ) -> Array:
-    """Change of each coefficient between two results, a phase by the nearer way round."""
+    """Change of each coefficient between two results; for a phase, the shorter way round."""
     change = np.array([after[c.key] - before[c.key] for c in coefficients])
     turning = np.array([c.name == "phi" for c in coefficients])
     return np.where(turning, np.angle(np.exp(1j * change)), change)
 
 
 def odd_square(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
-    """What a scale factor beside an asked ``k2o`` rests on, where the record can hardly tell it from the servo."""
+    """Remark on a scale factor beside a requested ``k2o``, if the record can hardly tell ``k2o`` from the servo."""
     odd = next((c for c in coefficients if c.name == "k2o"), None)
     scaled = any(c.name == "scale_factor" for c in coefficients)
     if odd is None or not scaled or fit.design.turning_servo or constant_squares(fit.design.run)[0] is None:
@@ -277,10 +277,10 @@ LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the model
 
 @dataclass(frozen=True)
 class LeftOutRows:
-    """The runs with the columns of ``EXTRA``, weighted without a slow noise.
+    """The runs with the columns of ``EXTRA``, weighted without slow noise.
 
-    ``pieces`` are, for each run, phase group within the run and reduction of each segment; of a run that takes part by
-    its summary, of each phase group.
+    ``pieces`` hold, for each run, the phase group within the run and the reduction of each segment. A run with only a
+    summary has one entry per phase group.
     """
 
     fit: JointFit
@@ -311,7 +311,7 @@ class Wider:
 
 
 def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
-    """What the servo leaves in runs together; none where nothing is clear or terms take it."""
+    """Servo signatures in several runs; empty if none is clear or terms take them up."""
     terms = fit.wish.terms
     held = {*terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
     cube = "scale_factor" in terms and "scale_factor" not in fit.wish.per_run and "servo" not in held
@@ -343,7 +343,7 @@ def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
 
 
 def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_OUT.clear) -> Wider | None:
-    """The runs with these terms as well; None where they cannot tell them apart, or as much comes more often by chance."""
+    """The runs with additional terms; None if they cannot tell them apart, or the effect may be chance."""
     after = rows.refit((*base.wish.terms, *names))
     if after is None:
         return None
@@ -387,7 +387,7 @@ def _with_columns(
 
 
 def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
-    """Factors ``[parameters | names | residual without them]`` of the segments of all runs, linear about a fit with them."""
+    """Factors ``[parameters | names | residual without them]`` of all segments, linear about a fit with them."""
     layout, shared = layout_and_columns(fit.wish, rows.summaries)
     local = layout.columns[: layout.local]
     amplitudes, phases = fit.estimate.amplitudes, fit.estimate.phases
@@ -415,7 +415,7 @@ def _pieces(rows: LeftOutRows, fit: JointFit, names: Names) -> list[Array]:
 def _both_meanings_of_runs(
     coefficients: tuple[Coefficient, ...], base: JointFit, by_k3: JointFit, by_servo: JointFit
 ) -> LeftOut:
-    """A cube of a_x that runs on stands of one ``a_x^2 + a_t^2`` cannot name."""
+    """A cube of a_x that runs on stands with one common ``a_x^2 + a_t^2`` cannot attribute."""
     before, after = _values(base), _values(by_k3)
     change = np.array([0.0 if c.name == "phi" else after[c.key] - before[c.key] for c in coefficients])
     under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
@@ -423,7 +423,7 @@ def _both_meanings_of_runs(
 
 
 def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
-    """The other meaning of a ``k3`` that is asked for, where the runs cannot tell it from the servo."""
+    """The other meaning of a requested ``k3``, if the runs cannot tell it from the servo."""
     terms, coefficients = base.wish.terms, rows.fit.coefficients
     named = {c.key: c for c in coefficients}
     k3, scale = named["k3"], named["scale_factor"]
@@ -436,7 +436,7 @@ def _asked(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
 
 
 def _lacking(rows: LeftOutRows, base: JointFit) -> tuple[LeftOut, ...]:
-    """The terms that runs which tell them apart ask for: those of the servo, or ``k3``."""
+    """Missing terms that the runs can tell apart: those of the servo, or ``k3``."""
     servo = tuple(name for name in SERVO_TERMS if name not in base.wish.terms)
     tried = [_clear(rows, base, names) for names in dict.fromkeys((servo, ("servo",), ("k3",)))]
     clear = [wider for wider in tried if wider]

@@ -1,7 +1,7 @@
-"""Leverage: how much each segment (position, level) determines the coefficients, and what it does to them.
+"""Leverage: how strongly each segment (position, level) determines the coefficients, and how it moves them.
 
-The summaries of the segments add, so that the estimate without one of them is the merger of the others:
-exact, without reading the record again. (With a phase per segment the step is linear about the estimate.)
+Summaries of segments add. The estimate without one segment is the merger of the others. It is exact and needs no
+second reading of the record. (With a phase per segment the step is linear about the estimate.)
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LeverageSettings:
-    """When a segment is named (own choices).
+    """Limits for naming a segment (own choices).
 
     Attributes
     ----------
     determines:
-        Share of a coefficient's information above which one segment determines it: u grows threefold without it.
+        Share of a coefficient's information above which one segment determines it: without it u is three times larger.
     influential:
-        Shift of a coefficient, in standard uncertainties, above which a segment is influential.
+        A segment is influential if it shifts a coefficient by more than this many standard uncertainties.
     unlikely:
-        The same in standard deviations that the noise gives such a shift: 1 in 150 000.
+        Least shift in standard deviations of such a shift by noise: 1 in 150 000.
     most_segments:
-        Segments up to which each is left out in turn.
+        Most segments for leaving out one at a time.
     sentences:
-        Sentences of a kind at most.
+        Most sentences of a kind.
     """
 
     determines: float = 0.9
@@ -63,7 +63,7 @@ NORMAL_MEDIAN = 0.6745
 
 @dataclass(frozen=True)
 class Without:
-    """Coefficients (values and Type A standard uncertainties) when a segment is left out; lost ones by name."""
+    """Coefficients (values and Type A standard uncertainties) without one segment; names of those lost."""
 
     values: dict[str, float]
     std: dict[str, float]
@@ -75,17 +75,17 @@ def find_leverage(
     coefficients: tuple[Coefficient, ...],
     slow: bool = False,
 ) -> tuple[dict[str, SegmentLeverage], tuple[str, ...], tuple[str, ...]]:
-    """Leverage of every segment for ``diagnostics``, and what is to be said about it.
+    """Leverage of every segment for ``diagnostics``, and sentences about it.
 
     Parameters
     ----------
     fit:
         The finished fit.
     coefficients:
-        The result, with combined standard uncertainties, slow noise left out of them.
+        The result, with combined standard uncertainties without slow noise.
     slow:
-        A slow noise was found: all segments move coefficients by more than the noise of the angle lets expect, and one
-        is named only if its rate stands out among the others.
+        True if there is slow noise. All segments then move coefficients by more than the angle noise explains. A
+        segment is named only if its rate stands out among the others.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def find_leverage(
 
 
 def odd_segments(fit: Fit) -> tuple[str, ...]:
-    """Labels of the segments whose residual rate is far from that of the others, by their median deviation."""
+    """Labels of the segments whose residual rate is far from the others, in terms of their median deviation."""
     basis, size = SegmentBasis.of(fit.design.run), len(fit.design.run.labels)
     product, square = np.zeros(size), np.zeros(size)
     for segment, columns in whitened_rows(fit, fit.design, fit.noise, basis):
@@ -146,7 +146,7 @@ def _merged(parts: list[Reduction]) -> Reduction:
 
 
 def all_but_one(parts: list[Reduction]) -> list[Reduction]:
-    """The merger of all other parts, for each part: running mergers from both ends."""
+    """For each part, the merger of all other parts; running mergers from both ends."""
     before = [Reduction.empty(parts[0].names)]
     for part in parts[:-1]:
         before.append(_merged([before[-1], part]))
@@ -218,7 +218,7 @@ def _influence(
 
 
 def _residual_size(parts: list[Reduction], fit: Fit) -> float:
-    """Standard deviation of a weighted row, for methods that do not weight by the noise found."""
+    """Standard deviation of a weighted row, for methods whose weights do not use the noise levels."""
     total = _merged(parts)
     return float(np.sqrt(total.solve()[2] / max(fit.design.rows - len(total.names), 1)))
 
@@ -258,7 +258,7 @@ def _shift_words(
 
 
 def _few(sentences: list[str]) -> tuple[str, ...]:
-    """The first sentences, and how many more there would be."""
+    """The first sentences, and the number of those left out."""
     more = len(sentences) - LEVERAGE.sentences
     rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
     return (*sentences[: LEVERAGE.sentences], *rest)

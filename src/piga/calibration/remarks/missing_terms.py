@@ -1,11 +1,10 @@
-"""Terms that the model lacks and the residuals ask for: an added-variable test of every candidate.
+"""Terms that the model lacks and the residuals suggest: an added-variable test of every candidate.
 
-All candidates are reduced together with the model in one square-root reduction. Given the model's
-columns, what a candidate would take from the sum of squares and its estimate follow from the factor:
-``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``, x and e being candidate and residual less their part in the
-model (own derivation, docs/theory). A candidate must pass twice: against the noise, and against the
-scatter between segments, so that errors of single positions are not taken for a term. The columns of candidates are
-integrated by the trapezoid over the samples, where the record is smooth over a few of them.
+All candidates are reduced together with the model in one square-root reduction. The factor then gives the decrease of
+the sum of squares by a candidate and its estimate: ``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``. Here x and e are candidate
+and residual after the model is projected out (own derivation, docs/theory). A candidate must pass two tests: against
+the noise, and against the scatter between segments. Errors of single positions are then not taken for a term. Where
+the record is smooth over a few samples, the columns of candidates are integrated by the trapezoid.
 """
 
 from __future__ import annotations
@@ -33,46 +32,46 @@ Names = tuple[str, ...]
 
 @dataclass(frozen=True)
 class CandidateSettings:
-    """When a missing term is suggested, and on how many rows candidates are tested (own choices).
+    """Limits for suggesting a missing term, and rows used for the test (own choices).
 
     Attributes
     ----------
     false_alarms:
         Probability that a record of a right model gets any suggestion, Bonferroni over the candidates.
     thermal_alarms:
-        The same for the bias following a recorded temperature: one candidate, expected before the record is looked at.
+        The same for a bias that follows a recorded temperature: one candidate, expected in advance.
     rows:
-        Rows that the test looks at: neighbouring increments of longer records are joined.
+        Most rows for the test; in longer records neighbouring increments are joined.
     widest_turn:
-        Turn of the output inside a joined increment [rad]; more would average its harmonics out.
+        Largest turn of the output inside a joined increment [rad]; a larger turn would average its harmonics out.
     sample_turn:
-        Turn of the output between the samples that candidates are evaluated at [rad]: the trapezoid misses 1e-3.
+        Turn of the output between the samples of a candidate [rad]: the error of the trapezoid is 1e-3.
     confounded:
-        Part of a candidate that the model leaves, relative to its size, below which it cannot be told apart.
+        Smallest independent part of a candidate, relative to its size, for the candidate to be determined.
     notable:
         Chi-square reduction (relative) above which a term is always reported.
     like_a_cube:
-        Share of the best candidate's fall above which the stiffness of the servo is suggested in place of a cube of a_x.
+        Share of the best candidate's decrease above which the servo's stiffness is suggested instead of a cube of a_x.
     alike:
-        Share of the best candidate's fall above which another explains much the same.
+        Share of the best candidate's decrease above which another candidate is called similar.
     suggestions:
-        Terms suggested at most.
+        Most terms suggested.
     pieces:
-        Parts that a record of few segments is cut into, for the scatter between parts.
+        Parts of a record of few segments, for the scatter between parts.
     spare:
-        Segments beyond the parameters from which the scatter is that between segments.
+        Segments beyond the number of parameters above which the scatter between segments is used.
     constant:
-        Relative change of a squared force that counts as none.
+        Largest relative change of a squared force that counts as constant.
     force_samples:
-        Samples that are looked at for that.
+        Samples used for this.
     windows:
-        Windows spread over the record in which its smoothness is looked at.
+        Windows of the record in which its smoothness is tested.
     window_samples:
         Samples of such a window.
     longest_step:
-        Samples that a step spans at most.
+        Most samples spanned by a step.
     straight:
-        Distance of the force from a straight line between, over the largest force, that is taken as none.
+        Largest distance of the force from a straight line, over the largest force, that counts as none.
     """
 
     false_alarms: float = 0.002
@@ -128,15 +127,15 @@ SINGLE = (
     *SERVO_TERMS,
 )  # fmt: skip
 CUBIC = ("servo", "k3", "k2o")
-"""Terms that take an odd signature of a_x; the one to think of first comes first."""
+"""Terms that take up an odd signature of a_x, most plausible first."""
 PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
-"""Candidates that turn with the output: term that stands for them, and their columns."""
+"""Candidates that turn with the output: their term and columns."""
 
 
 def candidate_terms(design: Design) -> list[tuple[str, ...]]:
-    """Columns of every candidate that the model lacks and the record can hold.
+    """Columns of every candidate that the model lacks and the record can determine.
 
-    What turns with the output is left out where the zero of its angle is not known in all segments.
+    Candidates that turn with the output are skipped unless the zero of its angle is known in all segments.
     """
     terms, run = design.request.terms, design.run
     low, high = (0.0, 0.0) if run.temperature is None else extent(run.temperature)
@@ -150,7 +149,7 @@ def candidate_terms(design: Design) -> list[tuple[str, ...]]:
 
 
 def servo_out_of_reach(design: Design) -> set[str]:
-    """Terms that a record cannot tell from others because of the servo, or the servo because of them."""
+    """Terms that a record cannot tell from the servo terms of the model, and servo terms that it cannot determine."""
     total, across = constant_squares(design.run)
     terms = design.request.terms
     scaled = "scale_factor" in terms or "k1" in terms
@@ -186,7 +185,7 @@ def candidate_sums(
     starts:
         Rows of the block at which the joined intervals begin, the first 0.
     step:
-        Samples between those that are looked at, where the record is smooth; a log of rates is looked at in full.
+        Samples between evaluations, where the record is smooth. A log of rates is evaluated at all samples.
     """
     design, run = fit.design, fit.design.run
     size, first = block.h.size, block.start if design.point else block.start - 1
@@ -212,7 +211,7 @@ def candidate_sums(
 
 
 def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alpha: Array) -> Array:
-    """What the column of a term holds at the samples, its integrand.
+    """Integrand of a term's column at the samples.
 
     Parameters
     ----------
@@ -254,9 +253,9 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
 class Tested:
     """A candidate (one column, or a pair that turns with the output) against the model.
 
-    ``columns`` are its column coefficients with ``std``; ``fall`` is the relative decrease of the sum of
-    squares, ``probability`` that of so much by chance (the larger of both tests), ``change`` the parameters'
-    change when it is added.
+    ``columns`` are its column coefficients with ``std``. ``fall`` is the relative decrease of the sum of squares.
+    ``probability`` is that of such a decrease by chance (the larger of both tests). ``change`` is the change of the
+    parameters when the candidate is added.
     """
 
     names: Names
@@ -268,7 +267,7 @@ class Tested:
 
 
 def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
-    """The few missing terms that the residuals have the signature of, best first; none is applied.
+    """The few missing terms whose signature is in the residuals, best first; none is added to the model.
 
     Parameters
     ----------
@@ -330,7 +329,7 @@ def suggest_terms(fit: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Miss
 def _servo_first(
     best: Tested, shift: tuple[float, str], worth: list[tuple[Tested, tuple[float, str]]], square: float | None
 ) -> tuple[Tested, tuple[float, str]]:
-    """The stiffness of the servo in place of a cube of a_x that fits about as well, where the record cannot tell them."""
+    """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot tell them apart."""
     if square is None or best.names[0] not in CUBIC:
         return best, shift
     servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > CANDIDATES.like_a_cube * best.fall]
@@ -340,7 +339,7 @@ def _servo_first(
 def _both_meanings(
     test: Tested, after: dict[str, float], square: float, scale_factor: float
 ) -> dict[str, float]:
-    """K under each name of a cubic signature: they differ by the coefficient times ``a_x^2 + a_t^2``."""
+    """K with each meaning of a cubic signature; they differ by the coefficient times ``a_x^2 + a_t^2``."""
     size, scale = float(test.columns[0]) / scale_factor * square, after.get("scale_factor")
     if scale is None:
         return {}
@@ -376,14 +375,14 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
 
 
 def _stated(fit: Fit) -> bool:
-    """Whether the weights know of a stated scatter of the segments."""
+    """True if the weights include a stated scatter of the segments."""
     return bool(fit.noise.stated) and fit.counted is None and fit.mode == "increments"
 
 
 def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
-    """Segment, weighted rows ``[columns | extra | residual]`` and number of those formed, block by block.
+    """Segment, weighted rows ``[columns | extra | residual]`` and number of formed rows, block by block.
 
-    Beside a stated scatter of the segments the intervals come first.
+    With a stated scatter of the segments, the intervals are the first column.
     """
     design, mode = fit.design, "samples" if fit.mode == "samples" else "increments"
     count, step = _joined(fit), smooth_step(design.run, CANDIDATES.sample_turn)
@@ -405,7 +404,7 @@ def _weighted(fit: Fit, extra: list[str]) -> Iterator[tuple[int, Array, int]]:
 
 
 def _joined(fit: Fit) -> int:
-    """How many increments are joined to one."""
+    """Number of increments joined to one."""
     run = fit.design.run
     every = max(1, run.size // CANDIDATES.rows)
     turn = np.abs(np.diff(gathered(fit.design.phase_angle, np.arange(0, run.size, every))))
@@ -415,7 +414,7 @@ def _joined(fit: Fit) -> int:
 
 
 def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Tested | None:
-    """Test of a candidate; None when the model leaves nothing of it."""
+    """Test of a candidate; None if it has no independent part."""
     from scipy.special import fdtrc
 
     m, q = pieces[0].shape[1] - len(order) - 1, len(names)
@@ -447,7 +446,7 @@ def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Te
 
 
 def _scatter_probability(parts: list[Array], scale: Array, model: Array, R: Array, size: Array) -> float:
-    """Probability of the estimate given how its score scatters between the parts of the record."""
+    """Probability of the estimate, given the scatter of its score between the parts of the record."""
     from scipy.special import fdtrc
 
     m, q = model.shape
@@ -485,7 +484,7 @@ def after_change(fit: Fit, change: Array) -> dict[str, float]:
 def _largest_shift(fit: Fit, coefficients: tuple[Coefficient, ...], test: Tested) -> tuple[float, str]:
     """Largest change of a reported coefficient in its standard uncertainties, and its name.
 
-    The phase is looked at where a candidate turns it by nature.
+    The phase is included if the candidate affects it by nature.
     """
     after = after_change(fit, test.change)
     left_out = () if test.names == ("servo_damping",) else ("phi",)
