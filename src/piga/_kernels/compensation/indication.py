@@ -62,18 +62,18 @@ NEAR_TURN = 0.03
 NEAR_COUPLING = 1e-3
 """Largest angle in an interval [rad] by the transverse input for the formula."""
 EVEN = 1e-4
-"""Half the relative change of the interval up to which a series takes the place of a division (1e-8 of the rise)."""
+"""Half the relative change of the interval up to which a series replaces a division (error 1e-8 of the rise)."""
 LIMITED, NEXT_ORDER = 0.5, 0.15
 """Standard uncertainty of a second derivative, as parts of what the limit took and of its last term: oscillations at seven
 samples a period and more come back with mean squares of error over uncertainty of 0.1 to 1.1."""
 SERIES = 9.0
-"""Square of half the angle turned up to which a bow is weighed with the angle."""
+"""Largest square of half the angle turned for which a bow is weighted with the angle."""
 BEGUN, TURNED = 1.0, 7e-4
 """Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch, where two samples tell none:
 as parts of the change (the input began to move at the first sample) and of the mean (at a turning point of an
 oscillation with 170 samples a period, where the change is small, twice the uncertainty holds what is missing)."""
 FADING = 0.6
-"""Part of a doubt that stands for the next interval: an oscillation's estimate passes through zero, its error not with it."""
+"""Share of an uncertainty kept for the next interval: an oscillation's estimate passes through zero, its error does not."""
 
 
 @exact
@@ -446,7 +446,7 @@ def find_bows(n: int, turning: bool, straight: bool, state: Array, w: Array) -> 
 
 @exact
 def add_bows(n: int, K: float, w: Array) -> None:
-    """Take the bows of the transverse input out of the indicated mean force, and add the base rate about X0 to it.
+    """Subtract the bows of the transverse input from the indicated mean force, and add the base rate about X0.
 
     ``alpha' + Omega_x = K a_x + ...``. A parabola weighs with the angle by ``3 j_1(x)/x``, ``x`` half the angle turned, here
     by its series (3e-4 at x = 3, where the interval is called coarse). What the change of ``a_x`` over the interval has
@@ -466,7 +466,7 @@ def add_bows(n: int, K: float, w: Array) -> None:
 
 @exact
 def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
-    """What the samples do not tell of the mean force of every interval [m/s^2]; before the base rate is added.
+    """Uncertainty of the mean force of every interval by the motion between samples [m/s^2], without the base rate.
 
     The uncertainties of the bows, and what the angle bends between the samples beyond the change of ``u_x`` that earlier
     intervals let expect. The first interval of a stretch hands nothing on: its neighbour knows a second derivative.
@@ -485,7 +485,7 @@ def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
 
 @exact
 def find_set_doubt(n: int, K: float, tangent: float, bend: Array, state: Array, w: Array) -> None:
-    """The same for an instrument of a set, whose transverse force is solved for.
+    """Like :func:`find_doubt`, for an instrument of a set. Its transverse force is an unknown of the solution.
 
     ``bend`` (3, rows) is what the change of the force over an interval may be off by, in the instrument's axes [m/s^2].
     The rows RATE hold all of the transverse input.
@@ -524,7 +524,7 @@ def find_samples(rows: int, phi: float, w: Array) -> None:
 
 @exact
 def indicate_samples(n: int, K: float, w: Array) -> None:
-    """Indicated specific force at the samples [m/s^2]; nothing lies in between that is in doubt."""
+    """Indicated specific force at the samples [m/s^2]; it has no uncertainty by motion between samples."""
     inverse = 1.0 / K
     for j in range(1, n + 1):
         w[at.DOUBT + j] = 0.0

@@ -8,14 +8,14 @@ to sample ``j - 1`` of the block, or to the interval that ends there.
 from __future__ import annotations
 
 BLOCK = 1024
-"""Samples worked off at a time, whole tiles: the rows in use stay in the fast caches."""
+"""Samples per block, a multiple of ``TILE``; the rows in use then stay in the fast caches."""
 TILE = 64
-"""The contracted loops run over a multiple of this many samples, the last sample repeated: no remainder loop is
-entered, and a sample is computed alike wherever it stands in a chunk."""
+"""The loops with contracted arithmetic run over a multiple of this many samples; the last sample is repeated. They
+have no remainder loop, so the result of a sample does not depend on its position in a chunk."""
 PAST = 8
 STRIDE = BLOCK + TILE + PAST
-"""A row has room for a tile more than a block; entries -1, -2, ... of a row (what came before the last sample) lie in
-the spare end of the row before it."""
+"""A row has space for one block and one tile. Entries -1, -2, ... of a row hold the samples before entry 0. They lie in
+the spare end of the previous row."""
 
 SPARE = 0 * STRIDE  # its end is the past of the row behind it
 PSI = 1 * STRIDE

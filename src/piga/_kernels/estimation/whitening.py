@@ -19,7 +19,7 @@ from piga._kernels.jit import kernel
 Array = NDArray[np.float64]
 
 LARGE, SMALL = 2.0**300, 2.0**-300
-"""Size at which the recurrence of the variances is made smaller, and by how much."""
+"""Size above which the recurrence of the variances is scaled down, and the scale factor."""
 LANES = 8
 """Candidates of kappa whose likelihood is computed in one pass over the residuals."""
 

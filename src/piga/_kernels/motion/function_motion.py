@@ -1,8 +1,8 @@
 r"""Exact motion under a force that is a polynomial on each panel of time.
 
-A panel holds Chebyshev coefficients of the rates ``a, y, z`` [rad/s]; on it the force can be had
-anywhere, so that steps of the sixth-order Magnus expansion with Gauss nodes [Blanes2009] are made as
-fine as they need to be, and cut at the output times, without calling the user's function again.
+A panel holds Chebyshev coefficients of the rates ``a, y, z`` [rad/s], so the force is known at any time on it. The
+steps of the sixth-order Magnus expansion with Gauss nodes [Blanes2009] are as fine as needed and are cut at the
+output times. The user's function is not called again.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Three = tuple[float, float, float]
 NODE = math.sqrt(0.6)
 """The outer Gauss nodes of [-1, 1]."""
 HALVES_ARE_BETTER = 16.0
-"""Halves err 64 times less than the whole in smooth input; a quarter of that is kept in reserve."""
+"""Assumed error ratio of a whole step to two half steps. For smooth input it is 64; this is a quarter of it."""
 MOST_STEPS = 1 << 16
-"""Steps of a panel at most."""
+"""Most steps of a panel."""
 
 
 @kernel

@@ -35,7 +35,7 @@ _U, _V, _X, _Y = 12 * _PITCH, 13 * _PITCH, 14 * _PITCH, 15 * _PITCH
 SIZE = 16 * _PITCH
 
 SMALL_STEP = 1.0
-"""Bound of ``A^2 + Y^2 + Z^2`` [rad^2] up to which the series below and the turn count hold."""
+"""Largest ``A^2 + Y^2 + Z^2`` [rad^2] for which the series below and the turn count are valid."""
 
 _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (1.0 / math.factorial(2 * k) for k in range(1, 8))
 _S0, _S1, _S2, _S3, _S4, _S5, _S6, _S7 = (0.5 / math.factorial(2 * k + 1) for k in range(8))
@@ -135,14 +135,14 @@ def angles(w: Array, m: int, turns: float, alpha: Array) -> float:
 
 _TOO_LARGE = 1e150
 GOOD = -1
-"""What the kernels of whole records return when all samples were usable; else the index where a bad block starts."""
+"""Result of the kernels for whole records if all samples are usable; otherwise they return the start of a bad block."""
 
 
 @kernel
 def stepwise(
     w: Array, m: int, turns: float, p: float, q: float, alpha: Array
 ) -> tuple[bool, float, float, float]:
-    """The block one step of any size after the other; False when an increment is not a usable number."""
+    """Compute a block step by step, for steps of any size; False if an increment is not a usable number."""
     rest = double_arctangent(p, q)
     w[PAIR_P], w[PAIR_Q] = p, q
     for j in range(m):

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def sequential_factor(rows: Array, factor: Array, kept: NDArray[np.int64], ends: Array) -> None:
-    """Take in ``rows`` (n, p + 1) = [regressors | residual] one by one, by Givens turns.
+    """Reduce ``rows`` (n, p + 1) = [regressors | residual] one by one by Givens rotations.
 
     The triangular ``factor`` (p + 1, p + 1) is advanced in place; its last block, as large as ``ends[k]``
     (q, q), is copied there after row ``kept[k]``: the estimate of the last q - 1 unknowns needs no more.

@@ -239,7 +239,7 @@ class Design:
         return result
 
     def blocks(self) -> Iterator[Block]:
-        """All blocks in order; the next one is built on a second thread."""
+        """All blocks in order, built in advance on other threads."""
         keep = self.run.size * (len(self.names) + 2) * 8 <= CACHE_BYTES
         with workers(self.run.size, THREADS) as pool:
             pending = []
@@ -409,7 +409,7 @@ class Design:
             columns[row] = self._every(out)
 
     def _every(self, column: Array) -> Array:
-        """Every second interval; in a rate log these are the samples, and the others join two samples."""
+        """For a rate log, every second interval: these are the samples, and the others join two samples."""
         return column[::2] if self.point else column
 
     def _check_bend(self) -> None:

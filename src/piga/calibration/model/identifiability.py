@@ -236,7 +236,7 @@ def _useless_remedy(terms: set[str], asked: set[str]) -> str:
 
 
 def _full_scale(coefficient: Coefficient, largest: float, duration: float, spread: float) -> float:
-    """Force error, relative to the largest force, by an error of one file unit [g]."""
+    """Force error by an error of one file unit, as a share of ``largest`` [g]."""
     name = coefficient.name
     if name == "scale_factor":
         return 1.0 / abs(coefficient.value)

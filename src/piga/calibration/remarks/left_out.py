@@ -222,9 +222,9 @@ def damped(
 ) -> LeftOut:
     """A wave of ``servo_damping`` that the model lacks.
 
-    It is examined if it is clear, or if a clear cube shows that the servo yields; a damping is then expected. ``before`` and
-    ``after`` are the coefficients without and with it. Its change is applied to the reported values, which may have other
-    weights. One standard uncertainty of the damping is added to its size.
+    It is examined if it is clear, or if a clear cube shows that the servo yields; a damping is then expected. ``before``
+    and ``after`` are the coefficients without and with it. The changes of phi and tan_beta are counted from the reported
+    values, which may have other weights. One standard uncertainty of the damping is added to its size.
     """
     size, std = abs(float(test.columns[0])), float(test.std[0])
     damping = float(test.columns[0]) / scale_factor / si_factor("servo_damping")
