@@ -226,7 +226,7 @@ class _Options:
 
 @dataclass(frozen=True)
 class _Target:
-    """Places of result and report. ``resume``: continue from complete parts. ``restart``: remove the parts of other runs."""
+    """Places of result and report. ``resume``: continue from complete parts. ``restart``: remove parts of another run."""
 
     out: Path
     page: Path | None

@@ -1,4 +1,4 @@
-"""Test stands as simulated machines: each gives specific force and base rate with its own errors."""
+"""Test stands as simulated machines. Each gives specific force and base rate, with its own errors."""
 
 from piga.stand.imperfections import Imperfections
 from piga.stand.machines.logged import LoggedProfile

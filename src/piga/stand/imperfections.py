@@ -1,7 +1,7 @@
-"""What is wrong with a stand: each imperfection by the name it has in the uncertainty budget.
+"""Imperfections of a stand, by their names in the uncertainty budget.
 
-The reference that a lab writes into its log is the stand without imperfections; the instrument feels
-the stand with them. Scalars and vectors in SI; all zero by default.
+The reference in a lab's log is that of the stand without imperfections. The instrument feels the stand with
+them. All are scalars or vectors in SI, zero by default.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Vector = tuple[float, ...]
 Harmonic = tuple[int, float, float]
 
 GENERAL = ("reference_scale", "reference_bias", "reference_misalignment", "timing", "temperature")
-"""Imperfections that every stand has: they act on its reference, its clock and its thermometer."""
+"""Imperfections that every stand has. They act on its reference, its clock and its thermometer."""
 
 
 def _about(unit: str, size: int, meaning: str) -> dict[str, str | int]:
@@ -31,9 +31,9 @@ def _about(unit: str, size: int, meaning: str) -> dict[str, str | int]:
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Imperfections of a stand: true value less assumed value.
+    """Imperfections of a stand: true value minus assumed value.
 
-    Fields are SI; their ``metadata`` holds the unit in which they are reported, the size and the meaning.
+    Fields are SI. Their ``metadata`` holds the unit for reports, the size and the meaning.
     """
 
     reference_scale: float = field(
@@ -93,7 +93,7 @@ class Imperfections:
         Raises
         ------
         ArgumentError
-            Naming the imperfection and those that the stand has.
+            If there is one. The message names it, and those that the stand has.
         """
         names = set(accepted)
         for name in self.stand_specific():
@@ -104,14 +104,14 @@ class Imperfections:
                 )
 
     def felt(self, force: Array, rate: Array) -> tuple[Array, Array]:
-        """What the instrument feels where the stand makes ``force`` and ``rate``, (n, 3) each."""
+        """Force and rate that the instrument feels if the stand makes ``force`` and ``rate``, (n, 3) each."""
         turn = rotation_vector_to_matrix(np.array(self.reference_misalignment))
         true = (1.0 + self.reference_scale) * force + np.array(self.reference_bias)
         return true @ turn, rate @ turn
 
 
 NONE = Imperfections()
-"""A perfect stand: what the lab's reference describes."""
+"""A perfect stand, as the lab's reference describes it."""
 
 
 def _scalar(value: Any, unit: str, what: str) -> float:
@@ -157,13 +157,13 @@ def imperfections(
 ) -> Imperfections:
     """Imperfections from text or numbers as written in a scenario.
 
-    With ``rng`` the values are standard uncertainties and the true imperfections are drawn from normal
-    distributions; a single value given for a vector then holds for each component.
+    With ``rng`` the values are standard uncertainties, and the imperfections are drawn from normal distributions.
+    A single value for a vector then holds for each component.
 
     Raises
     ------
     ArgumentError, UnitError
-        Naming the key at fault.
+        If a value is not valid. The message names the key.
     """
     known = {entry.name: entry.metadata for entry in fields(Imperfections)}
     for name in values:

@@ -1,8 +1,8 @@
-"""The contract of all stands: a table of specific force and base rate with labelled segments.
+"""The interface of all stands, and the table of specific force and base rate with labelled segments.
 
-A stand is two functions: the plan of its segments, and what an instrument on it feels at any time.
-:func:`sample_stand` turns them into a :class:`Profile`, the table that the rest works with. A :class:`Composite` is
-several stands one after the other.
+A stand has two functions: the plan of its segments, and the motion that an instrument on it feels at any time.
+:func:`sample_stand` samples them into a :class:`Profile`, the table that other modules use. A :class:`Composite` is
+a sequence of stands.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a test: ``label``, ``start`` and ``duration`` [s]; moves between positions are not recorded."""
+    """A part of a test: ``label``, ``start`` and ``duration`` [s]. Moves between positions are not recorded."""
 
     label: str
     start: float
@@ -36,16 +36,16 @@ class Segment:
 
 
 class Stand(Protocol):
-    """What every stand offers."""
+    """Interface of every stand."""
 
     @property
     def kind(self) -> str:
-        """Name of the kind of stand, as in scenario files."""
+        """Kind of stand, by its name in scenario files."""
         ...
 
     @property
     def accepted(self) -> tuple[str, ...]:
-        """Names of the stand-specific imperfections that it has."""
+        """Names of its stand-specific imperfections."""
         ...
 
     @property
@@ -54,7 +54,7 @@ class Stand(Protocol):
         ...
 
     def segments(self) -> tuple[Segment, ...]:
-        """The plan: segments in order, without gaps."""
+        """Segments in order, without gaps."""
         ...
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
@@ -67,8 +67,8 @@ class Profile:
     """A test as a table, one row per sample time.
 
     ``t`` [s] (n,); ``segment`` (n,) index into ``segments``; ``force`` [m/s^2] and ``base_rate`` [rad/s]
-    (n, 3) as the instrument feels them; ``reference`` and ``reference_rate`` (n, 3) as the lab's log
-    states them.
+    (n, 3) are what the instrument feels. ``reference`` and ``reference_rate`` (n, 3) are those of the lab's
+    log.
     """
 
     t: Array
@@ -81,12 +81,12 @@ class Profile:
 
     @property
     def recorded(self) -> NDArray[np.bool_]:
-        """Whether each row is in a recorded segment."""
+        """True for rows in a recorded segment."""
         return np.array([s.recorded for s in self.segments])[self.segment]
 
 
 def plan(parts: list[tuple[str, float, bool]]) -> tuple[Segment, ...]:
-    """Segments one after the other from (label, duration, recorded); empty ones are left out."""
+    """Consecutive segments from (label, duration, recorded). Empty segments are left out."""
     segments, start = [], 0.0
     for label, duration, recorded in parts:
         if duration > 0.0:
@@ -96,7 +96,7 @@ def plan(parts: list[tuple[str, float, bool]]) -> tuple[Segment, ...]:
 
 
 def plan_holds(count: int, dwell: float, way: str, move: float) -> tuple[Segment, ...]:
-    """Holds ``0, 1, ...``, recorded, with moves between them (``way to 1``, ...), not recorded."""
+    """Positions ``0, 1, ...`` are recorded. The moves between them (``way to 1``, ...) are not."""
     parts = [("0", dwell, True)]
     for k in range(1, count):
         parts += [(f"{way} to {k}", move, False), (str(k), dwell, True)]
@@ -104,7 +104,7 @@ def plan_holds(count: int, dwell: float, way: str, move: float) -> tuple[Segment
 
 
 def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:
-    """Segment of each time: a border belongs to the recorded side, between two recorded ones to the later."""
+    """Segment of each time. A border belongs to the recorded segment; between two recorded segments, to the later."""
     starts = np.array([s.start for s in segments])
     index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(segments) - 1)
     recorded = np.array([s.recorded for s in segments])
@@ -120,7 +120,7 @@ def check_step(segments: tuple[Segment, ...], step: float) -> None:
     Raises
     ------
     ArgumentError
-        Naming the segment.
+        If it does not. The message names the segment.
     """
     for segment in segments:
         ratio = segment.duration / step
@@ -138,8 +138,8 @@ def sample_stand(
 ) -> Profile:  # fmt: skip
     """Sample a stand at every ``step/oversample`` [s], with ``extra`` rows beyond its end.
 
-    The instrument feels the imperfections ``errors``; the lab's reference is the stand without them. The
-    specific force of every stand is linear in gravity: the tide adds its share of the unit change.
+    The instrument feels the stand with the imperfections ``errors``. The lab's reference is the stand without them.
+    The specific force of every stand is linear in gravity, so the tide adds its change of gravity times d(f)/d(g).
 
     Raises
     ------
@@ -164,20 +164,20 @@ def sample_stand(
 
 
 def force_change(stand: Stand, t: Array, errors: Imperfections) -> Array:
-    """What the imperfections ``errors`` of a stand change in its specific force at ``t`` [m/s^2], (n, 3).
+    """Change of a stand's specific force at ``t`` by the imperfections ``errors`` [m/s^2], (n, 3): true minus reference.
 
-    True less reference. The link to the uncertainty budget: the change per standard uncertainty of one imperfection, carried
-    through a calibration, is that row of the budget.
+    The uncertainty budget uses it: one row of the budget is the change for one standard uncertainty of one
+    imperfection, propagated through the calibration.
     """
     return errors.felt(*stand.motion(t, errors))[0] - stand.motion(t, NONE)[0]
 
 
 @dataclass(frozen=True)
 class Composite:
-    """Parts in order, with a pause of ``pause`` [s] between them in which the instrument is carried over.
+    """Several stands in order, with a pause of ``pause`` [s] between them to move the instrument.
 
-    During the pause force and base rate go linearly from the end of one part to the start of the next;
-    it is not recorded. Labels are ``part.segment``.
+    During the pause, force and base rate change linearly from the end of one part to the start of the next. The
+    pause is not recorded. Labels are ``part.segment``.
     """
 
     parts: tuple[Stand, ...]
@@ -193,12 +193,12 @@ class Composite:
 
     @property
     def accepted(self) -> tuple[str, ...]:
-        """Imperfections of any part; each part takes those that it has."""
+        """Imperfections of all parts. Each part uses its own."""
         return tuple(sorted({name for part in self.parts for name in part.accepted}))
 
     @property
     def fastest(self) -> float:
-        """The smallest of its parts."""
+        """Smallest step of its parts."""
         return min(part.fastest for part in self.parts)
 
     def _plans(self) -> list[tuple[float, tuple[Segment, ...]]]:
@@ -239,7 +239,7 @@ class Composite:
 
 
 def _own(part: Stand, errors: Imperfections) -> Imperfections:
-    """The imperfections that the part has; the others are left out."""
+    """The imperfections of this part only."""
     foreign = [name for name in errors.stand_specific() if name not in part.accepted]
     zeros = {name: getattr(Imperfections(), name) for name in foreign}
     return replace(errors, **zeros)

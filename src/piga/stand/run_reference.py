@@ -1,7 +1,7 @@
-"""The stand behind a recorded test: its reference where the log has none, and what its errors change.
+"""The stand of a recorded test: its reference, if the log has none, and the effect of its errors.
 
-A run file's ``[stand]`` table has the keys of a scenario's. Static stands (dividing head, centrifuge and
-rate table at constant rate) are matched to the record segment by segment: by label where the labels of the
+A run file's ``[stand]`` table has the same keys as in a scenario. Static stands (dividing head, centrifuge and
+rate table at constant rate) are matched to the record segment by segment: by label, if the labels of the
 record are those of the stand, else in order. A vibration table, a logged profile and a composite are
 matched by time.
 """
@@ -34,14 +34,14 @@ from piga.units import from_si
 Array = NDArray[np.float64]
 
 TIMED = ("vibration-table", "profile", "composite")
-"""Stands matched to a record by time."""
+"""Stands that are matched to a record by time."""
 
 
 @dataclass
 class FollowedStand:
-    """A stand asked along a record: rows in order, in pieces of any size, on which nothing depends.
+    """The motion of a stand along a record: rows in order, in pieces of any size. The size does not affect the result.
 
-    ``starts`` and ``durations`` [s] on the stand's own plan of each segment of the record, (m,); None: the stand is
+    ``starts`` and ``durations`` [s] (m,) locate each segment of the record on the stand's plan. None: the stand is
     matched by time.
     """
 
@@ -53,7 +53,7 @@ class FollowedStand:
         self._first = np.full(0 if self.starts is None else self.starts.size, np.nan)
 
     def times(self, t: Array, segment: NDArray[np.int32]) -> Array:
-        """Time on the stand's own plan [s] of the next samples: at ``t`` [s] (n,), in segments (n,)."""
+        """Time on the stand's plan [s] of the next samples, given their ``t`` [s] (n,) and segments (n,)."""
         if self.starts is None or self.durations is None:
             return t
         met, at = np.unique(segment, return_index=True)
@@ -86,19 +86,19 @@ def read_run(path: str | Path, *, need_reference: bool = True, held: int | None 
     Parameters
     ----------
     path:
-        Run file (TOML); its data file is looked for beside it. Without reference columns the reference is
+        Run file (TOML). Its data file must lie beside it. Without reference columns the reference is
         computed from its ``[stand]`` table.
     need_reference:
-        False: a record with neither is read too, with ``f`` nan; instruments compensated together need none.
+        False: a record with neither is read too, with ``f`` nan. Instruments compensated together need no reference.
     held:
-        Most rows whose arrays lie in memory, longer ones on disk; None: 4 194 304. Nothing else depends on it.
+        Most rows whose arrays lie in memory; longer records lie on disk. None: 4 194 304. It does not affect the result.
 
     Raises
     ------
     RunFileError
         If the run file is not valid.
     DataError
-        If the data file does not hold what the run file says; with file, row, column and remedy.
+        If the data file does not hold what the run file says. The message names file, row, column and remedy.
     """
     read: dict[str, str] = {}
 
@@ -125,7 +125,7 @@ def read_run(path: str | Path, *, need_reference: bool = True, held: int | None 
 
 
 def stand_files(table: Any) -> list[str]:
-    """Names of the files that a ``[stand]`` table names, as written, at any depth."""
+    """Names of all files in a ``[stand]`` table and its inner tables, as written."""
     if isinstance(table, dict):
         own = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
         return list(dict.fromkeys(own + [name for value in table.values() for name in stand_files(value)]))
@@ -135,7 +135,7 @@ def stand_files(table: Any) -> list[str]:
 
 
 def _check_unchanged(run: Run) -> None:
-    """Refuse a stand whose files are not those that the record was read with."""
+    """Refuse a stand whose files changed since the record was read."""
     for name in stand_files(run.stand):
         known = run.input_sha256.get(name)
         if known is not None and known != file_digest(Path(run.source).parent / name):
@@ -150,7 +150,7 @@ def stand_reference(
     Raises
     ------
     ArgumentError
-        If the table is not valid or does not fit the record; names the key.
+        If the table is not valid or does not fit the record. The message names the key.
     """
     followed, arrays = _known(table, folder, lambda: labels), arrays_like(t)
     force, rate = (arrays.empty((3, t.size)).T for _ in range(2))
@@ -160,7 +160,7 @@ def stand_reference(
 
 
 def _known(table: dict[str, Any], folder: Path, labels: Callable[[], tuple[str, ...]]) -> FollowedStand:
-    """A stand whose motion is known."""
+    """A stand whose motion is known. A vibration table is refused: the phase of its drive is unknown."""
     stand, names = _build(table, folder)
     if stand.kind == "vibration-table":
         raise ArgumentError(
@@ -171,7 +171,7 @@ def _known(table: dict[str, Any], folder: Path, labels: Callable[[], tuple[str, 
 
 
 def stand_changes(run: Run) -> Iterator[StandChange]:
-    """What each stand-specific entry of the run file's ``[uncertainty]`` changes, component by component.
+    """Change of f for each stand-specific entry of the run file's ``[uncertainty]``, component by component.
 
     Raises
     ------
@@ -200,12 +200,12 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
 
 
 def _repeated(name: str) -> str:
-    """The imperfection that an entry is of."""
+    """The imperfection to which an entry belongs."""
     return REPEATED[name][0] if name in REPEATED else name
 
 
 def _repeatable(stand: Stand) -> str:
-    """What is drawn anew on a stand, as the remedy of a refusal."""
+    """Remedy of an error message: the repeatability entries that a stand has."""
     names = [name for name, (error, _) in REPEATED.items() if error in stand.accepted or error in GENERAL]
     return f"it has: {', '.join(names)}"
 
@@ -216,7 +216,7 @@ def _change(stand: Stand, t: Array, errors: Imperfections, part: slice) -> Array
 
 
 def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] | None]:
-    """The stand, and the labels of its positions when they are given by name."""
+    """The stand, and the labels of its positions if they have names."""
     positions = table.get("positions")
     names = None
     if isinstance(positions, dict):
@@ -232,7 +232,7 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
 def _followed(
     stand: Stand, names: tuple[str, ...] | None, labels: Callable[[], tuple[str, ...]]
 ) -> FollowedStand:
-    """The stand with the place of every segment of the record on its plan."""
+    """The stand, with the time of every segment of the record on its plan."""
     if stand.kind in TIMED:
         return FollowedStand(stand)
     planned = [part for part in stand.segments() if part.recorded]
@@ -246,7 +246,7 @@ def _followed(
 
 
 def _all_times(followed: FollowedStand, run: Run) -> Array:
-    """Time on the stand's own plan [s] of all samples, (n,)."""
+    """Time on the stand's plan [s] of all samples, (n,)."""
     times = arrays_like(run.t).empty(run.size)
     for rows in spans(run.size):
         times[rows] = followed.times(run.t[rows], run.segment[rows])
@@ -263,7 +263,7 @@ def _in_order(planned: list[Segment], labels: tuple[str, ...]) -> list[Segment]:
 
 
 def _standard(name: str, written: Any) -> tuple[Any, tuple[str, float]]:
-    """Standard uncertainty as written, or that of a table with a distribution, which holds for each component."""
+    """Standard uncertainty as written, or from a table with a distribution. The latter holds for each component."""
     if not isinstance(written, dict):
         return written, ("normal", math.inf)
     where = f"[uncertainty] {name}"

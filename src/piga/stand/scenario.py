@@ -1,4 +1,4 @@
-"""Scenario files: their tables, the stand and the instrument made from them, and the simulated test."""
+"""Scenario files: their tables, conversion to stand and instrument, and the simulated test."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from piga.units import to_si
 
 
 class SpecimenTable(TomlTable, frozen=True):
-    """``[instrument]``: as in a run file: nominal figures, and what is known of the servo."""
+    """``[instrument]``, as in a run file: nominal parameters and known servo parameters."""
 
     serial: str
     scale_factor: Quantity
@@ -60,7 +60,7 @@ class ElectronicsTable(TomlTable, frozen=True):
 
 
 class TemperatureTable(TomlTable, frozen=True):
-    """``[temperature]`` of the instrument; constant 20 degC when the table is not there."""
+    """``[temperature]`` of the instrument; constant 20 degC without this table."""
 
     start: Quantity = "20 degC"
     drift: Quantity = 0.0
@@ -69,14 +69,14 @@ class TemperatureTable(TomlTable, frozen=True):
 
 
 class EarthTideTable(TomlTable, frozen=True):
-    """``[run] earth_tide``: UTC of the start of the test, and whether the lab's reference has the tide."""
+    """``[run] earth_tide``: UTC of the start of the test, and whether the lab's reference includes the tide."""
 
     start: dt.datetime
     reference: Literal["ignores", "includes"] = "ignores"
 
 
 class RunTable(TomlTable, frozen=True):
-    """``[run]``: how it is simulated and written."""
+    """``[run]``: how the test is simulated and written."""
 
     model: Literal["quasi-steady", "twin"] = "quasi-steady"
     seed: int = 1
@@ -88,7 +88,7 @@ class RunTable(TomlTable, frozen=True):
 
 
 class SiteTable(TomlTable, frozen=True):
-    """Place and gravity: keys that all stands share."""
+    """Place and gravity. All stands have these keys."""
 
     latitude: Quantity
     longitude: Quantity = 0.0
@@ -164,7 +164,7 @@ class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"
     roll: Quantity = 0.0
 
     def build(self, _folder: Path) -> Stand:
-        """The stand; with ``down`` the levels are taken up and then down again."""
+        """The stand. With ``down`` the levels are run up and then down."""
         radius, stretch = _si(self.radius, "m", "radius"), _si(self.stretch, "s^2/rad^2", "stretch")
         if radius <= 0.0:
             raise ArgumentError(f"[stand] radius: {radius:g} m is not positive")
@@ -239,7 +239,7 @@ class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibrati
 
 
 class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
-    """``[stand] kind = "profile"``: a logged profile, file relative to the scenario."""
+    """``[stand] kind = "profile"``: a logged profile. The file is relative to the scenario."""
 
     file: str
     time: Column
@@ -257,7 +257,7 @@ SimpleStand = DividingHeadTable | CentrifugeTable | RateTableTable | VibrationTa
 
 
 class CompositeTable(TomlTable, frozen=True, tag_field="kind", tag="composite"):
-    """``[stand] kind = "composite"``: ``[[stand.parts]]`` one after the other."""
+    """``[stand] kind = "composite"``: the stands in ``[[stand.parts]]``, in order."""
 
     parts: tuple[SimpleStand, ...]
     pause: Quantity = "60 s"
@@ -270,9 +270,9 @@ class CompositeTable(TomlTable, frozen=True, tag_field="kind", tag="composite"):
 class ScenarioTable(TomlTable, frozen=True):
     """A whole scenario file.
 
-    ``truth``: true values by coefficient name, with ``beta`` (or ``tan_beta``) and ``alpha0``; ``twin``:
-    parameters of the servo twin; ``imperfections`` by name; ``model``, ``estimation`` and ``uncertainty``
-    go into the run file as they are.
+    ``truth``: true values by coefficient name, with ``beta`` (or ``tan_beta``) and ``alpha0``. ``twin``: parameters
+    of the servo twin. ``imperfections``: by name. ``model``, ``estimation`` and ``uncertainty`` are copied into
+    the run file.
     """
 
     instrument: SpecimenTable
@@ -294,7 +294,7 @@ _MOTION = ("scale_factor", "beta", "tan_beta", "alpha0", "T_ref")
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario file in SI, ready to run; ``table`` is the file as read."""
+    """A scenario in SI, ready to run. ``table`` is the file as read."""
 
     path: Path
     table: ScenarioTable
@@ -304,7 +304,7 @@ class Scenario:
     temperature: Temperature | None
 
     def imperfections(self, seed: int) -> Imperfections:
-        """The imperfections as given, or drawn with ``seed``."""
+        """The imperfections, as given or drawn with ``seed``."""
         drawn = self.table.run.imperfections == "drawn"
         rng = np.random.default_rng([seed, 1]) if drawn else None
         return imperfections(self.table.imperfections, rng=rng)
@@ -316,7 +316,7 @@ def read_scenario(path: str | Path) -> Scenario:
     Raises
     ------
     RunFileError
-        For an unknown key, a missing one, a wrong unit or an implausible value; names file and key.
+        For an unknown or missing key, a wrong unit or an implausible value. The message names file and key.
     """
     path = Path(path)
     return scenario_of(path, read_toml(path, ScenarioTable))
@@ -328,7 +328,7 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
     Raises
     ------
     RunFileError
-        As :func:`read_scenario`.
+        As in :func:`read_scenario`.
     """
     try:
         if table.instrument.servo is not None:
@@ -353,12 +353,12 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
 def run_scenario(
     scenario: Scenario, *, model: Model | None = None, seed: int | None = None, force: bool = False
 ) -> SimulatedTest:
-    """Simulate a scenario; ``model`` and ``seed`` override the file, ``force`` runs an unstable servo loop.
+    """Simulate a scenario. ``model`` and ``seed`` override the file. ``force`` allows an unstable servo loop.
 
     Raises
     ------
     PigaError
-        If its parts do not fit each other, or the servo loop is unstable and not forced; names the file.
+        If its parts do not fit each other, or the servo loop is unstable without ``force``. The message names the file.
     """
     run = scenario.table.run
     chosen = run.seed if seed is None else seed

@@ -1,4 +1,4 @@
-"""Stand and instrument together: the motion of the gimbal, and the log that a lab would have."""
+"""Simulate an instrument on a stand: the motion of the gimbal, and the log of the lab."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ Array = NDArray[np.float64]
 Model = Literal["quasi-steady", "twin"]
 Harmonics = Mapping[int, tuple[float, float]]
 _WAVE_STEP = 0.05
-"""Largest turn of the gimbal in a step where the servo's waves are simulated [rad]: straight between samples,
-they are short by a share of this squared over 12."""
+"""Largest gimbal rotation per step [rad] if servo waves are simulated. With straight lines between samples the waves are
+too small by this squared over 12."""
 _SMOOTH = 0.25
-"""A motion is smooth where its fourth differences are below this share of its second ones: 12 steps a period."""
+"""A motion is smooth where its fourth differences are below this share of its second differences (12 steps a period)."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,10 @@ class Specimen:
     """The instrument under test, true values in SI.
 
     ``error_model`` holds the polynomial and drift terms; ``harmonics`` maps an order to the amplitudes
-    [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle; ``servo`` and ``servo_damping``
+    [m/s^2] of sine and cosine of that multiple of the *true* gimbal angle. ``servo`` and ``servo_damping``
     [1/(m/s^2)^2] are the coefficients of the servo's terms. ``twin`` adds rotor, float and servo for the model
-    ``twin``; then K, beta and alpha0 of ``instrument`` replace its own, and the servo's terms come by themselves.
+    ``twin``. Then K, beta and alpha0 of ``instrument`` replace those of the twin, and its motion contains the
+    servo's terms.
     """
 
     instrument: Instrument
@@ -76,7 +77,7 @@ class Specimen:
 
 @dataclass(frozen=True)
 class Log:
-    """What the lab records, per row.
+    """The lab's log, per row.
 
     Time [s], segment index and names, output, reference [m/s^2], base rate [rad/s], temperature [K].
     """
@@ -92,10 +93,10 @@ class Log:
 
 @dataclass(frozen=True)
 class SimulatedTest:
-    """A simulated test: the log, and the truth beside it on the fine grid of the simulation.
+    """A simulated test: the log, and the truth on the fine grid of the simulation.
 
-    ``alpha`` [rad] and ``rate`` [rad/s] at ``profile.t``; ``motion`` is the twin's, else None; ``phases``
-    [rad] are the phases of the output zero per segment of the log.
+    ``alpha`` [rad] and ``rate`` [rad/s] are at ``profile.t``. ``motion`` is that of the twin, else None. ``phases``
+    [rad] are the phases of the output zero, one per segment of the log.
     """
 
     model: Model
@@ -130,9 +131,9 @@ def simulate_test(
     Parameters
     ----------
     stand, specimen, electronics:
-        What excites, what is excited, and how its output is read.
+        The stand, the instrument under test, and its readout.
     imperfections:
-        What the stand does other than its reference says.
+        Deviations of the stand from its reference.
     temperature:
         Temperature of the instrument; None: constant 20 degC.
     model:
@@ -140,17 +141,17 @@ def simulate_test(
     seed:
         Seed of all noise; the same seed gives the same log to the bit.
     step:
-        Step of the grid on which the stand's motion is sampled [s], rounded down to divide the sample
-        interval; None: what the stand's fastest motion needs.
+        Step of the grid on which the stand's motion is sampled [s]. It is rounded down to divide the sample
+        interval. None: chosen for the stand's fastest motion.
     force:
-        Simulate an unstable servo loop as well; having no slow manifold, it starts with its transient.
+        Simulate an unstable servo loop, too. It has no slow manifold, so it starts with its transient.
     tide:
-        Tide of the solid Earth in gravity; None: none.
+        Solid Earth tide in gravity; None: no tide.
 
     Raises
     ------
     ArgumentError
-        If the parts do not fit each other; :class:`UnstableDesignError` for an unstable loop.
+        If the parts do not fit each other. :class:`UnstableDesignError` for an unstable loop.
     """
     temperature = temperature or Temperature()
     oversample = _oversample(stand, specimen, electronics, model, step)
@@ -210,7 +211,7 @@ def _fastest_turn(stand: Stand, specimen: Specimen, interval: float) -> float:
 
 
 def _overshoot(stand: Stand, e: Electronics, errors: Imperfections, grid: float) -> int:
-    """Rows needed beyond the end for late samples."""
+    """Rows needed after the end, for late samples."""
     end = stand.segments()[-1].stop
     late = max(0.0, end * errors.timing) + max(0.0, e.clock_offset) + 6.0 * e.clock_jitter
     return math.ceil(late / grid) if late > 0.0 else 0
@@ -224,7 +225,7 @@ def _quasi_steady(
     grid: float,
     streams: list[np.random.Generator],
 ) -> tuple[Array, Array]:
-    """Exact motion; random walk exactly, by turning the transverse inputs back by the walked angle."""
+    """Exact motion. The random walk is exact, too: the transverse inputs are turned back by its angle."""
     density = 0.0 if e.kind == "rate" else e.angle_random_walk
     walk = random_walk(streams[0], profile.t.size, grid, density)
     force, base_rate = straightened(profile.force), straightened(profile.base_rate)
@@ -266,11 +267,11 @@ def _quasi_steady(
 
 
 def straightened(values: Array) -> Array:
-    """Samples (n, k) whose straight lines have the integrals of the smooth curves through ``values``.
+    """Samples (n, k) whose linear interpolation has the integral of the smooth curve through ``values``.
 
-    A wave of ``theta`` radian a step, drawn as straight lines, keeps ``(theta/2) cot(theta/2)`` of its integral. The
-    samples are divided by that, to fourth differences. A sample by a step or a kink of the motion stays as it is: there
-    the straight lines are the motion.
+    Linear interpolation of a wave with ``theta`` radian per step keeps ``(theta/2) cot(theta/2)`` of its integral. The
+    samples are divided by this factor, up to fourth differences. Samples beside a step or kink of the motion are not
+    changed: there the motion is linear between samples.
     """
     straight = values.copy()
     if len(values) < 5:

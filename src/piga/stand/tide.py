@@ -1,4 +1,4 @@
-"""The tide of the solid Earth in local gravity: direct tide of Sun and Moon, degrees 2 and 3, and the Earth's response.
+"""The solid Earth tide in local gravity: direct tide of Sun and Moon, degrees 2 and 3, and the Earth's response.
 
 Potential of a body of distance ``d`` at geocentric latitude ``s`` and radius ``r``, declination ``q`` and hour angle ``H``::
 
@@ -6,9 +6,9 @@ Potential of a body of distance ``d`` at geocentric latitude ``s`` and radius ``
     W3 = GM r^3/d^4 (5 c^3 - 3 c)/2,    c = sin s sin q + cos s cos q cos H
 
 Gravity changes by ``-(2 delta W2 + 3 delta3 W3)/r``. The gravimetric factors are ``delta = 1 + 2 h/n - (n + 1) k/n`` (degree n,
-Love numbers h and k). They differ between the long, diurnal and semidiurnal parts of degree 2, and for the wave K1
-[Wahr1981], [Dehant1999]. Places of Sun and Moon are the series of [Montenbruck2000], section 3.3.2; sidereal time is that
-of the IAU 1982.
+Love numbers h and k). They differ between the long-period, diurnal and semidiurnal parts of degree 2, and for the wave
+K1 [Wahr1981], [Dehant1999]. The positions of Sun and Moon are from the series of [Montenbruck2000], section 3.3.2.
+Sidereal time is that of the IAU 1982.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ K1_FACTOR = 1.135
 K1_POTENTIAL = 0.53050 * 2.6277
 """Amplitude of K1 in the potential at 45 deg and the mean radius [m^2/s^2]: Doodson's coefficient and constant [Doodson1921]."""
 MEAN_RADIUS = 6.371e6
-"""Mean radius of the Earth that belongs to this amplitude [m]."""
+"""Mean radius of the Earth for this amplitude [m]."""
 GM_MOON, GM_SUN = 4.902800e12, 1.32712440e20
 """Gravitational constants [m^3/s^2]."""
 OBLIQUITY = math.radians(23.43929111)
 """Obliquity of the ecliptic, J2000 [rad]."""
 PRECESSION = math.radians(1.3972)
-"""General precession in longitude per Julian century [rad]: places are of date, as sidereal time is."""
+"""General precession in longitude per Julian century [rad]. Positions are of date, as sidereal time is."""
 TERRESTRIAL_LESS_UTC = 69.0
-"""Terrestrial time less UTC [s], rounded: the Moon goes 0.5 arcsec a second."""
+"""Terrestrial time minus UTC [s], rounded. The Moon moves by 0.5 arcsec per second."""
 
 _J2000 = dt.datetime(2000, 1, 1, 12, tzinfo=dt.UTC)
 _CENTURY = 36525.0 * DAY
@@ -52,22 +52,22 @@ _LONGITUDE = (
     (-412, 0, 0, 2, 0), (-212, 2, 0, 0, -2), (-206, 1, 1, 0, -2), (192, 1, 0, 0, 2), (-165, 0, 1, 0, -2),
     (148, 1, -1, 0, 0), (-125, 0, 0, 0, 1), (-110, 1, 1, 0, 0), (-55, 0, 0, 2, -2),
 )  # fmt: skip
-"""Moon: arcsec of ``sin(a l + b l' + c F + e D)`` in ecliptic longitude, less the mean one."""
+"""Moon: arcsec of ``sin(a l + b l' + c F + e D)`` in ecliptic longitude minus mean longitude."""
 _LATITUDE = (
     (-526, 0, 0, 1, -2), (44, 1, 0, 1, -2), (-31, -1, 0, 1, -2), (-25, -2, 0, 1, 0), (-23, 0, 1, 1, -2),
     (21, -1, 0, 1, 0), (11, 0, -1, 1, -2),
 )  # fmt: skip
-"""Moon: arcsec of the sines in ecliptic latitude beside the main one."""
+"""Moon: arcsec of the sines in ecliptic latitude, without the main term."""
 _DISTANCE = (
     (-20905, 1, 0, 0, 0), (-3699, -1, 0, 0, 2), (-2956, 0, 0, 0, 2), (-570, 2, 0, 0, 0), (246, 2, 0, 0, -2),
     (-205, 0, 1, 0, -2), (-171, 1, 0, 0, 2), (-152, 1, 1, 0, -2),
 )  # fmt: skip
-"""Moon: km of the cosines in the distance, less 385 000 km."""
+"""Moon: km of the cosines in the distance minus 385 000 km."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """Where a body stands: ecliptic longitude and latitude of date [rad], distance [m], (n,) each."""
+    """Position of a body: ecliptic longitude and latitude of date [rad], distance [m], (n,) each."""
 
     longitude: Array
     latitude: Array
@@ -82,7 +82,7 @@ class Body:
 
 
 def moon(centuries: Array) -> Body:
-    """The Moon at Julian centuries of terrestrial time since J2000 (n,): to 5 arcmin and 500 km."""
+    """The Moon at Julian centuries of terrestrial time since J2000 (n,), accurate to 5 arcmin and 500 km."""
     T = centuries
     mean = np.radians(218.31617 + 481267.88088 * T)
     arguments = (
@@ -99,7 +99,7 @@ def moon(centuries: Array) -> Body:
 
 
 def sun(centuries: Array) -> Body:
-    """The Sun at Julian centuries of terrestrial time since J2000 (n,): to 2 arcmin and 0.1 %."""
+    """The Sun at Julian centuries of terrestrial time since J2000 (n,), accurate to 2 arcmin and 0.1 %."""
     T = centuries
     anomaly = np.radians(357.5256 + 35999.049 * T)
     longitude = math.radians(282.9400) + anomaly + PRECESSION * T
@@ -125,16 +125,16 @@ def sidereal_time(centuries: Array) -> Array:
 
 @dataclass(frozen=True)
 class EarthTide:
-    """Tidal gravity of a test that begins at ``start`` (UTC); ``in_reference``: the lab's reference has it."""
+    """Tidal gravity of a test that begins at ``start`` (UTC). ``in_reference``: the lab's reference includes it."""
 
     site: Site
     start: dt.datetime
     in_reference: bool = False
 
     def gravity(self, t: Array) -> Array:
-        """Change of gravity [m/s^2] at times ``t`` [s] of the test, (n,), its permanent part included.
+        """Change of gravity [m/s^2] at times ``t`` [s] of the test, (n,), including its permanent part.
 
-        Good to 1 % of a tide of 1e-6 m/s^2 (docs/twin.md), but for the load of the ocean: some percent near coasts.
+        Accurate to 1 % of a tide of 1e-6 m/s^2 (docs/twin.md), without ocean loading (some percent near coasts).
         """
         universal = ((self.start - _J2000).total_seconds() + np.asarray(t, dtype=float)) / _CENTURY
         terrestrial = universal + TERRESTRIAL_LESS_UTC / _CENTURY
@@ -160,7 +160,7 @@ class EarthTide:
 def _potentials(
     body: Body, gm: float, local: Array, latitude: float, radius: float
 ) -> tuple[tuple[Array, Array, Array], Array]:
-    """Long, diurnal and semidiurnal part of degree 2, and degree 3 of the potential [m^2/s^2]; ``local`` sidereal time."""
+    """Potential [m^2/s^2]: long-period, diurnal and semidiurnal parts of degree 2, and degree 3. ``local`` is sidereal time."""
     ascension, declination = body.equatorial()
     hour = local - ascension
     sine, cosine = math.sin(latitude), math.cos(latitude)

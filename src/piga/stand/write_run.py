@@ -1,4 +1,4 @@
-"""Write a simulated test as a lab would leave it: data file, run file, and the truth beside them.
+"""Write a simulated test in the files of a lab (data file, run file), and its truth.
 
 The truth has the names and units of a calibration.
 """
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrueValue:
-    """One true value: ``value`` in ``unit``; ``segment`` when it holds for one segment only."""
+    """One true value: ``value`` in ``unit``. ``segment`` is set if it holds for one segment only."""
 
     name: str
     value: float
@@ -51,9 +51,9 @@ class TrueValue:
 def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
     """True coefficients: scale factor, tan beta, phases, and every term that is not zero.
 
-    With the twin, bias and k2 that its torques and inertias make are added to those of the error model, and the terms
-    ``servo`` and ``servo_damping`` are what its servo is predicted to make at a small rate.
-    Harmonics are turned to the zero of the output angle.
+    With the twin, the bias and k2 of its torques and inertias are added to those of the error model. The terms
+    ``servo`` and ``servo_damping`` are then predicted from its servo at a small rate.
+    Harmonics refer to the zero of the output angle.
     """
     own = test.specimen.instrument
     values = {"scale_factor": own.scale_factor, "tan_beta": abs(own.tan_beta)}
@@ -96,7 +96,7 @@ def _harmonics(test: SimulatedTest) -> tuple[TrueValue, ...]:
 
 
 def _phases(test: SimulatedTest) -> tuple[TrueValue, ...]:
-    """``phi``: one when all segments share it, else one per segment."""
+    """``phi``: one value if all segments share it, else one per segment."""
     turn = math.pi if test.specimen.instrument.beta < 0.0 else 0.0
     phases = [math.remainder(phase + turn, 2.0 * math.pi) for phase in test.phases]
     if shares_phase(test):
@@ -113,7 +113,7 @@ def shares_phase(test: SimulatedTest) -> bool:
 
 
 def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
-    """Imperfections that are not zero, in the units of the uncertainty budget; vectors by component."""
+    """Non-zero imperfections in the units of the uncertainty budget, vectors by component."""
     rows = []
     for entry in fields(errors):
         value, unit = getattr(errors, entry.name), str(entry.metadata["unit"])
@@ -133,10 +133,10 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
 
 
 def predicted_angle_error(test: SimulatedTest) -> Array:
-    """Output angle of the twin less that of the quasi-steady model [rad], predicted at the rows of the log.
+    """Predicted output angle of the twin minus that of the quasi-steady model [rad], at the rows of the log.
 
-    Integral of :func:`piga.instrument.twin.linear.predicted_rate_error` along the test; zero for the
-    quasi-steady model. What a calibration of the log finds wrong is this, seen through its regressors.
+    It is the integral of :func:`piga.instrument.twin.linear.predicted_rate_error` along the test; zero for the
+    quasi-steady model. The errors of a calibration of the log are the projection of this angle on its regressors.
     """
     if test.model != "twin":
         return np.zeros(test.log.t.size)
@@ -147,7 +147,7 @@ def predicted_angle_error(test: SimulatedTest) -> Array:
 
 
 def predictions(test: SimulatedTest) -> tuple[TrueValue, ...]:
-    """What the twin does that the quasi-steady model cannot, at 1 g along and 1 g across the input axis."""
+    """Predicted effects of the twin that the quasi-steady model lacks, at 1 g along and 1 g across the input axis."""
     if test.model != "twin":
         return ()
     p = test.specimen.design
@@ -194,7 +194,7 @@ def write_data(test: SimulatedTest, path: Path) -> None:
 
 
 def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> str:
-    """The run file (TOML) of the test, in the form that ``piga calibrate`` takes."""
+    """The run file (TOML) of the test, for ``piga calibrate``."""
     own, electronics = scenario.table.instrument, test.electronics
     instrument: dict[str, Any] = {"serial": own.serial, "scale_factor": own.scale_factor}
     output: dict[str, Any] = {"column": _OUTPUT[electronics.kind], "kind": electronics.kind}
@@ -228,7 +228,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
 
 
 def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
-    """``[model]`` as the scenario wishes it; else every term that the truth has and the servo's parameters do not give."""
+    """``[model]`` of the scenario; else every term of the truth that the servo's parameters do not give."""
     model = dict(scenario.table.model)
     if "terms" not in model:
         known = _known_servo(scenario)
@@ -247,12 +247,12 @@ def _known_servo(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _stand(scenario: Scenario) -> dict[str, Any]:
-    """The stand as the scenario gives it: the budget of the calibration uses it."""
+    """``[stand]`` of the scenario. The budget of the calibration uses it."""
     return given_values(msgspec.to_builtins(scenario.table.stand))
 
 
 def given_values(value: Any) -> Any:
-    """Nested tables without the keys that are not given (TOML has no null)."""
+    """Nested tables without empty keys (TOML has no null)."""
     if isinstance(value, dict):
         return {key: given_values(item) for key, item in value.items() if item is not None}
     if isinstance(value, (list, tuple)):
@@ -261,13 +261,13 @@ def given_values(value: Any) -> Any:
 
 
 def _uncertainty(scenario: Scenario) -> dict[str, Any]:
-    """``[uncertainty]`` as written; where the imperfections were drawn, their standard uncertainties too."""
+    """``[uncertainty]`` as written and, if imperfections were drawn, their standard uncertainties."""
     drawn = scenario.table.imperfections if scenario.table.run.imperfections == "drawn" else {}
     return drawn | scenario.table.uncertainty
 
 
 def toml_table(name: str, table: dict[str, Any]) -> str:
-    """A table of a TOML file with its header; inner tables are written inline."""
+    """A table of a TOML file with its header. Inner tables are written inline."""
     return f"[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
 
 

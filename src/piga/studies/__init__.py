@@ -1,4 +1,4 @@
-"""Every published case, computed by the library, beside the publication's number, and judged.
+"""Compute every published case with the library, compare with the published number, and judge the difference.
 
 >>> from piga.studies import reproduce
 >>> found = reproduce("mounting")

@@ -1,4 +1,4 @@
-"""What a reproduction consists of: numbers judged, chapters, and the published instrument and runs they share."""
+"""Parts of a reproduction: judged numbers (cases), chapters, and the published instrument and runs that they share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Verdict = Literal["pass", "fail", "info"]
 
 @dataclass(frozen=True)
 class Case:
-    """One published number beside ours.
+    """One published number and piga's number.
 
     Attributes
     ----------
@@ -31,17 +31,17 @@ class Case:
     source:
         Key of the publication with its equation or example, e.g. ``[Wei2024] eq. 12-18``.
     quantity, unit:
-        What is compared, and the unit of all four numbers.
+        The compared quantity, and the unit of all four numbers.
     published:
-        The publication's number; None where it prints none.
+        The published number; None if none is printed.
     computed:
-        Ours, from a run of the library.
+        piga's number, from a run of the library.
     tolerance:
-        Largest difference that still agrees; None where the numbers are not comparable (verdict ``info``).
+        Largest difference that counts as agreement; None if the numbers are not comparable (verdict ``info``).
     note:
-        Why the tolerance is what it is; for ``info`` why there is no verdict.
+        Reason for the tolerance; for ``info`` the reason why there is no verdict.
     limit:
-        The publication prints an upper limit: any size from zero up to it agrees.
+        True: the publication prints an upper limit. Any size from zero up to it agrees.
     """
 
     id: str
@@ -56,12 +56,12 @@ class Case:
 
     @property
     def difference(self) -> float | None:
-        """Computed less published; None where nothing is published."""
+        """Computed minus published number; None if nothing is published."""
         return None if self.published is None else self.computed - self.published
 
     @property
     def verdict(self) -> Verdict:
-        """``pass`` within the tolerance, ``fail`` outside it, ``info`` where there is none."""
+        """``pass`` within the tolerance, ``fail`` outside it, ``info`` without a tolerance."""
         if self.published is None or self.tolerance is None:
             return "info"
         if self.limit:
@@ -69,7 +69,7 @@ class Case:
         return "pass" if abs(self.computed - self.published) <= self.tolerance else "fail"
 
     def document(self) -> dict[str, Any]:
-        """The case as the JSON of ``piga reproduce`` holds it; a number that is not finite becomes null."""
+        """The case in the JSON of ``piga reproduce``. A non-finite number becomes null."""
         return {
             "id": self.id,
             "source": self.source,
@@ -90,7 +90,7 @@ def _finite(value: float | None) -> float | None:
 
 @dataclass(frozen=True)
 class Chapter:
-    """Cases and figures of one part of a publication; ``text`` says what was done and what is to be seen."""
+    """Cases and figures of one part of a publication. ``text`` describes the method and the result."""
 
     id: str
     title: str
@@ -109,9 +109,9 @@ Array = NDArray[np.float64]
 
 SCALE: Final = "0.8884 rad/s/g"
 INSTRUMENT: Final = Instrument(SCALE, "1000 arcsec", 0.25 * math.pi)
-"""K, beta and alpha0 of all published runs but the five-coefficient one [Wei2020], [Wei2024]."""
+"""K, beta and alpha0 of all published runs except the five-coefficient one [Wei2020], [Wei2024]."""
 TRANSVERSE: Final = 5.0
-"""a_Y of the examples [g]; in the time-varying run a_Y = 5 a_x."""
+"""a_Y of the examples [g]. In the time-varying run a_Y = 5 a_x."""
 RAMP_TOP: Final = 2.06
 """a_x at the end of the time-varying run [g]: a_Y reaches about 10 g, the error about 0.05 g."""
 
@@ -128,7 +128,7 @@ Profile = Literal["ramp", "constant"]
 def record(profile: Profile, duration: float = 100.0, rate: float = 100.0) -> Run:
     """The time-varying run as a record of output rates over ``duration`` [s] at ``rate`` [Hz], a_Y = 5 a_x [Wei2024].
 
-    ``ramp``: a_x from 0 to 2.06 g; the publication does not print its profile, a straight line stands for
+    ``ramp``: a_x from 0 to 2.06 g. The publication does not print its profile; a straight line replaces
     it. ``constant``: a_x = 2.06 g throughout.
     """
     t = np.arange(round(duration * rate) + 1) / rate
@@ -146,35 +146,35 @@ def published_calibration(profile: Profile, duration: float = 100.0) -> Calibrat
 
 @cache
 def own_calibration(profile: Profile) -> Calibration:
-    """The calibration by the linear estimator, which needs no first guess; with its history."""
+    """The calibration by piga's linear estimator, with its history. It needs no first guess."""
     return calibrate(record(profile), terms=["tan_beta"], method="recursive")
 
 
 def raw_state(calibration: Calibration) -> tuple[float, float]:
-    """[tan_beta, phi] as the recursion leaves them: tan_beta may be negative, phi beyond half a turn."""
+    """[tan_beta, phi] as the recursion returns them. tan_beta may be negative and phi beyond half a turn."""
     history = calibration.history or {}
     return float(history["tan_beta"][-1]), float(history["phi"][-1])
 
 
 def raw_error(run: Run) -> Array:
-    """Indicated less true specific force of a rate record [g]."""
+    """Indicated minus true specific force of a rate record [g]."""
     return np.asarray((run.output / run.scale_factor - run.f[:, 0]) / G0)
 
 
 def model_phase(run: Run) -> Array:
-    """Phase that the published calibration predicts less phi: the integral of K a_x [rad]."""
+    """Phase of the published model minus phi: the integral of K a_x [rad]."""
     steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
     return np.asarray(run.scale_factor * np.concatenate(([0.0], np.cumsum(steps))))
 
 
 def model_residual(run: Run, calibration: Calibration) -> Array:
-    """What the published model leaves of the error at its own phase [g] (a_Z = 0)."""
+    """Error that remains after the published model, at its own phase [g] (a_Z = 0)."""
     phase = model_phase(run) + calibration["phi"].value
     return np.asarray(raw_error(run) - run.f[:, 1] / G0 * calibration["tan_beta"].value * np.sin(phase))
 
 
 def compensated_error(run: Run, calibration: Calibration, method: str) -> Array:
-    """Compensated less true specific force of a rate record [g]."""
+    """Compensated minus true specific force of a rate record [g]."""
     return np.asarray((compensate(run, calibration, method=method, uncertainty=False).ax - run.f[:, 0]) / G0)
 
 

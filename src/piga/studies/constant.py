@@ -1,4 +1,4 @@
-"""Constant input: the four examples, and the textbook period where it fails [Wei2020]."""
+"""Constant input: the four examples, and cases where the textbook period fails [Wei2020]."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Solved:
 
 @cache
 def solved(example: Example) -> Solved:
-    """The product's closed form, its propagator for records, SciPy's DOP853, and the published form."""
+    """Solve an example with piga's closed form, piga's propagator for records, SciPy's DOP853, and the published form."""
     t = np.linspace(0.0, DURATION, round(DURATION / _STEP) + 1)
     f = np.tile(np.array(example.force), (t.size, 1))
     sampled = propagate(INSTRUMENT, t, f, with_rate=True)
@@ -230,7 +230,7 @@ def _agreement_figure() -> Figure:
 
 
 def period() -> Chapter:
-    """The period 2 pi / (K sqrt(a^2 - b^2)) in the four regimes, and what really happens."""
+    """The period 2 pi / (K sqrt(a^2 - b^2)) in the four regimes, compared with the exact motion."""
     text = (
         "The textbook period of a revolution, T = 2 pi / (K sqrt(a_x^2 - a_t^2 tan^2(beta))), holds only where the "
         "gimbal revolves. Revolutions per second, 1/T, are compared where T is infinite."
@@ -377,7 +377,7 @@ def _rest_figure() -> Figure:
 
 
 def _measured_period(a_x: float, a_Y: float) -> float:
-    """Time [s] of ten revolutions of the motion itself, divided by ten: found by root search, without the formula."""
+    """Time [s] of ten revolutions of the exact motion, divided by ten. It comes from a root search, not from the formula."""
     from scipy.optimize import brentq
 
     def missing(t: float) -> float:

@@ -1,4 +1,4 @@
-"""What the publications got wrong, shown by numbers computed here."""
+"""Errors in the publications, shown by numbers computed here."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _phase_cases() -> list[Case]:
 
 
 def model_phase_error() -> np.ndarray:
-    """Phase of the published model with the phi that it found, less the true angle [rad]."""
+    """Phase of the published model, with its estimated phi, minus the true angle [rad]."""
     _, walk, _ = phase_walk()
     constant, lead = closed_form_phase(TRANSVERSE * INSTRUMENT.tan_beta, INSTRUMENT.alpha0)
     return walk - (constant - lead) + raw_state(published_calibration("ramp"))[1]

@@ -55,7 +55,7 @@ def real_record() -> Run:
 
 @cache
 def model_record() -> Run:
-    """Output rate [rad/s] as the published model has it, without noise: its phase is the integral of K a_x."""
+    """Output rate [rad/s] of the published model, without noise. Its phase is the integral of K a_x."""
     t = real_record().t
     f = profile(t)
     K = _INSTRUMENT.scale_factor
@@ -67,10 +67,11 @@ def model_record() -> Run:
 
 @cache
 def noisy_successes() -> tuple[int, int]:
-    """In how many of ``_TRIALS`` noisy records of its own model the published method, and ours, finds the truth.
+    """Number of ``_TRIALS`` noisy records in which the published method, and piga's, recovers the truth.
 
-    Noise: the random walk of the real record. The published method succeeds with all five within half of their
-    printed digits, ours with the phase from the input and all five within four standard uncertainties.
+    The records come from the published model, with the random walk of the real record as noise. The published method
+    succeeds if all five coefficients are within half of their printed digits. piga's method takes the phase from the
+    input and succeeds if all five are within four standard uncertainties.
     """
     clean, successes = model_record(), [0, 0]
     for seed in range(_TRIALS):
@@ -85,19 +86,19 @@ def noisy_successes() -> tuple[int, int]:
 
 @cache
 def own() -> Calibration:
-    """Ours on the real record, with history."""
+    """Calibration of the real record by piga, with history."""
     return calibrate(real_record(), terms=TERMS, method="recursive")
 
 
 @cache
 def published(*, real: bool) -> Calibration:
-    """The published recursion from its first guess, on the real record or on one made by its own model."""
+    """The published recursion from its first guess, on the real record or on a record of the published model."""
     run = real_record() if real else model_record()
     return calibrate(replace(run, estimation=_START), terms=TERMS, method="published")
 
 
 def chapter() -> Chapter:
-    """Error curve, fit overlay and recovered values, published method and ours."""
+    """Error curve, fit overlay and recovered values, for the published method and piga's."""
     cases = [*(case for name in TRUTH for case in _cases(name)), *_success_cases()]
     text = (
         "257 s at 50 Hz in three phases (rising to 120 s, steady to 200 s, fast changes to 257 s), a_Y up to 8 g, a_x up to "
@@ -177,7 +178,7 @@ def _success_cases() -> list[Case]:
 
 
 def _indicated_error(run: Run, every: int = 10) -> tuple[Array, Array, Array]:
-    """Time [s], indicated less true a_x [g] over ``every`` samples, and mean output angle [rad]."""
+    """Time [s], indicated minus true a_x [g] over ``every`` samples, and mean output angle [rad]."""
     t, psi = run.t[::every], run.output[::every]
     velocity = np.concatenate(([0.0], np.cumsum(0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t))))[
         ::every
@@ -187,7 +188,7 @@ def _indicated_error(run: Run, every: int = 10) -> tuple[Array, Array, Array]:
 
 
 def _model_error(calibration: Calibration, force: Array, psi: Array) -> Array:
-    """Error [g] by the coefficients of a calibration, at force (n, 3) [m/s^2] and phase ``psi`` [rad]."""
+    """Error [g] from the coefficients of a calibration, at force (n, 3) [m/s^2] and phase ``psi`` [rad]."""
     a_x, a_Y = force[:, 0] / G0, force[:, 1] / G0
     value = {name: calibration[name].value for name in TRUTH}
     coupling = value["tan_beta"] * a_Y * np.sin(psi + value["phi"])

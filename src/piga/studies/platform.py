@@ -32,7 +32,7 @@ _CASE = np.arange(256) * (2.0 * np.pi / 256)
 
 
 def pole_amplitude(misalignment: float, eta: float, *, exact: bool = True) -> float:
-    """First-harmonic amplitude [rad] of the platform's turn about the polar axis over a case turn, m2 = 0.
+    """First-harmonic amplitude [rad] of the platform's rotation about the polar axis over a case turn, for m2 = 0.
 
     From the exact geometry of both nulled pick-offs, or from the publication's small-angle matrices.
     """
@@ -45,7 +45,7 @@ def pole_amplitude(misalignment: float, eta: float, *, exact: bool = True) -> fl
 
 
 def table() -> Chapter:
-    """Amplitude about the polar axis for 10' against the redundancy angle, and the east velocity."""
+    """Amplitude about the polar axis for 10' against redundancy angle, and the resulting east velocity."""
     source = "[He2014] table, eta0 = 0, m1 = 10'"
     cases = [_table_case(eta, source) for eta in (1.0, 2.0, 3.0, 4.0, 5.0)]
     cases += _velocity_cases()
@@ -137,7 +137,7 @@ def _table_figure() -> Figure:
 
 
 def coupling() -> Chapter:
-    """Drift of the triad from the drifts of two gyros: the relations against the geometry of two momenta."""
+    """Drift of the triad from the drifts of two gyros: published relations against the geometry of two momenta."""
     source = "[He2014] drift-coupling relations"
     eta = math.radians(5.0)
     drift = {
@@ -263,7 +263,7 @@ def _coupling_figure(drift: dict[str, float]) -> Figure:
 
 LATITUDE: Final = math.radians(40.0)
 STEP: Final = 2.0
-"""Step of the ten-day runs [s]; 1 s changes the lines by less than 0.5 %, and model B's by 5e-6 m/s."""
+"""Step of the ten-day runs [s]. A step of 1 s changes the lines by less than 0.5 %, and model B's by 5e-6 m/s."""
 _DRIFT = math.radians(0.01) / 3600.0
 _DAYS = 10.0
 _LATE = 7200.0
@@ -292,8 +292,8 @@ CHANNELS = (
 def scenario(*, wobble: bool) -> PlatformScenario:
     """L = 40 deg, m1 = m2 = 4', period 8 min, eta' = 0.01 deg/h; ten days.
 
-    Case angles count from where the publication's sines and cosines begin (no phases). The wobble is ours:
-    its size is not published.
+    Case angles have no phases, as in the publication's sines and cosines. The size of the wobble is our choice: it
+    is not published.
     """
     models: tuple[Model, ...] = ("A", "B", "C") if wobble else ("A", "B")
     return PlatformScenario(
@@ -336,7 +336,7 @@ def last_lines(comparison: ModelComparisonRun, model: Model) -> dict[str, float]
 
 
 def formula(channel: str) -> float:
-    """The publication's own formula at the end of day ten (SI): g d cos(L)/w_c, d sin(L), d cos(L), d = m1 tan(eta)."""
+    """The published formula at the end of day ten (SI): g d cos(L)/w_c, d sin(L), d cos(L), d = m1 tan(eta)."""
     turn = 4.0 * ARCMIN * math.tan(_DRIFT * _DAYS * DAY)
     return {
         "east_velocity": GRAVITY_OF_TABLE * turn * math.cos(LATITUDE) / CASE_RATE,
@@ -417,7 +417,7 @@ def _first_day(comparison: ModelComparisonRun) -> Case:
 
 
 def wobble() -> Chapter:
-    """With wobbling rotation axes B removes only a part of what A leaves; C removes the wobble."""
+    """Wobbling rotation axes: model B removes only a part of the error of model A; model C removes the wobble, too."""
     comparison = compared(wobble=True)
     amplitude = {m: float(r.lines.amplitude["east_velocity"][-1]) for m, r in comparison.models.items()}
     removed = {m: 100.0 * (1.0 - amplitude[m] / amplitude["A"]) for m in ("B", "C")}

@@ -1,4 +1,4 @@
-"""Recursive calibration and the compensation that follows from it [Wei2024]."""
+"""Recursive calibration, and compensation with its result [Wei2024]."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _RATIO = TRANSVERSE * INSTRUMENT.tan_beta
 
 
 def recursion() -> Chapter:
-    """[tan_beta, phi] from x0 = [4.5e-3, 0.4], P0 = 1e10 I; the wrong convergence from a constant input."""
+    """[tan_beta, phi] from x0 = [4.5e-3, 0.4], P0 = 1e10 I, and wrong convergence with a constant input."""
     text = (
         "The published recursion, started at x0 = [4.5e-3, 0.4] with P0 = 1e10 I on the run of the chapter before, "
         "beside the product's linear estimator, which takes the phase from the measured output and needs no first "
@@ -159,7 +159,7 @@ def _constant_cases() -> list[Case]:
 
 
 def _history_panels(profile: Profile) -> tuple[Panel, ...]:
-    """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
+    """Panels: whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
     t = record(profile).t
     estimate: tuple[tuple[Calibration, str, Role], ...] = (
         (published_calibration(profile), "published recursion", "before"),
@@ -253,7 +253,7 @@ def _compensation_cases(source: str, largest: dict[str, float]) -> tuple[Case, .
 
 
 def with_phase(calibration: Calibration, phi: float) -> Calibration:
-    """The calibration with another phase [rad], its phase being that of the output."""
+    """The calibration with another phase [rad], as the phase of the output."""
     changed = tuple(replace(c, value=phi) if c.name == "phi" else c for c in calibration.coefficients)
     return replace(calibration, coefficients=changed, phase_source="output")
 
@@ -283,7 +283,7 @@ def _compensation_figure(before: Array, model: Array, formula: Array, exact: Arr
 
 
 def phase_walk() -> tuple[Array, Array, Array]:
-    """Time [s], phase of the published model less the true one [rad] from the ramp, and K V r^2/2 [rad]."""
+    """Time [s], phase of the published model minus the true phase [rad] on the ramp, and K V r^2/2 [rad]."""
     log = record("ramp")
     alpha = propagate(INSTRUMENT, log.t, log.f)
     predicted = model_phase(log)
@@ -292,6 +292,6 @@ def phase_walk() -> tuple[Array, Array, Array]:
 
 
 def misread_phase_error() -> float:
-    """Largest error [g] that is left when the printed 0.802 is taken as degrees."""
+    """Largest remaining error [g] if the printed 0.802 is taken as degrees."""
     degrees = with_phase(published_calibration("ramp"), math.radians(PUBLISHED_PHASE))
     return float(np.abs(compensated_error(record("ramp"), degrees, "published")).max())

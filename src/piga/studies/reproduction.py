@@ -1,4 +1,4 @@
-"""Run the chapters, all or one, and show them to people: the page and the terminal table."""
+"""Run all chapters or one, and show the results as a page and a terminal table."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ CHAPTERS: dict[str, Callable[[], Chapter]] = {
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Chapters that were run, and the version that ran them."""
+    """Chapters that were run, and the version of piga."""
 
     chapters: tuple[Chapter, ...]
     version: str = __version__
@@ -70,7 +70,7 @@ class Reproduction:
 
 
 def chosen(only: str | None) -> list[str]:
-    """Ids of the chapters to run: all, or the one named by its id or by a case in it.
+    """Ids of the chapters to run: all, or the one given by its id or by one of its cases.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def reproduce(only: str | None = None) -> Reproduction:
     Parameters
     ----------
     only:
-        Id of one chapter, or of a case in it; None runs all.
+        Id of one chapter, or of one of its cases; None: all chapters.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def reproduce(only: str | None = None) -> Reproduction:
 
 
 def run_chapters(names: list[str]) -> Iterator[Chapter]:
-    """The chapters one by one, as they are done."""
+    """Yield the chapters one by one as they finish."""
     for name in names:
         yield CHAPTERS[name]()
 
@@ -130,7 +130,7 @@ def short_id(case: Case) -> str:
 
 
 def difference(case: Case) -> str:
-    """Difference with three digits: more are rounding."""
+    """Difference with three digits. More digits would be rounding error."""
     return number(case.difference, 3)
 
 
@@ -208,7 +208,7 @@ def _sources() -> Section:
 
 
 def text_lines(reproduction: Reproduction) -> list[tuple[Verdict | None, str]]:
-    """Lines of the terminal table, each with the verdict that it ends on (None: a heading)."""
+    """Lines of the terminal table, each with its verdict (None: a heading)."""
     heads = ("case", "published", "computed", "difference", "tolerance", "unit", "verdict")
     rows = [
         (

@@ -1,4 +1,4 @@
-"""[Wei2024]: four forms of time-varying input, the run with a_Y = 5 a_x, and the skew that keeps it revolving."""
+"""Time-varying input of [Wei2024]: four forms, the run with a_Y = 5 a_x, and the skew that avoids locking."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _EVERY = 20
 
 @dataclass(frozen=True)
 class Form:
-    """A run at a constant ratio: number of the form, a_x at the mean of the swing [g], a_Y and a_Z [g]."""
+    """A run at a constant ratio of components: number of the form, a_x at the mean of the swing [g], a_Y and a_Z [g]."""
 
     number: FormNumber
     title: str
@@ -61,12 +61,12 @@ def _forms() -> tuple[Form, ...]:
 
 
 def swing(t: Array) -> Array:
-    """Common factor of all components: 1 + 0.6 sin(2 pi t / 15 s); the ratio stays, the size varies."""
+    """Common factor of all components: 1 + 0.6 sin(2 pi t / 15 s). The ratio is constant, the size varies."""
     return np.asarray(1.0 + _SWING * np.sin(2.0 * np.pi * np.asarray(t) / _PERIOD))
 
 
 def swung(t: Array) -> Array:
-    """Integral of :func:`swing` from 0 [s]: the published forms hold with it in place of the time."""
+    """Integral of :func:`swing` from 0 [s]. The published forms hold if it replaces the time."""
     slope = 2.0 * np.pi / _PERIOD
     return np.asarray(t + _SWING / slope * (1.0 - np.cos(slope * np.asarray(t))))
 
@@ -86,7 +86,7 @@ def solved(form: Form) -> tuple[Array, Array, Array]:
 
 
 def forms() -> Chapter:
-    """The four closed forms hold for time-varying input as long as the ratio of its components stays."""
+    """The four closed forms hold for time-varying input with a constant ratio of its components."""
     cases, panels = [], []
     for form in _forms():
         t, published, exact = solved(form)
@@ -221,7 +221,7 @@ _SKEWS = np.geomspace(1.0, 36000.0, 400) * ARCSEC
 
 
 def mounting() -> Chapter:
-    """Which skew keeps a_x^2 > a_t^2 tan^2(beta)."""
+    """Skew that keeps a_x^2 > a_t^2 tan^2(beta)."""
     load = TRANSVERSE * G0
     border = math.atan(float(dead_zone(INSTRUMENT, load, 0.0)[1]) / load) / ARCSEC
     source = "[Wei2024] mounting recommendation"
@@ -270,7 +270,7 @@ def _shortfall(skew: float, load: float) -> float:
 
 
 def _revolving_skew(load: float) -> float:
-    """Least skew [arcsec] at which the motion itself turns by a revolution within 50 000 s."""
+    """Least skew [arcsec] at which the exact motion makes one revolution within 50 000 s."""
     low, high = 500.0, 2000.0
     while high - low > 1e-3:
         skew = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""Replay of a logged profile: specific force and base rate from arrays or a file."""
+"""Replay a logged profile: specific force and base rate from arrays or a file."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MOST_ROWS = 1 << 16
-"""Longer profiles lie on disk, as long records do."""
+"""Profiles with more rows lie on disk, as long records do."""
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LoggedProfile:
-    """Samples of specific force [m/s^2] and base rate [rad/s], (n, 3), at times ``t`` [s], linear between."""
+    """Samples of specific force [m/s^2] and base rate [rad/s], (n, 3), at times ``t`` [s]. They are linear between samples."""
 
     t: Array
     force: Array
@@ -52,7 +52,7 @@ class LoggedProfile:
         return float(min(steps(self.t, part)[int(part.start == 0) :].min() for part in spans(self.t.size)))
 
     def segments(self) -> tuple[Segment, ...]:
-        """One segment, from time zero."""
+        """One segment that starts at time zero."""
         return plan([("0", float(self.t[-1] - self.t[0]), True)])
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
@@ -68,7 +68,7 @@ class LoggedProfile:
         return force, rate
 
     def _around(self, at: Array) -> slice:
-        """The samples that times depend on: of a long profile no others are brought into memory."""
+        """The samples that are needed for some times. Of a long profile only these are loaded."""
         if at.size == 0:
             return slice(0, 1)
         first, last = np.searchsorted(self.t, (at.min(), at.max()), side="right").tolist()
@@ -81,7 +81,7 @@ def read_profile(
     force: tuple[tuple[str, str, str], str],
     base_rate: tuple[tuple[str, str, str], str] | None = None,
 ) -> LoggedProfile:
-    """Read a profile from CSV or Parquet; columns are named with their unit, e.g. ``("t_s", "s")``.
+    """Read a profile from CSV or Parquet. Columns are given with their unit, e.g. ``("t_s", "s")``.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def read_profile(
 
 
 def _scaled(columns: list[Array], factor: float) -> Array:
-    """Columns times a factor, one row each."""
+    """Columns multiplied by a factor, as rows."""
     made: Array = arrays_like(columns[0]).empty((len(columns), columns[0].size))
     for axis, column in enumerate(columns):
         for part in spans(column.size):
@@ -109,7 +109,7 @@ def _scaled(columns: list[Array], factor: float) -> Array:
 
 
 def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
-    """The named columns as they are."""
+    """The named columns, unconverted."""
     from pyarrow import ArrowException
 
     arrays, row = Arrays(path.parent), 1

@@ -1,4 +1,4 @@
-"""Stands that turn in the gravity field: dividing head, centrifuge and rate table; the geometry stands share."""
+"""Stands that turn in the gravity field: dividing head, centrifuge and rate table. Also their common geometry."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def turned(vector: Array, angle: Array) -> Array:
 
 
 def turned_back(vectors: Array, angle: Array) -> Array:
-    """Components of ``vectors`` (n, 3), given in axes turned by ``angle`` about z, in the axes not turned."""
+    """Components in the fixed axes of ``vectors`` (n, 3) that are given in axes turned by ``angle`` about z."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = vectors.T
     return np.column_stack([c * x - s * y, c * y + s * x, z])
@@ -34,8 +34,8 @@ def turned_back(vectors: Array, angle: Array) -> Array:
 def in_axes(matrix: Array, vectors: Array) -> Array:
     """Each row of ``vectors`` (n, 3) multiplied by ``matrix`` (3, 3).
 
-    Written out, because a matrix product may round a row differently with the number of rows: what a stand gives
-    at a time must not depend on the other times it is asked for.
+    The product is written out, because the rounding of a matrix product may depend on the number of rows. The
+    result at one time must not depend on the other times of the call.
     """
     x, y, z = vectors.T
     return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
@@ -101,11 +101,11 @@ class DividingHead:
     site:
         Place and local gravity.
     positions:
-        Position angles [rad] in the order taken; the head turns by the plain difference between them.
+        Position angles [rad] in test order. The head turns by the plain difference between them.
     dwell, move:
         Recorded time in a position and time of a move [s].
     roll:
-        Turn of the instrument about its input axis on the head [rad].
+        Rotation of the instrument about its input axis on the head [rad].
     azimuth:
         Direction of the head's axis from north over east [rad].
     settling_time:
@@ -135,7 +135,7 @@ class DividingHead:
         return self.move / 100.0
 
     def segments(self) -> tuple[Segment, ...]:
-        """Positions ``0, 1, ...``, recorded, with moves between them, not recorded."""
+        """Positions ``0, 1, ...`` are recorded. The moves between them are not."""
         return plan_holds(len(self.positions), self.dwell, "move", self.move)
 
     def angle(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
@@ -169,7 +169,7 @@ class DividingHead:
 
 
 def position_range(first: float, last: float, step: float) -> tuple[float, ...]:
-    """Angles [rad] from ``first`` to before ``last``: a full circle does not repeat its start."""
+    """Angles [rad] from ``first`` up to, without, ``last``. So a full circle does not repeat its start."""
     count = round((last - first) / step) if step != 0.0 else 0
     if count < 1:
         raise ArgumentError(
@@ -203,16 +203,16 @@ class SpinPlan:
 
     @property
     def resolution(self) -> float:
-        """Step [s] that resolves a ramp (a hundredth) and a revolution (a two-hundredth)."""
+        """Step [s] that resolves a ramp (1/100 of it) and a revolution (1/200 of it)."""
         fastest = max(abs(rate) for rate in self.rates)
         return min(self.ramp / 100.0, 2.0 * math.pi / max(fastest, 1e-9) / 200.0)
 
     def segments(self) -> tuple[Segment, ...]:
-        """Levels ``0, 1, ...``, recorded, with ramps between them, not recorded."""
+        """Levels ``0, 1, ...`` are recorded. The ramps between them are not."""
         return plan_holds(len(self.rates), self.dwell, "ramp", self.ramp)
 
     def nominal(self, t: Array) -> Spin:
-        """The spin as set."""
+        """The spin without imperfections."""
         rates = np.array(self.rates)
         steps = np.diff(rates, append=rates[-1])
         cycle = self.dwell + self.ramp
@@ -242,8 +242,8 @@ class Centrifuge:
 
     On the arm (``counter_rotating`` false): ``X0`` inward, ``Z0`` up, ``Y0`` against the motion for
     positive rates; the specific force is ``(r w^2, -r w', g)`` plus the Coriolis force of the Earth's
-    rotation, and the base turns with the arm. On a counter-rotating platform the base keeps the
-    direction it has at angle 0, and the specific force turns in the base.
+    rotation. The base turns with the arm. On a counter-rotating platform the base keeps its
+    direction at angle 0, and the specific force turns in the base.
 
     Parameters
     ----------
@@ -256,11 +256,11 @@ class Centrifuge:
     stretch:
         Known relative growth of the radius per squared rate [s^2/rad^2].
     counter_rotating:
-        Whether the instrument stands on a platform that turns back against the arm.
+        True: the instrument is on a platform that rotates against the arm.
     outward:
-        Whether ``X0`` points away from the spindle: negative specific force.
+        True: ``X0`` points away from the spindle, so the specific force is negative.
     roll:
-        Turn of the instrument about its input axis [rad].
+        Rotation of the instrument about its input axis [rad].
     """
 
     site: Site
@@ -280,11 +280,11 @@ class Centrifuge:
 
     @property
     def fastest(self) -> float:
-        """Step [s] that resolves a ramp, and a revolution where the force turns in the base."""
+        """Step [s] that resolves a ramp and, if the force turns in the base, a revolution."""
         return self.spin.resolution
 
     def segments(self) -> tuple[Segment, ...]:
-        """Levels, recorded, and ramps."""
+        """Levels (recorded) and ramps (not recorded)."""
         return self.spin.segments()
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
@@ -329,8 +329,8 @@ def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 
 class RateTable:
     """A table turning about one axis.
 
-    With the axis vertical the instrument feels gravity, constant in its axes, and the rate: the term
-    ``-Omega_x`` of the output shows alone. With the axis horizontal gravity turns in the base.
+    With a vertical axis, gravity is constant in the base and the rate adds to it: the term ``-Omega_x`` of the
+    output can be measured alone. With a horizontal axis, gravity turns in the base.
 
     Parameters
     ----------
@@ -341,7 +341,7 @@ class RateTable:
     along:
         Base axis that lies along the table's axis: ``X0``, ``Y0``, ``Z0``, or with ``-``.
     horizontal:
-        Whether the table's axis is horizontal, pointing at ``azimuth`` [rad] from north; else vertical up.
+        True: the table's axis is horizontal, at ``azimuth`` [rad] from north. False: it points up.
     azimuth:
         Direction of a horizontal axis [rad].
     offset:
@@ -367,7 +367,7 @@ class RateTable:
         return self.spin.resolution
 
     def segments(self) -> tuple[Segment, ...]:
-        """Rates held, recorded, and ramps."""
+        """Constant rates (recorded) and ramps (not recorded)."""
         return self.spin.segments()
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:

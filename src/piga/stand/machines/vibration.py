@@ -35,9 +35,9 @@ class Drive:
     frequency, last_frequency:
         [Hz].
     amplitude:
-        Peak acceleration [m/s^2] of sine and sweep, root mean square of random.
+        Peak acceleration [m/s^2] of sine and sweep; root mean square of random vibration.
     taper:
-        Time [s] over which the drive comes up and goes down.
+        Time [s] in which the drive rises at the start and falls at the end.
     seed:
         Seed of the phases of random vibration.
     """
@@ -118,7 +118,7 @@ class VibrationTable:
     site:
         Place and local gravity.
     drives:
-        Stretches one after the other; each is a recorded segment.
+        Stretches of vibration in order. Each is a recorded segment.
     axis:
         Base axis along which the table moves.
     up:
@@ -149,7 +149,7 @@ class VibrationTable:
         return plan([(str(k), drive.duration, True) for k, drive in enumerate(self.drives)])
 
     def _drive(self, t: Array) -> tuple[Array, Array, Array]:
-        """Acceleration, its rate of change, and both over the drive's amplitude, at ``t``."""
+        """Acceleration, its rate of change, and both divided by the drive's amplitude, at ``t``."""
         starts = np.array([s.start for s in self.segments()])
         index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, starts.size - 1)
         wave, wave_rate, peak = np.zeros(t.size), np.zeros(t.size), np.ones(t.size)
