@@ -1,11 +1,11 @@
-"""Slow noise of the rate, found by restricted likelihood and taken into the covariance: a bias drift, or a scatter.
+"""Slow noise of the rate, estimated by restricted likelihood and added to the covariance: a bias drift or a scatter.
 
-The rate walks over the whole record (a bias drift), so that positions are no longer independent, or has a value of its
-own in every segment: what stand and servo do anew at each position. The record tells which is likelier. The columns of
-either (:mod:`~piga.calibration.noise.slow_bases`) are whitened and reduced with those of the model; projected on what
-the model leaves, independent numbers and white noise of one are all there is, and the likelihood of their variance is
-a sum over eigenvalues (own derivation, docs/theory). In long records a quick look at the means of the residual angle
-over a few bins of every stretch comes first: one without slow noise pays nothing else.
+A bias drift is a walk of the rate over the whole record; positions are then not independent. A scatter is a rate of its
+own in every segment, for example when stand and servo are set anew at each position. The likelier one is taken. Its
+columns (:mod:`~piga.calibration.noise.slow_bases`) are whitened and reduced with those of the model. After the model is
+projected out, only independent numbers and unit white noise remain. The likelihood of their variance is then a sum
+over eigenvalues (own derivation, docs/theory). Long records are first tested with the means of the residual angle
+over a few bins of every stretch. A record without slow noise needs nothing else.
 """
 
 from __future__ import annotations
@@ -37,31 +37,31 @@ from piga.calibration.noise.weighting import reduce_segments, residual_increment
 Array = NDArray[np.float64]
 
 SUSPECTED = 0.3
-"""Gain in twice the log-likelihood, the other levels as found, from which a slow noise is looked for with all of them."""
+"""Gain in twice the log-likelihood, with the other levels fixed, above which all levels are estimated together."""
 SIGNIFICANT = 2.0
-"""Gain from which a slow noise is taken into the covariance."""
+"""Gain above which a slow noise enters the covariance."""
 CLEAR = 9.0
-"""Gain from which it is weighted by, too: weights for a drift that is not there cost up to six times the variance."""
+"""Gain above which it also enters the weights. Weights for a drift that does not exist may cost six times the variance."""
 BELOW, ABOVE = 0.7, 0.35
-"""Decades below and above the random walk found without a drift in which it is looked for with slow noise."""
+"""Search range of the random walk beside slow noise: decades below and above the walk estimated without it."""
 LEVELS = 41
-"""Levels tried, over eight decades."""
+"""Trial levels over eight decades."""
 UNDETERMINED = 1e-9
-"""Part of a column that the others leave, below which nothing is said of it."""
+"""Smallest independent part of a column for an estimate."""
 ENOUGH = 3
-"""Independent values of a slow noise that the coefficients must leave."""
+"""Fewest independent values of a slow noise that the coefficients must leave."""
 LOST = 0.2
-"""Largest variance of a mean rate by a stated scatter, over that by the noise, up to which it makes no difference to levels
-and weights."""
+"""Largest variance of a mean rate by a stated scatter, relative to the noise, for which the scatter is ignored in
+levels and weights."""
 LOWEST = 4.0
-"""Decades below the random walk found without it in which it is looked for beside a stated scatter."""
+"""Search range of the random walk beside a stated scatter: decades below the walk estimated without it."""
 BINS, MOST_BINS = 16, 2048
-"""Bins of a stretch at the quick look, and of all stretches together."""
+"""Bins of a stretch in the quick test, and most bins of all stretches together."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """Variance of the numbers that move the rate [rad^2/s^2], its standard uncertainty, gain of likelihood."""
+    """Variance of the numbers that change the rate [rad^2/s^2], its standard uncertainty, gain of likelihood."""
 
     variance: float
     deviation: float
@@ -70,7 +70,7 @@ class Level:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A slow noise with the white noise and random walk beside it, and the gain by it."""
+    """A slow noise, the white noise and random walk estimated with it, and its gain."""
 
     basis: SlowBasis
     noise: Noise
@@ -78,10 +78,10 @@ class _Candidate:
 
 
 def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
-    """The same fit that knows the stated variance (m,) [rad^2/s^2] of the rate of each segment: in levels and weights.
+    """Include the stated variance (m,) [rad^2/s^2] of the rate of each segment in levels and weights of a fit.
 
-    What is stated is then not taken for noise that the record shows. Unchanged where it is lost in the noise of the mean
-    rates (below ``LOST`` of it), and where the levels of the noise are not looked for; coarse counts keep their weights.
+    A stated scatter is then not mistaken for noise of the record. The fit is unchanged if the scatter is below ``LOST`` of the
+    noise of the mean rates, or if the noise levels are given. Coarse counts keep their weights.
     """
     request, count = fit.design.request, len(fit.design.run.labels)
     able = fit.mode == "increments" and request.method == "information" and request.angle_rms is None
@@ -104,11 +104,11 @@ def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
 
 
 def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
-    """The same fit with a slow noise in its covariance, where the record shows one: the likelier of the two.
+    """Include a slow noise in the covariance of a fit, if the record shows one: drift or scatter, whichever is likelier.
 
-    It is weighted by from a gain of ``CLEAR`` on, a drift from ``clear``. Below, the weights stay those of the other
-    noise, and what it adds to the estimates is added to their covariance; so it is with coarse counts, however clear.
-    Left out with given noise levels and methods other than whitened least squares in one go.
+    It enters the weights from a gain of ``CLEAR`` on, a drift from ``clear``. Below this gain the weights stay those of the
+    other noise, and its effect on the estimates is added to their covariance. This also holds for coarse counts at any gain.
+    Not done with given noise levels and with methods other than whitened least squares in one go.
     """
     request = fit.design.request
     able = fit.mode == "increments" and request.method == "information"
@@ -140,7 +140,7 @@ def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
 
 
 def _solved(fit: Fit, noise: Noise) -> Fit:
-    """The fit with other levels and, but for coarse counts, weights."""
+    """The fit with other levels and weights; coarse counts keep their weights."""
     if fit.counted is not None:
         return replace(fit, noise=noise)
     summaries = reduce_segments(fit.design, fit.mode, noise)
@@ -149,7 +149,7 @@ def _solved(fit: Fit, noise: Noise) -> Fit:
 
 
 def _looked_for(fit: Fit, basis: SlowBasis) -> _Candidate | None:
-    """A slow noise with the levels beside it; None where a quick look shows nothing of it."""
+    """A slow noise and the levels estimated with it; None if a quick test shows no slow noise."""
     if fit.design.rows > SMALL and quick_look(fit, basis).gain < SUSPECTED:
         return None
     if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < SUSPECTED:
@@ -158,22 +158,22 @@ def _looked_for(fit: Fit, basis: SlowBasis) -> _Candidate | None:
 
 
 def _beside_counts(fit: Fit, basis: SlowBasis) -> _Candidate | None:
-    """Coarse counts keep their weights and the random walk found."""
+    """A slow noise beside coarse counts, which keep their weights and random walk."""
     gain = likely_level(slow_factor(fit, fit.noise, basis), basis).gain
     return _Candidate(basis, fit.noise, gain)
 
 
 def slow_factor(fit: Fit, noise: Noise, basis: SlowBasis) -> Array:
-    """Triangular factor of the weighted rows ``[slow noise | model | y]``, the noise left free.
+    """Triangular factor of the weighted rows ``[slow noise | model | y]``; the slow noise is free.
 
-    The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual. A stated
-    scatter of the segments is in the weights.
+    The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual. The weights
+    include a stated scatter of the segments.
     """
     return _factor_and_size(fit, noise, basis)[0]
 
 
 def _factor_and_size(fit: Fit, noise: Noise, basis: SlowBasis) -> tuple[Array, float]:
-    """The factor, and the logarithm of the determinant of what a stated scatter adds to the covariance of its rows."""
+    """The factor, and the log-determinant that a stated scatter adds to the covariance of its rows."""
     solution, m = fit.solution, len(fit.design.names)
     segments = SegmentBasis.of(fit.design.run)
     wide: NoiseColumns = BesideStated(segments, basis) if noise.stated else basis
@@ -199,7 +199,7 @@ def _triangle(rows: Array) -> Array:
 
 
 def _moved(factor: Array, basis: SlowBasis, parameters: int) -> Array | None:
-    """By how much a number of one moves each parameter (parameters, count); None where one is not determined."""
+    """Change of each parameter by numbers of one (parameters, count); None if a parameter is not determined."""
     model = factor[:, basis.count : -1]
     size = np.linalg.norm(model, axis=0)
     if model.shape[1] < parameters:
@@ -213,21 +213,21 @@ def _moved(factor: Array, basis: SlowBasis, parameters: int) -> Array | None:
 def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
     """White noise and random walk beside a slow noise, and the gain by it: restricted likelihood of all three.
 
-    On a grid of ``log10(q h/r)``, concentrated over the scale, the slow noise at its best for each.
+    The search uses a grid of ``log10(q h/r)``, concentrated over the scale. Each point has its best slow noise.
     """
     table = _deviances(fit, basis, fit.noise, BELOW)
     return table.levels(fit.noise, table.best), float(table.without.min() - table.best.min())
 
 
 def _levels_beside_stated(fit: Fit, noise: Noise, below: float) -> Noise:
-    """White noise and random walk beside a stated scatter alone, looked for ``below`` decades under ``noise``."""
+    """White noise and random walk beside a stated scatter, searched down to ``below`` decades under ``noise``."""
     table = _deviances(fit, SegmentBasis.of(fit.design.run), noise, below)
     return table.levels(noise, table.without)
 
 
 @dataclass(frozen=True)
 class _Deviances:
-    """Deviance on a ``grid`` of ``log10(q h/r)``: without a slow noise and with the best, and the squares left by both.
+    """Deviance on a ``grid`` of ``log10(q h/r)``, without slow noise and with the best one, and both residual squares.
 
     ``step`` h [s], ``freedom`` degrees of freedom.
     """
@@ -240,7 +240,7 @@ class _Deviances:
     freedom: int
 
     def levels(self, noise: Noise, deviance: Array) -> Noise:
-        """White noise and random walk at the least ``deviance``, with what ``noise`` states."""
+        """White noise and random walk at the least ``deviance``, with the stated scatter of ``noise``."""
         ratio = least_on_grid(self.grid, deviance)
         white = float(np.interp(ratio, self.grid, self.squares[deviance is self.best])) / self.freedom
         return Noise(white, white * 10.0**ratio / self.step, stated=noise.stated)
@@ -268,7 +268,7 @@ def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Devia
 
 
 def quick_look(fit: Fit, basis: SlowBasis) -> Level:
-    """Slow noise in the means of the residual angle over a few bins of every stretch, the model taken as it is."""
+    """Slow noise in the means of the residual angle over a few bins of every stretch; the model is kept fixed."""
     run = fit.design.run
     starts = np.flatnonzero(run.begins)
     bins = int(np.clip(MOST_BINS // starts.size, 2, BINS))
@@ -298,7 +298,7 @@ def _whitened_means(fit: Fit, basis: SlowBasis, left: int, right: int, bins: int
 
 
 def likely_level(factor: Array, basis: SlowBasis) -> Level:
-    """Likely variance of the numbers from a triangular factor of ``[slow noise | model | y]`` rows of unit variance."""
+    """Likely variance of the numbers, from a triangular factor of ``[slow noise | model | y]`` rows of unit variance."""
     values, square, _, _ = projected(factor, basis)
     if values.size < ENOUGH:
         return Level(0.0, 0.0, 0.0)
@@ -311,10 +311,10 @@ def likely_level(factor: Array, basis: SlowBasis) -> Level:
 
 
 def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, float]:
-    """Eigenvalues of the slow noise with the model projected out, squares of what is seen of each, the rest, ``log|X'X|``.
+    """Project out the model: eigenvalues of the slow noise, squared component of y on each, the rest, ``log|X'X|``.
 
-    There ``y = B s + e``; eigenvectors of ``B B'`` have variance ``1 + v lambda``. Those that the model takes up are
-    left out: of a scatter as many as there are coefficients of mean rates.
+    Then ``y = B s + e``. Components on the eigenvectors of ``B B'`` have variance ``1 + v lambda``. Directions that the model
+    takes up are left out; for a scatter their number is that of the coefficients of mean rates.
     """
     size = factor.shape[1] - 1
     model = size - basis.count
