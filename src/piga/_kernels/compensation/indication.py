@@ -468,8 +468,9 @@ def add_bows(n: int, K: float, w: Array) -> None:
 def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
     """Uncertainty of the mean force of every interval by the motion between samples [m/s^2], without the base rate.
 
-    The uncertainties of the bows, and what the angle bends between the samples beyond the change of ``u_x`` that earlier
-    intervals let expect. The first interval of a stretch hands nothing on: its neighbour knows a second derivative.
+    It includes the uncertainties of the bows, and the bend of the angle between samples beyond the change of ``u_x``
+    predicted from earlier intervals. The first interval of a stretch passes nothing on, because its neighbour has a
+    second derivative.
     """
     inverse, before, slope = 1.0 / K, state[at.S_DOUBT], state[at.S_SLOPE]
     for j in range(1, n + 1):

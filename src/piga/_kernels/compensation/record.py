@@ -50,7 +50,7 @@ class InstrumentArrays(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Whether there is an error model; formula; flags of every row; time of a rate that begins a stretch [s]."""
+    """Settings: error model present or not; formula; flags for all rows; time of a rate that begins a stretch [s]."""
 
     has_terms: bool
     formula: int

@@ -38,8 +38,8 @@ Array = NDArray[np.float64]
 class SetSamples(NamedTuple):
     """Samples of N instruments: ``t``, ``begins`` (n,); ``psi`` (N, n); ``rate`` (N, n), or (N, 0): angles only.
 
-    ``base_rate`` (N, n or 0, 3), ``temperature`` (N, n or 0). ``none`` (0,) stands for the transverse force, which is
-    solved for.
+    ``base_rate`` (N, n or 0, 3), ``temperature`` (N, n or 0). ``none`` (0,) replaces the transverse force, which is
+    unknown.
     """
 
     t: Array
@@ -320,7 +320,7 @@ def misfit_intervals(rows: int, p: Array, w: Array) -> None:
 
 @exact
 def misfit_far(rows: int, p: Array, w: Array) -> None:
-    """The same for intervals that turn too far for the series, by the library's functions."""
+    """Misfit of intervals that turn too far for the series, by the library's functions."""
     K, tangent = p[at.P_K], p[at.P_TAN_BETA]
     for j in range(1, rows + 1):
         h, delta = w[at.STEP + j], w[at.HALF + j]

@@ -97,7 +97,7 @@ def invert_terms(n: int, p: Array, has_terms: bool, sampled: bool, w: Array) -> 
 
 @exact
 def servo_error(p: Array, j: int, sampled: bool, half: float, w: Array) -> float:
-    """What the servo adds to the indicated force of row ``j`` [m/s^2], which turns by ``2 half`` [rad].
+    """Contribution of the servo to the indicated force of row ``j`` [m/s^2], which turns by ``2 half`` [rad].
 
     The mean of ``-2 s v (y sin - z cos)^2 - d v^2 (y cos + z sin)`` with ``(y, z) = (u_Y, u_Z)/K``. Here ``v`` is the output
     rate over K, which moves the load of the servo; in the terms of the calibration it is ``u_x/K``, the same to first order.

@@ -108,7 +108,7 @@ def gather(weight: Array, unit: Array, rows: Array, row_weight: Array) -> None:
     Numbers are high and low parts; the rows are used as workspace. ``weight`` (2, m) holds W, ``unit``
     (2, m, m) the unit upper triangular U; ``R = sqrt(W) U`` is the triangular factor. For each row x of
     weight w and each pivot j: ``W' = W + w x_j^2``, ``x_k -= x_j U_jk``, ``U_jk += (w x_j / W') x_k``, ``w' = w W / W'``.
-    What is left of an element below the digits carried is nothing: as a pivot it would spread over the columns behind it.
+    A remainder below the carried digits is set to zero. As a pivot it would spread over the later columns.
     """
     n, m = rows.shape[1], rows.shape[2]
     for i in range(n):

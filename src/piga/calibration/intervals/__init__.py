@@ -1,1 +1,1 @@
-"""What the noise does to the covariance of a fit and to its degrees of freedom."""
+"""Effect of the noise on the covariance of a fit and on its degrees of freedom."""

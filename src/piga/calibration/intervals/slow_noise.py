@@ -80,8 +80,8 @@ class _Candidate:
 def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
     """Include the stated variance (m,) [rad^2/s^2] of the rate of each segment in levels and weights of a fit.
 
-    A stated scatter is then not mistaken for noise of the record. The fit is unchanged if the scatter is below ``LOST`` of the
-    noise of the mean rates, or if the noise levels are given. Coarse counts keep their weights.
+    A stated scatter is then not mistaken for noise of the record. The fit is unchanged if the scatter is below
+    ``LOST`` of the noise of the mean rates, or if the noise levels are not estimated. Coarse counts keep their weights.
     """
     request, count = fit.design.request, len(fit.design.run.labels)
     able = fit.mode == "increments" and request.method == "information" and request.angle_rms is None

@@ -1,1 +1,1 @@
-"""What is asked of a record, as linear equations and their solution."""
+"""The request of a calibration as linear equations, and their solution."""

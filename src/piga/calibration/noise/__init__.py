@@ -1,1 +1,1 @@
-"""What the record's noise is, and how rows are weighted by it."""
+"""Noise of a record, and the weights of its rows."""

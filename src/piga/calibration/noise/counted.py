@@ -167,7 +167,7 @@ class Counted:
     walks: tuple[Array, Array]
 
     def with_walk(self, walk: float) -> Counted:
-        """The same with another random walk [rad^2/s]."""
+        """These weights with another random walk [rad^2/s]."""
         return replace(self, noise=Noise(self.noise.white, walk))
 
     def reduce(self, design: Design) -> list[Reduction]:

@@ -61,7 +61,7 @@ class Whitener:
 
 
 def weighting_mode(design: Design, method: str) -> str:
-    """How the rows are weighted for a method and a kind of output."""
+    """Weighting mode of the rows for a method and a kind of output."""
     if design.point:
         return "samples"
     return "rates" if method == "rate" else "increments"

@@ -192,7 +192,7 @@ Watch = Callable[[str, Chunk, Compensated], object]
 
 @dataclass
 class FileSummary:
-    """What was written: rows, velocity [m/s], and rows per flag."""
+    """Totals of a written file: rows, velocity [m/s], and rows per flag."""
 
     rows: int = 0
     velocity: float = 0.0
