@@ -1,8 +1,8 @@
-"""Readers of results: figures as data, tables, self-contained pages.
+"""Reports: figures as data, tables, self-contained pages.
 
-A report is built in three steps, each plain data until the last: figures (:class:`Figure` of
-:class:`Panel` and :class:`Series`, with quantity and unit on every axis), a :class:`Page` of sections and
-blocks, and :func:`write_page`. Numbers become text in :mod:`piga.reports.render.numbers`.
+A report is built in three steps. First, figures: a :class:`Figure` of :class:`Panel` and :class:`Series`, with
+quantity and unit on every axis. Second, a :class:`Page` of sections and blocks. Both are plain data. Third,
+:func:`write_page` writes the file. :mod:`piga.reports.render.numbers` formats numbers.
 
 >>> from piga.reports import Axis, Figure, FigureBlock, Page, Panel, Section, Series, Text, page_html
 >>> curve = Series([0.0, 1.0, 2.0], [0.0, 1.0, 4.0], name="measured", role="data")

@@ -1,4 +1,4 @@
-"""A record before it is calibrated: what was found in it, and a picture of time, output and reference."""
+"""Report on a record before its calibration: its faults, and a figure of time, output and reference."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def check_page(run: Run) -> Page:
 
 
 def calibration_words(run: Run) -> str:
-    """What a calibration with this run file would do, in words."""
+    """Description of a calibration with this run file."""
     kept = len(set(run.phase_group)) == 1
     possible = "" if kept or run.model.phase == "per-segment" else " (not possible: the phase was lost)"
     return f"{run.estimation.method}, {len(run.model.terms)} terms, phase {run.model.phase}{possible}"

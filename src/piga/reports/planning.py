@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 POINTS = 1500
 SHOWN = 1e4
-"""Margins above this are drawn at it."""
+"""Largest margin that is drawn. Larger margins are drawn at this value."""
 
 
 def planning_figures(plan: Plan, mounting: Mounting | None) -> tuple[Figure, ...]:
@@ -55,7 +55,7 @@ def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
 
 
 def dwell_figure(plan: Plan) -> Figure:
-    """Where the test goes: chosen positions in the plane of the forces, and the time in each."""
+    """Chosen positions in the plane of the forces, and the time in each."""
     x, y = _forces(plan.candidates)
     chosen = tuple(visit.candidate for visit in plan.best.visits)
     cx, cy = _forces(chosen)
@@ -151,7 +151,7 @@ def duration_figure(plan: Plan) -> Figure:
 
 
 def lock_figure(plan: Plan) -> Figure:
-    """Distance of every candidate from the lock zone, and what it would earn per second."""
+    """Distance of every candidate from the lock zone, and its gain per second."""
     number = np.arange(1, len(plan.candidates) + 1)
     margin = np.array([min(c.margin, SHOWN) for c in plan.candidates])
     shown = np.maximum(margin, 1e-2)

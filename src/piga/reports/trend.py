@@ -288,7 +288,7 @@ def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Sec
 
 
 def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
-    """Every record with what was expected of it."""
+    """Table of the records, each with its forecast from earlier records."""
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
     columns = (

@@ -1,1 +1,1 @@
-"""What the platform can find out about itself: alignment and misalignment of the cases."""
+"""Self-calibration of the platform: alignment, and identification of the misalignment of the cases."""

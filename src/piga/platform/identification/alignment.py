@@ -1,8 +1,8 @@
 """Alignment on a static base: attitude and drift of the triad against inertial axes, with covariance.
 
-Two things are seen: gravity, which describes a cone about the Earth's axis as the platform stands still,
-and the gimbal angles, which follow the base as the Earth turns it. Together they give all of the triad's
-attitude and drift and the base's attitude; each alone lacks one angle.
+Two observations are used. Gravity describes a cone about the Earth's axis, because the platform keeps its attitude in
+inertial space. The gimbal angles follow the base, because the Earth turns it. Together they give the triad's attitude
+and drift and the base's attitude. Each observation alone lacks one angle.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Alignment:
     """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
 
     ``covariance`` (9, 9) in the order of :data:`UNKNOWNS`; ``noise`` per source; ``rms`` after the fit.
-    ``accelerometer_tilt`` [rad]: what an accelerometer bias of one micro-g would add, for judgement: the
-    alignment cannot see biases.
+    ``accelerometer_tilt`` [rad]: attitude error for an accelerometer bias of one micro-g. It is for judgement only,
+    because the alignment cannot observe biases.
     """
 
     place: Place
@@ -81,7 +81,7 @@ class Alignment:
         return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
 
     def start(self, *, with_drift: bool) -> Start:
-        """Start of the navigation at the known place, with the drift found taken out or not."""
+        """Start of the navigation at the known place, with or without compensation of the estimated drift."""
         drift = self.drift if with_drift else np.zeros(3)
         return site_start(self.place.latitude, self.place.longitude, self.place.height, self.triad, drift)
 
@@ -95,14 +95,14 @@ def _angles(base: Array) -> Array:
 def align(
     readouts: Readouts, place: Place, known: Knowledge, *, orders: int = 3, iterations: int = 5
 ) -> Alignment:
-    """Align on a record of a base at rest at a known place, misalignments being known.
+    """Align on a record of a base at rest at a known place. The misalignments must be known.
 
-    Gauss-Newton on the exact geometry; the noise levels come from the residuals.
+    The method is Gauss-Newton on the exact geometry. The noise levels come from the residuals.
 
     Raises
     ------
     IdentifiabilityError
-        If the record is too short for the attitude to show.
+        If the record is too short to determine the attitude.
     """
     force = specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
     x = replace(
@@ -140,7 +140,7 @@ def _groups(x: Unknowns, readouts: Readouts, force: Array) -> list[UnknownGroup]
 
 
 def _with_third(columns: Array, x: Unknowns) -> Array:
-    """Add the third base angle, about the Earth's axis: the gimbals see it like a turn of the triad."""
+    """Add the third base angle, about the Earth's axis. The gimbal angles cannot distinguish it from a turn of the triad."""
     pole = x.triad[:, 2]
     third = -columns[:, :, :3] @ pole
     return np.concatenate([columns, third[:, :, None]], axis=2).reshape(-1, 9)

@@ -13,14 +13,14 @@ from piga.errors import IdentifiabilityError
 Array = NDArray[np.float64]
 
 _SMALLEST_SIGMA = 1e-12
-"""Floor of a group's noise level: a record without noise must not divide by zero."""
+"""Smallest noise level of a group. It avoids division by zero for a record without noise."""
 
 
 @dataclass(frozen=True)
 class UnknownGroup:
     """Rows of one kind with one noise level: ``residual`` (n,), ``regressors`` (n, p).
 
-    ``rows`` counts independent rows: fewer than n where something was taken out of them; 0 stands for n.
+    ``rows`` is the number of independent rows. It is less than n if a trend was removed from them; 0 means n.
     """
 
     name: str
@@ -29,7 +29,7 @@ class UnknownGroup:
     rows: float = 0.0
 
     def reduced(self) -> Reduced:
-        """Triangular factor (p + 1, p + 1) of ``[regressors | residual]``: all that an estimate needs."""
+        """Triangular factor (p + 1, p + 1) of ``[regressors | residual]``. An estimate needs nothing else."""
         table = np.column_stack([self.regressors, self.residual])
         factor: Array = np.linalg.qr(table, mode="r")  # type: ignore[assignment]
         return Reduced(self.name, factor, self.rows or float(len(self.residual)))
@@ -44,7 +44,7 @@ class Reduced:
     rows: float
 
     def squares(self, step: Array) -> float:
-        """Sum of squares that the residuals have after ``step`` (p,)."""
+        """Sum of squares of the residuals after ``step`` (p,)."""
         left = self.factor[:, -1] - self.factor[:, :-1] @ step
         return float(left @ left)
 
@@ -65,7 +65,7 @@ def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str
     Raises
     ------
     IdentifiabilityError
-        If a combination of unknowns does not show in the rows; the message names it.
+        If a combination of unknowns cannot be determined from the rows. The message names it.
     """
     p = len(names)
     stacked = np.concatenate([part.factor / level for part, level in zip(parts, levels, strict=True)])
@@ -86,8 +86,8 @@ def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str
 def noise_levels(parts: Sequence[Reduced], solution: LeastSquares) -> list[float]:
     """Standard deviation of each group from its residuals after the step of ``solution``.
 
-    Each group loses the degrees of freedom that its own rows gave to the estimate: the sum of their
-    leverages, ``trace(J C J') / sigma^2``.
+    Each group loses the degrees of freedom that its rows gave to the estimate: the sum of their leverages,
+    ``trace(J C J') / sigma^2``.
     """
     levels = []
     for part, level in zip(parts, solution.levels, strict=True):
@@ -99,7 +99,7 @@ def noise_levels(parts: Sequence[Reduced], solution: LeastSquares) -> list[float
 
 
 def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
-    """Weighted least squares with noise levels found from the residuals of the same rows."""
+    """Weighted least squares with noise levels estimated from the residuals of the same rows."""
     levels = [max(float(np.linalg.norm(p.factor[:, -1]) / np.sqrt(p.rows)), _SMALLEST_SIGMA) for p in parts]
     solution = solve(parts, levels, names)
     for _ in range(20):

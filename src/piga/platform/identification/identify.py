@@ -1,8 +1,8 @@
 """Identification of misalignments, phases and harmonics from readouts: batch or recursive, with covariance.
 
 Sources: ``gimbals`` (angles of a static base), ``pick-off`` (redundancy axis), ``force`` (disturbance in
-the specific force, any base). Only readouts are seen. :func:`observability` says which unknowns each source can tell
-apart before anything is estimated.
+the specific force, any base). Only readouts are used. :func:`observability` states, before any estimate, which
+unknowns each source can determine.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from piga.units import ARCSEC
 Array = NDArray[np.float64]
 
 UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
-"""Standard uncertainty [rad] of a phase of which nothing is known: that of any angle of a turn."""
+"""Standard uncertainty [rad] of an unknown phase (uniform over a turn)."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Identification:
 
     @property
     def knowledge(self) -> Knowledge:
-        """What the compensation models take."""
+        """The knowledge that the compensation models use."""
         return Knowledge(self.polar, self.equatorial, self.eta0, self.eta_rate)
 
     def __getitem__(self, name: str) -> Parameter:
@@ -93,7 +93,7 @@ class Identification:
 def result(
     record: ObservedRecord, x: Unknowns, parts: Sequence[Reduced], solution: LeastSquares
 ) -> Identification:
-    """The result at the unknowns ``x``, from the last rows and the last solution about them."""
+    """The result at the unknowns ``x``, from the last rows and the last solution."""
     orders, tips = record.orders, 4 + 4 * record.orders
     known = tips + (2 if "pick-off" in record.sources else 0)
     vector = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:known]
@@ -157,7 +157,7 @@ def _labels(orders: int) -> list[str]:
 
 
 def labels_are_angles(labels: Sequence[str]) -> NDArray[np.bool_]:
-    """Which of the parameter names are phases (to be compared modulo a turn)."""
+    """True for parameter names that are phases (compared modulo a turn)."""
     return np.array([name.endswith("phase") for name in labels])
 
 
@@ -182,7 +182,7 @@ def _notes(vector: Array, covariance: Array, orders: int) -> tuple[str, ...]:
 
 
 _SETTLED = 0.01
-"""A step below this share of the standard uncertainties ends the iteration."""
+"""The iteration ends if the step is below this share of the standard uncertainties."""
 
 
 def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
@@ -192,20 +192,20 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
     Parameters
     ----------
     readouts:
-        The calibration stretch; for ``gimbals`` the base must be at rest.
+        The calibration stretch. For ``gimbals`` the base must be at rest.
     place:
-        Where the base is (its gravity starts the triad attitude) [rad], [m].
+        Place of the base [rad], [m]. Its gravity gives the first triad attitude.
     sources:
         Any of ``gimbals``, ``pick-off``, ``force``.
     orders:
         Harmonics of the misalignment over the case turn to identify.
     iterations:
-        At most so many steps; fewer when they have settled.
+        Largest number of steps. The iteration ends earlier if it has converged.
 
     Raises
     ------
     IdentifiabilityError
-        If the sources cannot separate the unknowns; the message says which.
+        If the sources cannot separate the unknowns. The message names them.
     ArgumentError
         If a source is not known, the record is shorter than two case turns, or (for ``force``) has fewer than
         20 samples a turn.
@@ -230,7 +230,7 @@ def gauss_newton(
 
 
 _PRIOR = 1e-9
-"""Diagonal of the first factor for columns of unit length: keeps it regular without weighing on the result."""
+"""Diagonal of the first factor for columns of unit length. It keeps the factor regular and does not affect the result."""
 
 
 def identify_recursively(
@@ -243,9 +243,10 @@ def identify_recursively(
 ) -> Identification:
     """Identify sample by sample, with the history of the estimate.
 
-    The rows are linearised once about a batch solution over the first quarter of the record (at least four case
-    turns), which also gives the noise levels, and taken in one by one by square-root (Givens) updates; the end
-    agrees with the batch estimate to the second order of what the start was wrong by. ``points`` are kept.
+    The rows are linearised once, about a batch solution over the first quarter of the record (at least four case
+    turns). That solution also gives the noise levels. Square-root (Givens) updates then add the rows one by one. The
+    final estimate agrees with the batch estimate to second order in the error of the first solution. ``points``
+    instants of the history are kept.
     """
     record = ObservedRecord.checked(readouts, sources, orders)
     span = float(readouts.times[-1] - readouts.times[0])
@@ -273,7 +274,7 @@ def identify_recursively(
 
 
 def _taken_in(stream: list[tuple[Array, Array]], size: int, points: int) -> tuple[Array, Array]:
-    """Times (k,) and factors (k, size, size) of ``points`` instants, the last row among them."""
+    """Times (k,) and factors (k, size, size) of ``points`` instants, including the last row."""
     count = sum(len(times) for times, _ in stream)
     scale = np.ones(size)
     scale[:-1] = np.sqrt(sum(np.sum(rows[:, -size:-1] ** 2, axis=0) for _, rows in stream))
@@ -293,15 +294,15 @@ def _taken_in(stream: list[tuple[Array, Array]], size: int, points: int) -> tupl
 
 UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")
 _SEPARABLE = 100.0
-"""Condition number above which unknowns count as not told apart: their uncertainty has grown a hundredfold."""
+"""Condition number above which unknowns count as not separable: their uncertainty has grown a hundredfold."""
 
 
 @dataclass(frozen=True)
 class Observability:
     """One source: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
 
-    ``std`` is for white noise of one arc-second on every reading (infinite: not seen at all); on the specific
-    force that is one arc-second of its direction, 48 um/s^2.
+    ``std`` is for white noise of one arc-second on every reading (infinite: not observable). For the specific
+    force this is one arc-second of its direction, 48 um/s^2.
     """
 
     source: str
@@ -314,9 +315,9 @@ class Observability:
 def observability(readouts: Readouts, known: Identification) -> tuple[Observability, ...]:
     """Observability of the two misalignments from each source alone and together.
 
-    ``known`` gives the redundancy angle at which it is judged. With both cases turning at one speed the
-    z angle alone carries ``m2 sin(c2) - m1 tan(eta) cos(c1)`` as one line, and the pick-off alone
-    ``m2 cos(c2) - m1 sin(c1)``: each leaves two of the four unknowns free.
+    ``known`` gives the redundancy angle. If both cases turn at one speed, the z angle alone contains
+    ``m2 sin(c2) - m1 tan(eta) cos(c1)`` as one line, and the pick-off alone ``m2 cos(c2) - m1 sin(c1)``. Each then
+    leaves two of the four unknowns undetermined.
     """
     every = max(1, len(readouts.times) // 4000)
     t = readouts.times[::every]

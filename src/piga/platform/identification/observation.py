@@ -1,16 +1,16 @@
-"""What the readouts should be, given the unknowns, and the rows that each source of observation gives.
+"""Predicted readouts for given unknowns, and the least-squares rows of each source of observation.
 
-Predictions use the exact nulled geometry; regressors are those of the small-angle matrices, which is
-enough for Gauss-Newton steps (they are right to the size of the misalignment, 1e-3).
+Predictions use the exact nulled geometry. Regressors use the small-angle matrices. This is enough for Gauss-Newton
+steps: their relative error is the size of the misalignment, 1e-3.
 
 Unknowns, in this order: polar ``u v`` (``m1 cos, m1 sin`` of its phase) and harmonics ``A_k B_k`` over the
 encoder angle; the same for the equatorial gyro; ``eta0, eta_rate``; triad attitude (3), triad drift (3),
-base attitude about two Earth axes (2). The third base angle cannot be told from the triad's by angles alone.
+base attitude about two Earth axes (2). The angles alone cannot separate the third base angle from the triad's.
 
-Sources: gimbal angles, pick-off, and the disturbance that case rotation leaves in the specific force of a base that
-may move [Hu2010]. A platform off its triad by the small angles ``e`` feels ``f - e x f``. The force ``f`` is not
-known on a moving base. Far from the lines of the cases it is known to be absent: its slow part follows a spline with
-a knot per turn, and its fast part does not pass a window of a fifth of a turn.
+Sources: gimbal angles, pick-off, and the disturbance by case rotation in the specific force, also on a moving base
+[Hu2010]. A platform that deviates from its triad by the small angles ``e`` measures ``f - e x f``. On a moving base the
+force ``f`` is unknown, but it is assumed to have no part near the frequencies of the cases. Its slow part is modelled by a
+spline with one knot per turn. Its fast part is removed by a window of a fifth of a turn.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Unknowns:
     base: Array
 
     def moved(self, step: Array) -> Unknowns:
-        """The unknowns after a step, in the order of the module's docstring (missing ones at the end stay)."""
+        """The unknowns after a step, in the order of the module's docstring. Missing entries at the end are unchanged."""
         size = len(self.polar.vector)
         full = np.zeros(2 * size + 10)
         full[: len(step)] = step
@@ -177,7 +177,7 @@ def earth_to_inertial(times: Array) -> Array:
 
 
 def triad_at(x: Unknowns, times: Array) -> Array:
-    """``C_i^G`` (n, 3, 3) with the drift turned in."""
+    """``C_i^G`` (n, 3, 3), including the rotation by drift."""
     return rotation_vector_to_matrix(-times[:, None] * x.drift) @ x.triad
 
 
@@ -233,8 +233,8 @@ def _felt(
 def coarse_unknowns(readouts: Readouts, force_earth: Array, orders: int) -> Unknowns:
     """First guess from a static record: triad from the gravity cone, base from the first gimbal angles.
 
-    Gravity at the two ends of the record gives two directions known in both frames (TRIAD); the
-    misalignments, still unknown, leave an error of their own size.
+    Gravity at the two ends of the record gives two directions known in both frames (TRIAD method). The error is the
+    size of the misalignments, which are still unknown.
     """
     n = len(readouts.increments)
     ends = [slice(0, max(1, n // 20)), slice(n - max(1, n // 20), n)]
@@ -257,16 +257,16 @@ def _triad(pair: list[Array]) -> Array:
 
 @dataclass(frozen=True)
 class ForceFilter:
-    """How the specific force of a moving base is filtered and thinned; own choices, counted by turns of the case."""
+    """Filtering and thinning of the specific force of a moving base, in turns of the case. The values are own choices."""
 
     window: int = 10
-    """Two Hann windows of this part of a turn, one after the other."""
+    """Length of a Hann window, as a part of a turn. Two are applied in sequence."""
     rows: int = 20
-    """Rows kept per turn: lines up to the tenth of the case rate stay below the folding frequency."""
+    """Rows kept per turn. Lines up to order ten of the case rate stay below the folding frequency."""
     points: int = 80
-    """Points per turn at which regressors are evaluated: they are smooth, 1e-3 is accurate enough."""
+    """Points per turn at which regressors are evaluated. They are smooth, and an accuracy of 1e-3 is enough."""
     turns: int = 16
-    """Turns in a stretch; stretches are independent, so that the cost grows with the length of the record only."""
+    """Turns in a stretch. Stretches are independent, so the cost is proportional to the length of the record."""
     fewest: int = 20
     """Fewest samples per turn of the faster case."""
 
@@ -290,7 +290,7 @@ class ObservedStretch:
 
     @cached_property
     def times(self) -> Array:
-        """Time (r,) [s] at which the window of each row ends: nothing of the row is known before."""
+        """Time (r,) [s] at which the window of each row ends. The row is not known earlier."""
         last = np.arange(len(self.readouts.increments) + 1 - len(self.window))[:: self.stride] + len(
             self.window
         )
@@ -298,7 +298,7 @@ class ObservedStretch:
 
     @cached_property
     def whitening(self) -> Array:
-        """Lower triangle (r, r) that makes rows of white noise, smoothed, white again with the samples' level."""
+        """Lower triangle (r, r) that whitens the rows of smoothed white noise, to the noise level of the samples."""
         lags = np.arange(0, len(self.window), self.stride)
         overlap = np.array([self.window[k:] @ self.window[: len(self.window) - k] for k in lags])
         apart = np.abs(np.subtract.outer(*[np.arange(len(self.times))] * 2))
@@ -370,7 +370,7 @@ class ObservedStretch:
         return white[:, :, 0], white[:, :, 1:]
 
     def without_slow(self, white: Array) -> Array:
-        """Whitened rows (r, ...) less their part that a slow force could have caused."""
+        """Whitened rows (r, ...) without the part that a slow force can explain."""
         flat = white.reshape(len(white), -1)
         return (flat - self.slow @ (self.slow.T @ flat)).reshape(white.shape)
 
@@ -453,7 +453,7 @@ class ObservedRecord:
 
     @classmethod
     def checked(cls, readouts: Readouts, sources: Sequence[str], orders: int) -> ObservedRecord:
-        """The record, refused when a source is not known or the cases turn too little or too fast for it."""
+        """Check the sources and the rotation of the cases; refuse an unknown source and too few or too fast turns."""
         unknown = [s for s in sources if s not in {"gimbals", "pick-off", "force"}]
         if unknown or not sources:
             raise ArgumentError(
@@ -482,7 +482,7 @@ class ObservedRecord:
 
     @cached_property
     def periods(self) -> tuple[float, float]:
-        """Periods [s] of the faster and the slower case; infinite when a case rests."""
+        """Periods [s] of the faster and the slower case; infinite if a case rests."""
         r = self.readouts
         rates = [float(np.abs(np.diff(angle[:3])).max()) / r.step for angle in (r.encoder1, r.encoder2)]
         fast, slow = max(rates), min(rates)
@@ -490,7 +490,7 @@ class ObservedRecord:
 
     @cached_property
     def seen(self) -> NDArray[np.int64]:
-        """Which of all unknowns the sources together can see (columns of every group)."""
+        """True for unknowns that the sources together can observe (columns of every group)."""
         tips = 4 + 4 * self.orders
         eta = range(tips, tips + 2) if "pick-off" in self.sources else ()
         slow = range(tips + 2, tips + 10) if "gimbals" in self.sources else ()
@@ -498,19 +498,19 @@ class ObservedRecord:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the unknowns seen."""
+        """Names of the observable unknowns."""
         every = names(self.orders)
         return tuple(every[k] for k in self.seen)
 
     @cached_property
     def stretches(self) -> tuple[ObservedStretch, ...]:
-        """Parts of the record for the specific force; none where it is not used."""
+        """Parts of the record for the specific force; none if it is not a source."""
         return stretches(self.readouts, self.periods) if "force" in self.sources else ()
 
     def moved(self, x: Unknowns, step: Array) -> Unknowns:
-        """The unknowns after a step of those seen.
+        """The unknowns after a step in the observable ones.
 
-        Where the pick-off is no source of its own, its mean and trend still give the redundancy angle.
+        If the pick-off is not a source, its mean and trend still give the redundancy angle.
         """
         whole = np.zeros(len(names(self.orders)))
         whole[self.seen] = step
@@ -523,7 +523,7 @@ class ObservedRecord:
         return replace(x, eta0=x.eta0 + float(start), eta_rate=x.eta_rate + float(rate))
 
     def groups(self, x: Unknowns) -> list[UnknownGroup]:
-        """Rows of every source about ``x``; the force without what a slow force could have caused."""
+        """Rows of every source about ``x``. The rows of the force exclude what a slow force can explain."""
         groups = []
         if self.stretches:
             parts = [(s, *s.rows(x)) for s in self.stretches]
@@ -545,7 +545,7 @@ class ObservedRecord:
             yield UnknownGroup("pick-off", r.pickoff - ring, self._cut(pick))
 
     def _cut(self, columns: Array) -> Array:
-        """Columns (n, p) of the unknowns seen, zero where the source has none of them."""
+        """Columns (n, p) of the observable unknowns; zero if the source does not contain them."""
         flat = columns.reshape(-1, columns.shape[-1])
         there = self.seen < flat.shape[1]
         out = np.zeros((len(flat), len(self.seen)))
@@ -555,7 +555,7 @@ class ObservedRecord:
     def in_time(self, x: Unknowns, levels: dict[str, float]) -> Iterator[tuple[Array, Array]]:
         """Times (n,) and weighted rows (n, s + p + 1) of all sources in order of time, stretch by stretch.
 
-        The first s columns are a slow force of each stretch of its own; the last is the residual.
+        The first s columns are the slow force of each stretch; the last column is the residual.
         """
         r = self.readouts
         times, tables = [np.zeros(0)], [np.zeros((0, len(self.seen) + 1))]

@@ -1,10 +1,10 @@
 """Geometry of the platform: positions on the Earth, the nulled triad and rings, case-rotation schedules.
 
 Positions and gravitation are those of the WGS-84 Earth in the field the navigator uses (J2). The simulator and the
-navigator share this field, so that a run without errors stays where it is. Earth-fixed axes ``e``: z along the polar
+navigator use the same field, so a run without errors stays at its place. Earth-fixed axes ``e``: z along the polar
 axis, x through the Greenwich meridian. Inertial axes ``i`` coincide with ``e`` at time zero.
 
-Triad and rings have the exact nulled geometry and the small-angle matrices of the literature.
+Triad and rings are given by the exact nulled geometry and by the small-angle matrices of the literature.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def gravitation(position: ArrayLike) -> Array:
     """Gravitation of the J2 field [m/s^2] at positions (..., 3) [m] with z along the polar axis.
 
     ``g = -GM r / r^3 (1 + 1.5 J2 (a/r)^2 (1 - 5 s^2))`` in x and y, with 3 in place of 1 in z,
-    ``s = z/r``. Against the closed normal-gravity formula it is short of the J4 term; docs/platform.md
-    section 7 gives the difference.
+    ``s = z/r``. It lacks the J4 term of the closed normal-gravity formula; docs/platform.md section 7 gives the
+    difference.
     """
     r = np.asarray(position, dtype=float)
     inverse2 = 1.0 / np.sum(r * r, axis=-1, keepdims=True)
@@ -112,7 +112,7 @@ def harmonic_arrays(gyro: Gyro) -> tuple[Array, Array]:
 
 
 def over_case_angle(gyro: Gyro) -> Misalignment:
-    """The misalignment of a gyro as the kernels take it."""
+    """The misalignment of a gyro, in the form for the kernels."""
     return Misalignment(gyro.misalignment, *harmonic_arrays(gyro))
 
 
@@ -161,8 +161,8 @@ def small_angle_attitude(e: ArrayLike) -> Array:
 def gimbal_attitude(gimbals: ArrayLike) -> Array:
     """``C_b^P = R3(sigma) R2(theta) R3(psi)`` (..., 3, 3) of gimbal angles (..., 3) outer, middle, inner [rad].
 
-    The outer axis is the base's vertical, the inner one the platform's polar axis; the set locks only
-    where these two are parallel (at the poles), so that no fourth gimbal is needed below 85 degrees.
+    The outer axis is the base's vertical. The inner axis is the platform's polar axis. Gimbal lock occurs only
+    if the two are parallel (at the poles), so no fourth gimbal is needed below 85 degrees.
     """
     g = np.asarray(gimbals, dtype=float)
     return axis_turn(2, g[..., 2]) @ axis_turn(1, g[..., 1]) @ axis_turn(2, g[..., 0])
@@ -204,11 +204,11 @@ def phasor(rotation: Rotation, times: ArrayLike) -> Array:
 
 
 def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
-    """The gyro as identification sees it: a case-fixed drift looks like misalignment under steady rotation.
+    """The gyro as identification sees it: under steady rotation a case-fixed drift looks like misalignment.
 
-    Drift ``w`` in case axes [rad/s] drives the momentum round a circle, ``w exp(ic) / (i rate)``, which
-    turns with the case as the misalignment ``m exp(ic)`` does: only ``m - i w / rate`` shows, and only
-    that has to be compensated. Reversal would tell them apart. Own derivation, docs/platform.md section 4.
+    Drift ``w`` in case axes [rad/s] moves the momentum on a circle, ``w exp(ic) / (i rate)``. The circle turns with the
+    case, as the misalignment ``m exp(ic)`` does. Only ``m - i w / rate`` is observable, and only this must be
+    compensated. Reversal would separate the two. Own derivation, docs/platform.md section 4.
     """
     if rotation.rate == 0.0 or rotation.turns > 0 or not any(gyro.case_drift):
         return gyro
@@ -219,8 +219,8 @@ def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
 def averaged_drift(rotation: Rotation, case_drift: tuple[float, float], duration: float) -> float:
     """Largest angle [rad] by which a case-fixed drift [rad/s] turns the momentum over ``duration`` [s].
 
-    At rest ``w t``; turning steadily ``2 w / rate`` (the momentum runs round a small circle); with
-    reversal the tip comes back to the start after every full turn, so the bound is the same.
+    At rest it is ``w t``. Under steady rotation it is ``2 w / rate``: the momentum moves on a small circle. With
+    reversal the tip returns to its start after every full turn, so the bound is the same.
     Own derivation, docs/platform.md section 4.
     """
     drift = float(np.hypot(*case_drift))

@@ -1,4 +1,4 @@
-"""Compensation models none, A, B and C: what the navigator knows of the misalignment."""
+"""Compensation models none, A, B and C: the misalignment that the navigator assumes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What identification (or truth) tells: the two gyros' misalignments and the redundancy angle.
+    """The misalignments of the two gyros and the redundancy angle, from identification or truth.
 
     ``polar, equatorial``: misalignment, phase, harmonics; ``eta0`` [rad] at the start of the run (the
     value 'at calibration' that model A holds), ``eta_rate`` [rad/s].
@@ -29,7 +29,7 @@ class Knowledge:
 
 
 def true_knowledge(scenario: PlatformScenario) -> Knowledge:
-    """The numbers that were put into the simulation."""
+    """The true values of the simulation."""
     rate = scenario.equatorial.drift[0] - scenario.polar.drift[1]
     return Knowledge(scenario.polar, scenario.equatorial, scenario.redundancy, rate)
 
@@ -51,7 +51,7 @@ def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class CaseCompensator:
-    """One model made ready for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
+    """One model prepared for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
 
     model: Model
     tips: Array
@@ -87,11 +87,11 @@ def compensator(
         ``none``; ``A`` redundancy angle held at ``known.eta0``; ``B`` followed; ``C`` followed and with
         the harmonics of the misalignments [He2014 for A and B; C is this project's own].
     known:
-        Misalignments, phases and redundancy angle that are to be removed.
+        Misalignments, phases and redundancy angle to compensate.
     readouts:
-        The run; gives the pick-off and the times.
+        Readouts of the run. They give the pick-off and the times.
     redundancy:
-        Where B and C take the redundancy angle from: ``pick-off`` or ``drift-model`` (``eta0 + rate t``).
+        Source of the redundancy angle for B and C: ``pick-off`` or ``drift-model`` (``eta0 + rate t``).
     """
     nothing = np.zeros(0)
     if model == "none":
@@ -114,10 +114,10 @@ def compensator(
 def follow_redundancy(
     readouts: Readouts, tips: Array, harmonics: tuple[Array, Array, Array, Array], known: Knowledge
 ) -> Array:
-    """Redundancy angle (n + 1,) [rad] from the pick-off less ``m2 cos c2 - m1 sin c1``, smoothed without lag.
+    """Redundancy angle (n + 1,) [rad] from the pick-off minus ``m2 cos c2 - m1 sin c1``, smoothed without lag.
 
-    A critically damped second-order tracker with a time constant of four case turns (eight minutes
-    when the cases rest), so that what the model leaves at the case-rotation period is averaged out.
+    The filter is a critically damped second-order tracker. Its time constant is four case turns (eight minutes
+    if the cases rest), so errors of the model at the case-rotation period are averaged out.
     """
     (c1, s1), (c2, s2) = (case.T for case in readouts.case_nodes)
     m1 = tips[4] + _series(harmonics[0], harmonics[1], c1, s1)

@@ -1,6 +1,6 @@
-"""The simulator: a scenario becomes readouts (what an engineer gets) and truth (kept apart).
+"""Simulate a scenario. The results are the readouts, which an engineer sees, and the truth, which is kept apart.
 
-The base is at rest, turns, sways or follows a track. Three gyro accelerometers may stand on the platform.
+The base is at rest, turns, sways or follows a track. The platform may carry three gyro accelerometers.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _TRACK_COLUMNS = {
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """True motion of the base on the run's time grid; arrays have one row when nothing changes.
+    """True motion of the base on the run's time grid. Arrays of constant quantities have one row.
 
     ``force`` (2n + 1, 3) or (1, 3): specific force in Earth axes at every half step [m/s^2];
     ``attitude`` (n + 1, 3) or (1, 3): roll, pitch, heading [rad]; ``place`` (.., 3): latitude,
@@ -62,7 +62,7 @@ class BaseMotion:
 
     @property
     def at_rest(self) -> bool:
-        """Whether neither place nor attitude changes."""
+        """True if neither place nor attitude changes."""
         return len(self.attitude) == 1 and len(self.place) == 1
 
     def start_inertial(self) -> tuple[Array, Array]:
@@ -278,7 +278,7 @@ def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Readouts:
-    """What is read from the platform; all that alignment, identification and navigation may see.
+    """Readouts of the platform. Alignment, identification and navigation use nothing else.
 
     ``times`` (n + 1,) [s]; ``increments`` (n, 3) velocity increments along platform axes [m/s], row k
     over times k to k + 1; ``gimbals`` (n + 1, 3) outer, middle, inner [rad]; ``pickoff`` (n + 1,)
@@ -341,7 +341,7 @@ def _phasor(angle: Array) -> Array:
 
 @dataclass(frozen=True)
 class Truth:
-    """What really happened: base motion, redundancy angle (n + 1,) [rad], triad ``C_i^G`` at start and end.
+    """Truth of a run: base motion, redundancy angle (n + 1,) [rad], triad ``C_i^G`` at start and end.
 
     ``force`` (n + 1, 3): specific force in platform axes at the nodes [m/s^2].
     """
@@ -355,7 +355,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class PlatformRun:
-    """A simulated run: its scenario, what the sensors show, and the truth."""
+    """A simulated run: scenario, readouts and truth."""
 
     scenario: PlatformScenario
     readouts: Readouts
@@ -365,7 +365,7 @@ class PlatformRun:
 def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) -> PlatformRun:
     """Simulate the platform of ``scenario``: exact geometry, drift, base motion, readout errors.
 
-    ``motion`` may be handed in to share it between runs. The noise depends on ``scenario.seed`` only.
+    ``motion`` may be given, to share it between runs. The noise depends only on ``scenario.seed``.
 
     Raises
     ------
@@ -391,7 +391,7 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
 
 
 def _gyros(s: PlatformScenario) -> Gyros:
-    """Both gyros as the kernel takes them."""
+    """Both gyros, in the form for the kernel."""
     turning = (s.polar_rotation, s.equatorial_rotation)
     return Gyros(
         over_case_angle(s.polar),
@@ -438,7 +438,7 @@ def _noisy(values: Array, sigma: float, quantum: float, stream: np.random.Genera
 
 
 def _pulses(increments: Array, quantum: float) -> Array:
-    """Increments read as whole pulses: the running sum is rounded, so that no velocity is lost."""
+    """Increments as whole pulses. The running sum is rounded, so no velocity is lost."""
     if quantum <= 0.0:
         return increments
     total = np.round(np.cumsum(increments, axis=0) / quantum) * quantum

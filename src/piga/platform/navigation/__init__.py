@@ -1,1 +1,1 @@
-"""The navigator on the platform and how errors grow in it."""
+"""The navigator on the platform, and the growth of its errors."""

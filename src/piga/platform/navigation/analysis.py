@@ -1,4 +1,4 @@
-"""What the comparison of models looks at: lines per day, spectra, and the closed-form theory."""
+"""Analysis for the comparison of models: lines per day, spectra, and the closed-form theory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 CHANNELS = ("east_velocity", "north_velocity", "heading", "roll", "pitch")
 _SCHULER = float(np.sqrt(earth.GM / earth.SEMI_MAJOR_AXIS**3))
 _ALIKE = 1e-9
-"""Relative difference up to which two rates are one."""
+"""Largest relative difference of two rates that count as equal."""
 
 
 def channels(errors: Errors) -> dict[str, Array]:
@@ -47,11 +47,11 @@ def line_amplitudes(times: Array, values: Array, rate: float, latitude: float) -
 def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude: float) -> Array:
     """Amplitudes (r, k) at the angular ``rates`` (r,) [rad/s] in the columns of ``values`` (n, k), at mid-stretch.
 
-    All are fitted together with what else is known to be there: the growth of each line over the stretch, the
-    neighbours of the first (the polar gyro's) at ``rate +- Earth rate`` (on stretches of half a day and more), twice
-    each rate, sum and difference of two, the Schuler oscillation with its Foucault split, and a cubic. Samples weigh by a
-    Hann window: what the Schuler oscillation has beside its columns does not leak into the lines. A rate of zero
-    has no line: NaN. So have two rates that the stretch cannot tell apart (:func:`separable`).
+    All lines are fitted together with the other known components: the growth of each line over the stretch, the
+    neighbours of the first line (the polar gyro's) at ``rate +- Earth rate`` (on stretches of half a day and more),
+    twice each rate, sum and difference of two rates, the Schuler oscillation with its Foucault split, and a cubic. A
+    Hann window weights the samples, so the rest of the Schuler oscillation does not leak into the lines. The amplitude is
+    NaN for a rate of zero, and for two rates that the stretch cannot separate (:func:`separable`).
     """
     n = len(times)
     step = float(times[-1] - times[0]) / (n - 1)
@@ -67,10 +67,10 @@ def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude
 
 
 def separable(rates: tuple[float, ...], stretch: float) -> bool:
-    """Whether a stretch [s] tells the lines at the case ``rates`` [rad/s] apart.
+    """True if a stretch [s] can separate the lines at the case ``rates`` [rad/s].
 
-    They must beat at least once against each other over it, and half a time against the neighbours that the first has at
-    ``+- Earth rate`` on stretches of half a day and more.
+    The two lines must have at least one beat in the stretch. On stretches of half a day and more, they must also have
+    half a beat with the neighbours of the first line at ``+- Earth rate``.
     """
     if len(rates) < 2 or min(rates) <= 0.0:
         return True
@@ -80,7 +80,7 @@ def separable(rates: tuple[float, ...], stretch: float) -> bool:
 
 
 def _is_long(stretch: float) -> bool:
-    """Whether a stretch [s] shows the neighbours at ``+- Earth rate``."""
+    """True if a stretch [s] is long enough to show the neighbours at ``+- Earth rate``."""
     return stretch > 0.5 * DAY
 
 
@@ -140,7 +140,7 @@ def day_slices(times: Array) -> list[slice]:
 def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
     """Angular rates [rad/s] at which lines are followed: one where both cases turn alike, else polar and equatorial.
 
-    Cases that both rest are looked at as if they turned in eight minutes, for comparison with cases that turn.
+    If both cases rest, a period of eight minutes is used, for comparison with rotating cases.
     """
     polar, equatorial = scenario.polar_rotation.rate, scenario.equatorial_rotation.rate
     if abs(polar - equatorial) <= _ALIKE * polar:
@@ -149,7 +149,7 @@ def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
 
 
 def lines_note(scenario: PlatformScenario) -> str:
-    """Why a day gives no amplitudes although both cases turn, in words; empty where it gives them."""
+    """The reason why a day gives no amplitudes although both cases turn; empty if it gives them."""
     rates, stretch = case_rates(scenario), min(scenario.duration, DAY)
     if separable(rates, stretch):
         return ""

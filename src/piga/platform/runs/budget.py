@@ -50,7 +50,7 @@ class BudgetRow:
 
 
 def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbation]:
-    """The usual sources, each at a size that a good platform reaches (or at what the alignment found)."""
+    """The usual sources, at the size of a good platform. With ``alignment``: the attitude errors have its uncertainties."""
     tilt = (ARCSEC, ARCSEC, ARCSEC)
     if alignment is not None:
         std = alignment.std
@@ -86,7 +86,7 @@ def error_budget(scenario: PlatformScenario, sources: Mapping[str, Perturbation]
 
 
 def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:
-    """Errors of a full navigation run whose navigator or sensors are off by ``perturbation``."""
+    """Errors of a full navigation run whose navigator or sensors have the error ``perturbation``."""
     from piga.frames import rotation_vector_to_matrix
 
     readouts, place = run.readouts, run.scenario.place

@@ -1,13 +1,13 @@
-"""Three gyro accelerometers on the space-stable platform: what the locked zone does, and what recovers it.
+"""Three gyro accelerometers on the space-stable platform: the effect of the locked zone, and its compensation.
 
-On a platform fixed in inertial space gravity runs round a cone once a sidereal day, so that it crosses
-the plane across an input axis twice a day and passes the locked zone ``|a_x| < a_t tan(beta)``. The same
-ten days are read in several ways and navigated each time.
+On a platform fixed in inertial space, gravity describes a cone once a sidereal day. Twice a day it crosses the plane
+normal to an input axis and passes the locked zone ``|a_x| < a_t tan(beta)``. The same ten days are read in several
+ways and navigated each time.
 
-With the usual tan(beta) the zone is passed faster than the gimbal could lock (in ``1/(K a_t tan(beta))``).
-What hurts is that the gimbal turns so slowly about the zone that the cross-coupling keeps its phase: by
-stationary phase one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))``
-(own derivation, docs/platform.md section 10).
+With the usual tan(beta) the zone is passed faster than the gimbal can lock (in ``1/(K a_t tan(beta))``). The error has
+another cause: near the zone the gimbal turns so slowly that the cross-coupling keeps its phase. By stationary phase,
+one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))`` (own derivation,
+docs/platform.md section 10).
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def _outcome(run: PlatformRun, reading: TriadReading, preparation: Preparation) 
 
 
 def passage_velocity(half_width: float, scale_factor: float, slope: float) -> float:
-    """Most that one passage leaves [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
+    """Largest velocity error of one passage [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
 
     ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/platform.md
     section 10.
@@ -184,7 +184,7 @@ def passage_velocity(half_width: float, scale_factor: float, slope: float) -> fl
 
 
 def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
-    """The first passage of any instrument through its locked zone, with half an hour either side."""
+    """The first passage of any instrument through its locked zone, with half an hour before and after."""
     inside = locked(sensors, run.truth.force)
     if not inside.any():
         return None

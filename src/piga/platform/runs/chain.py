@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Preparation:
-    """What is known before navigating: misalignments, start, and how they were found (None: from truth)."""
+    """Knowledge before navigation: misalignments, start, and the results that gave them (None: from truth)."""
 
     knowledge: Knowledge
     start: Start
@@ -42,7 +42,7 @@ class Preparation:
 
 @dataclass(frozen=True)
 class ModelRun:
-    """One compensation model over the run: navigation, errors, lines per day and what the theory gives."""
+    """One compensation model over the run: navigation, errors, lines per day, and theory."""
 
     compensator: CaseCompensator
     navigation: Navigation
@@ -70,7 +70,7 @@ class ModelComparisonRun:
 
 
 def identified(run: PlatformRun) -> Identification:
-    """Identification from the calibration stretch of a run, from the sources that its base allows."""
+    """Identification from the calibration stretch of a run, with the sources that its base allows."""
     s = run.scenario
     sources = STATIC_SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
     stretch = run.readouts.first(s.calibration_time)
@@ -152,5 +152,5 @@ def _lines_document(lines: Lines) -> dict[str, Any]:
 
 
 def finite(values: Array) -> list[float | None]:
-    """Numbers for JSON: None where there is none (NaN)."""
+    """Numbers for JSON. NaN becomes None."""
     return [None if np.isnan(v) else float(v) for v in values]

@@ -33,7 +33,7 @@ def _table(columns: dict[str, tuple[Array, str]]) -> pa.Table:
 
 
 def readouts_table(r: Readouts) -> pa.Table:
-    """Readouts as a table; the increment of a row is that since the previous row (none at the first)."""
+    """Readouts as a table. The increment of a row is that since the previous row; the first row has none."""
     since = np.concatenate([np.full((1, 3), np.nan), r.increments])
     height = r.altitude if len(r.altitude) > 1 else np.full(len(r.times), r.altitude[0])
     columns = {"t": (r.times, "s")}
@@ -71,7 +71,7 @@ def truth_table(run: PlatformRun) -> pa.Table:
 
 
 def navigation_table(run: ModelRun) -> pa.Table:
-    """What the navigator shows, and its errors."""
+    """Output of the navigator, and its errors."""
     t, e = run.navigation.table, run.errors
     names = ("latitude", "longitude", "height", "v_north", "v_east", "v_down", "roll", "pitch", "heading")
     units = ("rad", "rad", "m", "m/s", "m/s", "m/s", "rad", "rad", "rad")
@@ -147,7 +147,7 @@ def budget_document(rows: Sequence[BudgetRow]) -> list[dict[str, Any]]:
 
 
 def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
-    """Lines of each misalignment alone and of both as JSON rows; a line that no day gave is null."""
+    """Lines of each misalignment alone and of both as JSON rows. A missing line is null."""
     document = []
     for row in rows:
         entry: dict[str, Any] = {"source": row.source, "period_s": row.period}
@@ -160,7 +160,7 @@ def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
 
 
 def scatter_document(scatter: MonteCarloScatter) -> dict[str, Any]:
-    """Monte Carlo as JSON; a line that no day gave is null."""
+    """Monte Carlo as JSON. A missing line is null."""
     models: dict[str, dict[str, Any]] = {}
     for m, position in scatter.position.items():
         models[m] = {

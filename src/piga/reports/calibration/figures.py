@@ -74,7 +74,7 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: f
 
 
 def _begins(residuals: Residuals) -> NDArray[np.bool_]:
-    """Where a stretch begins: another segment, or an increment that was not formed and left a step."""
+    """True where a stretch begins: a new segment, or a step left by an increment that was not formed."""
     begins = np.zeros(residuals.t.size, dtype=bool)
     begins[0] = True
     begins[1:] = np.diff(residuals.segment) != 0
@@ -239,7 +239,7 @@ def _integral(rate: Array, step: Array) -> Array:
 
 
 def convergence_figure(cal: Calibration) -> Figure:
-    """Estimate of every coefficient against the samples seen, with its standard uncertainty where it has one."""
+    """Estimate of every coefficient against the number of samples used, with its standard uncertainty if it has one."""
     history = cast("dict[str, Array]", cal.history)
     samples = history["sample"]
     panels = []
@@ -281,7 +281,7 @@ def _settled(values: Array) -> tuple[float, float]:
 
 
 def scale_factor(cal: Calibration) -> float:
-    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value where it was not estimated."""
+    """``K`` in SI, (rad/s)/(m/s^2): the estimate, or the nominal value if it was not estimated."""
     for coefficient in cal.coefficients:
         if coefficient.name == "scale_factor":
             return coefficient.value * conversion_factor(coefficient.unit, "rad/s/(m/s^2)")
@@ -368,7 +368,7 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
 
 
 def outlier_figure(cal: Calibration) -> Figure | None:
-    """Size of every miss that was left out, against time."""
+    """Size of every outlier, against time."""
     runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
     if not runs:
         return None

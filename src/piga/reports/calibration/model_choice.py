@@ -28,7 +28,7 @@ HEADS = (
 
 
 def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
-    """The section of the report, when term sets were compared."""
+    """The section of the report, if term sets were compared."""
     document = cal.diagnostics.model_comparison
     if not document:
         return ()
@@ -50,7 +50,7 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
 
 
 def comparison_words(document: dict[str, Any]) -> str:
-    """What came out, in words."""
+    """Result of the comparison, in words."""
     if document["best"] is None:
         return "The record determines none of the sets."
     words = f"Least BIC: {_terms(document['best'])}."

@@ -84,7 +84,7 @@ def period_in_words(seconds: float) -> str:
 
 
 def segments_in_words(cal: Calibration) -> str:
-    """How many runs and segments."""
+    """Numbers of runs and segments, in words."""
     runs = f"{len(cal.runs)} runs, " if cal.runs else ""
     return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
 
@@ -119,7 +119,7 @@ def _wrapped(lines: list[str]) -> list[str]:
 
 
 def drift_found(cal: Calibration) -> str:
-    """Random walk of the rate, or that there is none to be seen."""
+    """Random walk of the rate in words, or that none was detected."""
     if cal.bias_drift == 0.0:
         return "none seen"
     shown = short(cal.bias_drift / cal.scale_factor_nominal / G0 * 1e6)
@@ -127,7 +127,7 @@ def drift_found(cal: Calibration) -> str:
 
 
 def scatter_found(cal: Calibration) -> str:
-    """Scatter of the rate from segment to segment, or that there is none to be seen."""
+    """Scatter of the rate from segment to segment in words, or that none was detected."""
     if cal.segment_scatter == 0.0:
         return "none seen"
     shown = short(cal.segment_scatter / cal.scale_factor_nominal / G0 * 1e6)

@@ -18,16 +18,16 @@ from piga.units import ARCSEC, G0
 
 _SHOWN_SEGMENTS = 60
 SHOWN_NAMES = 14
-"""Coefficients that a table has columns for."""
+"""Coefficients with columns in a table."""
 _SHOWN_OUTLIERS = 30
 
 
 MANY = 1000
-"""Degrees of freedom beyond which the number tells nothing more."""
+"""Above this number, degrees of freedom are shown as ``> 1000``."""
 
 
 def judgement(cal: Calibration, subject: str = "") -> Judgement:
-    """The verdict on a calibration as the box of a page; ``subject`` says which, where the page is of something else."""
+    """The verdict on a calibration as the box of a page. ``subject`` names the calibration on pages about something else."""
     verdict = cal.verdict
     problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts)
     return Judgement(verdict.level, f"{subject}{verdict.headline}", problems, verdict.holds)
@@ -154,7 +154,7 @@ def _correlation(value: float, diagonal: bool) -> Cell:
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
-    """What the residuals are, and their unit in reports: an angle, or a rate for a log of rates."""
+    """Quantity of the residuals and its unit in reports: an angle, or a rate for a rate log."""
     rate = cal.diagnostics.residual_kind == "rate"
     return ("residual rate", "arcsec/s") if rate else ("residual angle", "arcsec")
 
@@ -265,7 +265,7 @@ def outlier_table(cal: Calibration) -> Table:
 
 
 def quality_table(cal: Calibration) -> Table:
-    """What was found in the data."""
+    """Faults detected and repaired in the data."""
     columns = (
         TableColumn("Finding", align="text"),
         TableColumn("Count"),
@@ -285,7 +285,7 @@ def quality_table(cal: Calibration) -> Table:
 
 
 def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
-    """Two columns: what, and which."""
+    """Table of two columns: name and value."""
     return Table(
         (TableColumn("Item", align="text"), TableColumn("Value", align="text")), tuple(rows), code=code
     )
@@ -347,7 +347,7 @@ def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
 ACROSS, SENSITIVITIES_ACROSS = 4, 6
 """Coefficients beside each other in a table of the page: they fit the screen and A4."""
 NOTHING = 1e-3
-"""Contribution, in standard uncertainties of the coefficient, below which it says nothing: 0.0001 % of the variance."""
+"""Contributions below this, in standard uncertainties of the coefficient, are negligible (0.0001 % of the variance)."""
 DESCRIBED = 5
 """Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
 SLIGHT = 0.01

@@ -273,7 +273,7 @@ def orders_figure(panels: tuple[Panel, ...]) -> Figure:
 
 
 def flag_figure(outline: CompensationOutline | SetOutline) -> Figure | None:
-    """Where every raised flag stands; None when no flag is raised."""
+    """Times of every raised flag; None if no flag is raised."""
     series = []
     for name, marks in outline.marks.items():
         if marks.count:
@@ -308,7 +308,7 @@ ROLES: dict[str, Role] = {"x": "x", "y": "y", "z": "z"}
 
 
 def set_force_figure(outline: SetOutline) -> Figure:
-    """Indicated and compensated components, and what lies between them."""
+    """Indicated and compensated components, and their difference."""
     panels = [
         Panel(
             TIME,
@@ -361,7 +361,7 @@ def misfit_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure:
 
 
 def set_orders_figure(outline: SetOutline, names: tuple[str, ...]) -> Figure | None:
-    """What was taken out of every instrument, by the order of its own revolution; None when nothing turns far enough."""
+    """Spectrum of every instrument's correction in its own revolution order; None if no output turns far enough."""
     panels = []
     for name, single in zip(names, outline.instruments, strict=True):
         order, amplitude = correction_spectrum(single)

@@ -1,4 +1,4 @@
-"""What a report keeps of a compensated stream of any length, in bounded memory: of one instrument, and of a set.
+"""Reduced data for the report of a compensated stream of any length, in bounded memory: one instrument or a set.
 
 An outline against time (lowest and highest row of each bucket of rows; buckets grow with the stream), the leading
 rows one by one for spectra (on disk), where each flag stands, and exact counts and sums.
@@ -97,7 +97,7 @@ class Marks:
 
 
 class Watch:
-    """What every outline keeps: rows, flags, and sums of squares by name."""
+    """Data that every outline keeps: rows, flags, and sums of squares by name."""
 
     def __init__(self, kind: str, sums: tuple[str, ...]) -> None:
         self.kind, self.marks = kind, {name: Marks() for name in FLAGS}
@@ -128,7 +128,7 @@ class Watch:
 
 
 class CompensationOutline(Watch):
-    """Watches a compensation piece by piece: what it indicated, what came out, and the flags.
+    """Outline of a compensation, updated piece by piece: indicated force, compensated force, and flags.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class CompensationOutline(Watch):
     scale_factor:
         K [(rad/s)/(m/s^2)] that turns the output rate into the indicated specific force.
     curves:
-        What is outlined against time.
+        Names of the curves to outline.
     """
 
     def __init__(self, kind: str, scale_factor: float, curves: tuple[str, ...] = CURVES) -> None:
@@ -150,7 +150,7 @@ class CompensationOutline(Watch):
         self._label, self._segment = "", -1
 
     def piece(self, label: str, chunk: Chunk, result: Compensated) -> Array:
-        """Take the samples of one segment, and what became of them; gives back the indicated force [m/s^2]."""
+        """Add the samples of one segment and their compensation. Returns the indicated force [m/s^2]."""
         if label != self._label or self._segment < 0:
             self._label, self._segment = label, self._segment + 1
         turn, indicated, psi = self._indicated(chunk, (result.flags & FLAGS["no_increment"]) != 0)
@@ -161,7 +161,7 @@ class CompensationOutline(Watch):
         return indicated
 
     def record(self, record: Run, result: Compensated) -> None:
-        """Take a whole record."""
+        """Add a whole record."""
         changes = np.flatnonzero(np.diff(record.segment)) + 1
         edges = np.unique(np.concatenate((changes, np.arange(0, record.size, SIZES.piece), [record.size])))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
@@ -179,7 +179,7 @@ class CompensationOutline(Watch):
     def leading(self) -> Residuals:
         """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0.
 
-        To be asked for after the last piece.
+        Call this after the last piece.
         """
         if not self._leading.size:
             self._leading = self._first.finish()
@@ -252,7 +252,7 @@ RAW, FORCE, CORRECTION = ("raw_x", "raw_y", "raw_z"), ("fx", "fy", "fz"), ("dx",
 
 
 class SetOutline(Watch):
-    """Watches a set piece by piece.
+    """Outline of the compensation of a set, updated piece by piece.
 
     Parameters
     ----------
@@ -274,11 +274,11 @@ class SetOutline(Watch):
 
     @property
     def redundant(self) -> bool:
-        """True when the set can contradict itself."""
+        """True if the set has more instruments than unknowns, so that a misfit exists."""
         return len(self.mounted) > 3
 
     def piece(self, label: str, rows: SetRows, result: CompensatedSet) -> None:
-        """Take what was read, and what became of it."""
+        """Add a piece of the readings and their compensation."""
         along = []
         for i, single in enumerate(self.instruments):
             base = np.zeros((0, 3)) if rows.base_rate is None else rows.base_rate[i]

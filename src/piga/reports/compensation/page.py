@@ -49,10 +49,10 @@ from piga.units import MICRO_G
 
 @dataclass(frozen=True)
 class CompensationFacts:
-    """What a compensation was made from.
+    """Inputs of a compensation.
 
-    ``files`` are the run file, its data, what else was read, and the calibration record; each with the SHA-256 of
-    what was read. ``options`` as given, in words; ``repairs`` rows by kind, as met while reading.
+    ``files`` are the run file, its data, other files read, and the calibration record, each with the SHA-256 of the bytes
+    read. ``options``: as given, in words. ``repairs``: number of rows by kind, counted while reading.
     """
 
     calibration: Calibration
@@ -240,7 +240,7 @@ def _provenance_section(options: dict[str, str], files: Inputs, *tables: Table) 
 
 @dataclass(frozen=True)
 class SetFacts:
-    """What a set was made from: ``names`` of the instruments, ``files`` read with their SHA-256, ``options`` in words."""
+    """Inputs of a set: ``names`` of the instruments, ``files`` read with their SHA-256, ``options`` in words."""
 
     names: tuple[str, ...]
     files: Inputs

@@ -32,7 +32,7 @@ def time_axis(span: float) -> tuple[Axis, float]:
 
 
 def model_name(model: str) -> str:
-    """What the pages call a compensation model."""
+    """Name of a compensation model on the pages."""
     return "no model" if model == "none" else f"model {model}"
 
 
@@ -51,7 +51,7 @@ def averaged(values: Array, over: int) -> Array:
 
 
 def readouts_figure(run: PlatformRun) -> Figure:
-    """What is read: specific force, gimbal angles, pick-off, over the run and its first minutes."""
+    """Readouts: specific force, gimbal angles and pick-off, over the run and its first minutes."""
     r = run.readouts
     axis, unit = time_axis(float(r.times[-1]))
     early = slice(0, max(2, min(len(r.times), int(40.0 * MINUTE / r.step))))
@@ -192,7 +192,7 @@ _SAYINGS = {
 
 
 Case = Literal["amplitude", "equatorial"]
-"""Which lines: at the polar case's rate, or at the equatorial one's where it turns at another speed."""
+"""Choice of lines: at the polar case's rate, or at the equatorial case's rate if that differs."""
 REFERENCE_MODEL: dict[Case, Model] = {"amplitude": "A", "equatorial": "none"}
 """Model whose theory stands beside the lines: what A leaves grows at the polar rate, at the equatorial one it is nothing."""
 

@@ -512,7 +512,7 @@ def _scatter_table(scatter: MonteCarloScatter) -> Table:
 
 
 def capstone_page(capstone: Capstone) -> Page:
-    """The page that tells what the locked zone does on the platform and what recovers it."""
+    """Page on the effect of the locked zone on the platform, and its compensation."""
     raw, solved = capstone.outcomes["raw tripod"], capstone.outcomes["triad"]
     skewed = capstone.outcomes["raw skewed"]
     tiles = (

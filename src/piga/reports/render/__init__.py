@@ -1,1 +1,1 @@
-"""Figures and pages as data, and what draws them."""
+"""Figures and pages as data, and their renderers."""

@@ -1,4 +1,4 @@
-"""Fewer points for a curve that shows the same: extremes and gaps are kept.
+"""Reduce the points of a curve without a visible change: extremes and gaps are kept.
 
 Of a very long record, figures show the outline and the first part of every segment.
 """

@@ -1,9 +1,9 @@
-"""A figure as plain data: what is drawn, with quantity and unit on every axis; and the one palette.
+"""A figure as plain data, with quantity and unit on every axis. Also the palette of all figures.
 
 A figure function takes a result and returns a :class:`Figure`; it draws nothing. The renderers
 (static SVG/PNG for print and scripts-off, interactive for the screen) draw any figure.
 
-Roles, not colours, stand in a figure. The palette is for print, screen and dark screens. Its hues follow the idea of
+A figure names roles, not colours. The palette is for print, screen and dark screens. Its hues follow the idea of
 Okabe and Ito (vermilion, blue, bluish green); lightness differs as well, so that a grey print keeps the order.
 """
 
@@ -77,8 +77,8 @@ class Figure:
     """One or more panels, side by side or stacked (then they share the x axis when alike).
 
     ``key`` is the figure's identifier (file name and anchor: letters, digits, hyphens; unique in a page);
-    ``caption`` says in one or two sentences what is to be seen and what is good; ``height`` [inch] is that
-    of one row of panels; ``notes`` are small print below.
+    ``caption`` describes in one or two sentences what the figure shows and what a good result is. ``height`` [inch]
+    is that of one row of panels. ``notes`` are small print below.
     """
 
     key: str

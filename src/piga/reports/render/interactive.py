@@ -1,4 +1,4 @@
-"""Figures on the screen: data and layout for plotly.js, light enough to sit in a page."""
+"""Figures on the screen: data and layout for plotly.js, small enough for a page."""
 
 from __future__ import annotations
 

@@ -45,8 +45,8 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     Parameters
     ----------
     value, uncertainty:
-        In the same unit. An uncertainty that is zero, negative or not finite says nothing: the value then
-        gets six significant digits and the uncertainty a dash.
+        In the same unit. If the uncertainty is zero, negative or not finite, the value gets six significant digits
+        and the uncertainty a dash.
     digits:
         Significant digits of the uncertainty.
 
@@ -76,7 +76,7 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
 
 
 def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
-    """A number with so many significant digits, trailing zeros only on request; never ``-0`` nor ``nan``."""
+    """A number with this many significant digits; trailing zeros only on request. Never ``-0`` or ``nan``."""
     if not math.isfinite(value):
         return "–"
     number = Decimal(f"{value + 0.0:.{digits - 1}e}")
@@ -87,12 +87,12 @@ def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals; what rounds to zero has no sign."""
+    """A number with this many decimals. A number that rounds to zero has no sign."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 
 def signed(value: float, decimals: int) -> str:
-    """A number with its sign and so many decimals; what rounds to zero has none.
+    """A number with its sign and this many decimals. A number that rounds to zero has no sign.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Residuals seen against the rotation of the output: spectrum in revolution order, ripple per revolution.
+"""Residuals against the rotation of the output: spectrum in revolution order, ripple per revolution.
 
 A specific force ``c cos(n psi) + s sin(n psi)`` that the model does not know leaves the residual angle
 ``K (c int cos(n psi) dt + s int sin(n psi) dt)``. Both integrals are taken in closed form between samples

@@ -29,7 +29,7 @@ Align = Literal["text", "number"]
 
 @dataclass(frozen=True)
 class Tile:
-    """One figure at a glance: ``label``, ``value`` with ``unit``, a line of ``detail``, and its tone."""
+    """One key number: ``label``, ``value`` with ``unit``, a line of ``detail``, and its tone."""
 
     label: str
     value: str
@@ -133,7 +133,7 @@ class FigureBlock:
 
 @dataclass(frozen=True)
 class Notice:
-    """A remark that must not be missed: ``info``, ``good``, ``warning`` or ``problem``."""
+    """An important remark: ``info``, ``good``, ``warning`` or ``problem``."""
 
     kind: Kind
     text: str
@@ -144,7 +144,7 @@ Block = Text | Table | FigureBlock | Notice
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict box at the top of a page: ``tone``, one sentence, what does not hold (and what to do), what holds."""
+    """The verdict box at the top of a page: ``tone``, one sentence, doubts with remedies, and what holds."""
 
     tone: Tone
     headline: str
@@ -215,7 +215,7 @@ def write_page(page: Page, path: Path) -> Path:
 
 
 def json_island(document: Any) -> str:
-    """JSON that can stand in a ``script`` element whatever text it holds.
+    """JSON that is safe inside a ``script`` element, with any text.
 
     Raises
     ------

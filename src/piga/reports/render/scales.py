@@ -1,4 +1,4 @@
-"""Scales of an axis: the range that is shown, where a value lies, which values are marked and how they are written."""
+"""Scale of an axis: shown range, position of a value, ticks and their labels."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Scale:
     log: bool = False
 
     def place(self, values: ArrayLike) -> Array:
-        """Positions of values; NaN for what has none: gaps, and values below zero on a logarithmic axis."""
+        """Positions of values. NaN for gaps and for values below zero on a logarithmic axis."""
         shown, low, high = np.asarray(values, dtype=float), self.low, self.high
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             if self.log:

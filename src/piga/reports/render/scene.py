@@ -1,6 +1,6 @@
-"""A figure laid out: lines, areas, dots and words at their places, in points from the top left corner.
+"""The layout of a figure: lines, areas, dots and words at their positions, in points from the top left corner.
 
-Every file format draws the same scene: only colours and the way a shape is written differ.
+Every file format draws the same scene. Only colours and the syntax of shapes differ.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Group:
 
 @dataclass
 class Scene:
-    """All that is to be drawn, in this order; ``scales`` are those of x and y of every panel."""
+    """All groups, in drawing order. ``scales`` are the x and y scales of every panel."""
 
     width: float
     height: float
