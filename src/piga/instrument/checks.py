@@ -1,7 +1,7 @@
 """Checks of arrays that users hand over: one clear message with the index at fault.
 
-Finite values are looked for only once a kernel has stumbled: a clean record is read once, and
-nothing of its size is allocated beside the output.
+Values are checked for nan and infinity only after a kernel has stopped. So a clean record is read once, and
+only the output has its size in memory.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Constant input: which of the four regimes it puts the instrument in, and what it does in the long run.
+r"""Constant input: the regime of the instrument (one of four), and its long-term motion.
 
 With ``a = u_x`` and ``b = tan(beta) sqrt(u_Y^2 + u_Z^2)`` [rad/s], ``u = K f - Omega``, the motion is
 Adler's equation ``theta' = a + b sin(theta)`` [Adler1946], ``theta = alpha - gamma``. [Wei2024] and [Wei2020] tell

@@ -1,8 +1,8 @@
 r"""Exact motion under a specific force given as a function of time, to a stated tolerance.
 
-The force is taken as a Chebyshev polynomial on panels of time, halved until the polynomial has
-converged; then the motion is run through the polynomials in as many exact steps as they need. The
-function is called seldom: it costs far more than the motion.
+The force is approximated by Chebyshev polynomials on panels of time. Panels are halved until the polynomials have
+converged. Then the motion is computed from the polynomials, in as many exact steps as needed. The function is called
+as rarely as possible, because it costs far more than the motion.
 """
 
 from __future__ import annotations

@@ -285,8 +285,8 @@ def propagate_segments(
 ) -> tuple[Array, Array]:
     """Outer-gimbal angle and rate at the ends of segments of constant specific force, any length each.
 
-    One closed-form step a segment (see :func:`piga.closed_form`): a dividing-head position of hours
-    costs what one of milliseconds does, and its revolutions are counted exactly.
+    Each segment is one closed-form step (see :func:`piga.closed_form`). A dividing-head position of hours
+    costs the same as one of milliseconds, and its revolutions are counted exactly.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""The servo-loop twin: rigid body, electronics and what theory predicts of it."""
+"""The servo-loop twin: rigid body, electronics and theoretical predictions."""

@@ -1,4 +1,4 @@
-"""Output electronics: from the true gimbal angle to what stands in the log.
+"""Output electronics: from the true gimbal angle to the values in the log.
 
 Encoder counts with quantisation, counter width and roll-over; the sampling clock with offset, rate error
 and jitter; angle random walk and bias drift; the thermometer.
@@ -117,7 +117,7 @@ def interpolate(t: Array, start: float, step: float, value: Array, slope: Array)
 
 
 def read_output(e: Electronics, alpha: Array, rate: Array, rng: np.random.Generator) -> NDArray:
-    """What the log shows of true angle [rad] and rate [rad/s] at the sampling instants, (n,).
+    """Logged output for the true angle [rad] and rate [rad/s] at the sampling instants, (n,).
 
     Counts are 64-bit integers, rounded to the nearest and wrapped to the counter's width; angles [rad]
     count from ``zero``; rates [rad/s] carry the random walk as white noise.
@@ -139,7 +139,7 @@ def output_phases(
 ) -> tuple[float, ...]:
     """Phase ``phi = alpha - psi`` [rad] in (-pi, pi] of the output zero in each segment.
 
-    A counter that wraps unseen in a gap has a new zero behind it.
+    If a counter wraps unseen in a gap, its zero is new after the gap.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     if e.kind != "counts" or e.counter_bits is None:

@@ -1,4 +1,4 @@
-"""Linear analysis of the twin: poles, nutation, margins, responses (SciPy), and what its tilt does to the output.
+"""Linear analysis of the twin: poles, nutation, margins, responses (SciPy), and the effect of its tilt on the output.
 
 Small tilts about pick-off null, outer-gimbal rate small against the nutation (own derivation)::
 
@@ -206,7 +206,7 @@ def require_stable(p: TwinParameters) -> LoopAnalysis:
 
 @dataclass(frozen=True)
 class ServoParameters:
-    """What the servo terms depend on, SI units; symbols as in :class:`~piga.instrument.twin.parameters.TwinParameters`.
+    """Parameters of the servo terms, SI units. Symbols as in :class:`~piga.instrument.twin.parameters.TwinParameters`.
 
     ``scale_factor`` K [(rad/s)/(m/s^2)], ``pendulosity`` ml [kg m], ``integral_gain`` k_i [N m/(rad s)],
     ``proportional_gain`` k_p [N m/rad], ``rate_gain`` k_d [N m s/rad], ``damping`` c of the float [N m s/rad].

@@ -22,7 +22,7 @@ ACCURACY = 1e-12
 
 @dataclass(frozen=True)
 class TwinMotion:
-    """What the twin did, at the sample times.
+    """Motion of the twin at the sample times.
 
     ``alpha`` and ``beta`` [rad], ``rate`` [rad/s], ``tilt_rate`` [rad/s], ``integral`` [rad s],
     ``torque`` [N m] of the motor, ``locked`` whether pick-off and torque motor are inside their limits.
