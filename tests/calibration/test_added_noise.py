@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import msgspec
@@ -32,12 +32,19 @@ assert isinstance(SCATTER, Scenario)
 def never_clear(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow noise that is seen is never weighted by."""
     monkeypatch.setattr(slow_noise, "CLEAR", math.inf)
-    for room in ("calibrate", "summary"):
+    for room in ("calibrate", "joint.summary"):
         monkeypatch.setattr(
-            sys.modules[f"piga.calibration.{room}"],
+            import_module(f"piga.calibration.{room}"),
             "include_slow_noise",
             lambda fit, **_: include_slow_noise(fit, math.inf),
         )
+
+
+def lacking(calibration: piga.Calibration) -> set[str]:
+    """Sources of terms that the model lacks."""
+    return {
+        entry.source for entry in calibration.budget if "lacks" in entry.source or "meaning" in entry.source
+    }
 
 
 def by_hand() -> AddedNoise:
@@ -73,7 +80,7 @@ def test_a_summary_alone_says_what_the_run_says(
     """Written, read and solved: values, uncertainties and degrees of freedom of the record itself."""
     never_clear(monkeypatch)
     scenario = {"drift": DRIFT, "walk": WHITE, "scatter": SCATTER, "drift beside counts": COUNTED}[kind]
-    kind, compared, close = kind.partition(" ")[0], 0, 1e-2 if "counts" in kind else 0.0
+    kind, compared, at_border, close = kind.partition(" ")[0], 0, 0, 1e-2 if "counts" in kind else 0.0
     for seed in range(4 if scenario is COUNTED else 24):
         run = scenario.record(np.random.default_rng([seed, 9]))
         run = replace(run, model=msgspec.structs.replace(run.model, phase=phase))
@@ -83,6 +90,9 @@ def test_a_summary_alone_says_what_the_run_says(
             continue
         alone = piga.calibrate(run, scenario.terms, phase=phase)
         merged = piga.calibrate([read], scenario.terms)
+        if lacking(alone) != lacking(merged):  # a chance signature at the border of being clear
+            at_border += 1
+            continue
         for one, other in zip(alone.coefficients, merged.coefficients, strict=True):
             assert other.value == pytest.approx(one.value, rel=1e-9, abs=close * one.std)
             assert other.std == pytest.approx(one.std, rel=2e-3 if one.name != "phi" else 1e-2, abs=0.0)
@@ -90,6 +100,7 @@ def test_a_summary_alone_says_what_the_run_says(
         assert first[1].degrees_of_freedom == pytest.approx(first[0].degrees_of_freedom, rel=0.06)
         compared += 1
     assert compared >= 2
+    assert at_border <= 1
 
 
 @pytest.mark.only_compiled

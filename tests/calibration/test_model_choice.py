@@ -75,6 +75,7 @@ def test_figures_as_brute_force(run, compared):
     assert compared.observations == count
 
 
+@pytest.mark.only_compiled
 def test_prediction_as_refits(run, compared):
     """Each segment predicted by a fit to the rows of all others."""
     noise = Noise(compared.angle_rms**2, compared.angle_random_walk**2)

@@ -88,7 +88,7 @@ def test_counts_look_white_where_the_path_runs_through_them(rate: float, swing: 
     stretches = empty_stretches(design.run, 60, 0)
     teeth = follow(design, stretches, design.run.resolution, values)
     assert looks_white(teeth) is white
-    fit = refine_counted(fit_run(design.run, design.request, (0,), False), (0,))
+    fit = refine_counted(fit_run(design.run, design.request))
     assert (fit.counted is None) is white
 
 

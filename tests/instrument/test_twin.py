@@ -196,6 +196,7 @@ def test_first_guess_balances_torques():
 # -- what theory predicts ----------------------------------------------------------------------------
 
 
+@pytest.mark.only_compiled
 def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     """All gains times s: the difference to the quasi-steady angle falls as 1/s."""
     t, f, _ = constant((2 * G0, G0, 0.0), 1.0 if SLOW_PYTHON else 5.0, 5e-3)
@@ -210,6 +211,7 @@ def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     assert order == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("k_i", [600.0, 6000.0] if SLOW_PYTHON else np.geomspace(600.0, 6000.0, 5))
 def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     p = replace(EXAMPLE, integral_gain=k_i, proportional_gain=60.0, rate_gain=0.1)
@@ -239,6 +241,7 @@ def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     assert abs(fit) == pytest.approx(amplitude, rel=0.05)
 
 
+@pytest.mark.only_compiled
 def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     friction = 2e-3
     smooth = replace(EXAMPLE, integral_gain=0.0)

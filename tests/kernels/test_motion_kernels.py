@@ -191,9 +191,9 @@ big = np.arange(40000.0) * 1e-3; propagate(inst, big, np.ones((40000, 3)))
 from numba.core.dispatcher import Dispatcher
 import piga._kernels as room, pkgutil, importlib
 compiled = hits = 0
-for module in pkgutil.iter_modules(room.__path__):
-    for thing in vars(importlib.import_module(room.__name__ + "." + module.name)).values():
-        if isinstance(thing, Dispatcher) and thing.py_func.__module__ == room.__name__ + "." + module.name:
+for module in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
+    for thing in vars(importlib.import_module(module.name)).values():
+        if isinstance(thing, Dispatcher) and thing.py_func.__module__ == module.name:
             compiled += sum(thing.stats.cache_misses.values()); hits += sum(thing.stats.cache_hits.values())
 print(compiled, hits)
 """

@@ -175,7 +175,7 @@ def test_drawn_imperfections_come_from_the_seed(tmp_path):
         ('k0 = "3e-4 g"', 'k9 = "3e-4 g"', "k9"),
         ('k0 = "3e-4 g"', 'k0 = "3e-4 m"', r"\[truth\] k0"),
         ('k0 = "3e-4 g"', "tan_beta = 1e-3", "same thing"),
-        ('positions = "0:360:60 deg"', 'positions = "0:360 deg"', "no range"),
+        ('positions = "0:360:60 deg"', 'positions = "0:360 deg"', "is not a range"),
         ('latitude = "40 deg"', 'latitude = "40"', r"\[stand\] latitude"),
         ('kind = "dividing-head"', 'kind = "swing"', "swing"),
         ('dwell = "20 s"', 'dwell = "0 s"', "must be positive"),

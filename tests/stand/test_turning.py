@@ -126,7 +126,7 @@ def test_rate_table_turns_gravity_or_not():
     assert away[:, 0] == pytest.approx(-9.80166)
     arm, _ = RateTable(SITE, SPIN, along="Z0", offset=0.2).motion(t, NONE)
     assert arm[:, 0] == pytest.approx(-0.2)
-    with pytest.raises(ArgumentError, match="no base axis"):
+    with pytest.raises(ArgumentError, match="is not a base axis"):
         RateTable(SITE, SPIN, along="X1")
 
 

@@ -276,20 +276,20 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
     formed = innovation != 0.0
     rng = np.random.default_rng(0)
     besides = math.sqrt(max(noise.white - count**2 / 12.0, 0.0))
-    found = np.zeros((1 + DRAWS, LAGS + 1))
+    correlated = np.zeros((1 + DRAWS, LAGS + 1))
     rows = [innovation]
     for _ in range(DRAWS):
         place = rng.uniform(0.0, count, int(stretch[-1]) + 1)[stretch]
-        walk = np.cumsum(np.sqrt(noise.walk * h) * rng.standard_normal(size))
+        walk = np.cumsum(np.sqrt(max(noise.walk, 0.0) * np.where(h > 0.0, h, 0.0)) * rng.standard_normal(size))
         noisy = path + place + walk + besides * rng.standard_normal(size)
         error = count * np.round(noisy / count) - place - path
         increments = np.diff(error, prepend=error[0])
         increments[h <= 0.0] = 0.0
         rows.append(_whitened(increments, h, noise, mode))
-    for row, out in zip(rows, found, strict=True):
+    for row, out in zip(rows, correlated, strict=True):
         kept = row[formed]
         add_lagged_products(kept - kept.mean(), out)
-    return found
+    return correlated
 
 
 def counting_probability(runs: tuple[Products, ...]) -> float:

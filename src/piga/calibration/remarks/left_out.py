@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from piga.calibration.budget.rows import budget_row
 from piga.calibration.fit.one_run import Fit, without_slow
@@ -349,7 +350,25 @@ def _clear(rows: LeftOutRows, base: JointFit, names: Names, limit: float = LEFT_
         return None
     count = sum(summary.count for summary in rows.summaries)
     test = tested(_pieces(rows, after, names), list(names), names, count)
-    return Wider(base, after, test) if test is not None and test.probability <= limit else None
+    if test is None or test.probability > limit or _beside_slow_noise(after, names) > limit:
+        return None
+    return Wider(base, after, test)
+
+
+def _beside_slow_noise(fit: JointFit, names: Names) -> float:
+    """Probability of terms as large as these by chance, where a stored run has a slow noise; 0 where none has.
+
+    The factors of a stored run hold no segments: a scatter of segments is not in them, but in its added noise, and so in
+    the covariance of the fit.
+    """
+    if not any(summary.added for summary in fit.summaries):
+        return 0.0
+    at = [index for index, c in enumerate(fit.coefficients) if c.name in names]
+    scores = np.array([fit.coefficients[index].value / fit.coefficients[index].std for index in at])
+    covariance = fit.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.diag(covariance))
+    distance = scores @ np.linalg.solve(covariance / np.outer(size, size), scores)
+    return float(chdtrc(len(at), distance))
 
 
 def _values(fit: JointFit) -> dict[str, float]:
