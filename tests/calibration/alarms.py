@@ -57,8 +57,8 @@ FAULTS: dict[str, tuple[Callable[[piga.Run], piga.Run], str]] = {
     "X0 negative": (partial(_columns, [0, 1, 2], (-1, 1, 1)), "X0 of the reference"),
     "Y0 negative": (partial(_columns, [0, 1, 2], (1, -1, 1)), "Y0 negative"),
     "output negative": (partial(_output, -1.0), "the output"),
-    "g said to be m/s²": (partial(_reference, 1 / 9.80665), "reference unit = 'g' where it says 'm/s^2'"),
-    "mg said to be g": (partial(_reference, 1e3), "reference unit = 'mg' where it says 'g'"),
+    "g said to be m/s²": (partial(_reference, 1 / 9.80665), "f (wanted in m/s^2) multiplied by 9.80665"),
+    "mg said to be g": (partial(_reference, 1e3), "f (wanted in m/s^2) divided by 1000"),
     "degrees said to be rad": (partial(_output, 180 / np.pi), "output unit = 'deg' where it says 'rad'"),
     "rad said to be degrees": (partial(_output, np.pi / 180), "output unit = 'rad' where it says 'deg'"),
 }
