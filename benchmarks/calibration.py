@@ -19,7 +19,7 @@ import measured
 import numpy as np
 
 import piga
-from piga._kernels.estimation.published import published_recursion
+from piga._kernels.estimation.recursive import published_recursion
 from piga._kernels.estimation.square_root import absorb_rows
 from piga.units import G0
 

@@ -128,7 +128,7 @@ INSTRUMENT = {
 COMPENSATION = {
     "compensation/compensate compensation/compensator compensation/model compensation/compensator "
     "compensation/model compensation/result": COMPENSATED,
-    "compensation/phase compensation/resample compensation/phase": [
+    "compensation/phase compensation/result compensation/phase": [
         *PHASES,
         *COMPENSATED,
         *tests_of("compensation", "files"),
@@ -151,25 +151,22 @@ KERNELS = {
     "_kernels/compensation/indication "
     "_kernels/compensation/layout _kernels/compensation/record "
     "_kernels/compensation/terms "
-    "_kernels/arithmetic/sine_cosine _kernels/arithmetic/smooth": [*COMPENSATED, *SETS],
+    "_kernels/arithmetic/trigonometry _kernels/arithmetic/interpolation": [*COMPENSATED, *SETS],
     "_kernels/compensation/set": SETS,
-    "_kernels/estimation/counting": COUNTED,
-    "_kernels/estimation/published": FIT,
-    "_kernels/arithmetic/double_double _kernels/estimation/regressors "
-    "_kernels/estimation/square_root "
-    "_kernels/estimation/whitening": SUMS,
+    "_kernels/estimation/noise": [*COUNTED, *SUMS],
+    "_kernels/estimation/recursive": FIT,
+    "_kernels/arithmetic/double_double _kernels/estimation/regressors _kernels/estimation/square_root": SUMS,
     "_kernels/motion/function_motion": SAMPLES,
     "_kernels/motion/step _kernels/motion/step _kernels/motion/samples "
-    "_kernels/motion/samples _kernels/motion/step _kernels/arithmetic/sine_cosine": SAMPLES,
+    "_kernels/motion/samples _kernels/motion/step _kernels/arithmetic/trigonometry": SAMPLES,
     "_kernels/motion/samples": [*SAMPLES, *tests_of("instrument", "fleet")],
     "_kernels/estimation/outliers": [
         *tests_of("kernels", "outlier_scan"),
         *tests_of("calibration", "outliers"),
     ],
     "_kernels/platform/navigation _kernels/platform/motion _kernels/platform/navigation": [*PLATFORM, *ERRORS],
-    "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS],
-    "_kernels/platform/triad": TRIADS,
-    "_kernels/arithmetic/resample": [*PHASES, *tests_of("compensation", "files")],
+    "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS, *TRIADS],
+    "_kernels/arithmetic/interpolation": [*PHASES, *tests_of("compensation", "files")],
     "_kernels/motion/servo": TWIN,
     "_kernels/estimation/trend": TREND,
 }

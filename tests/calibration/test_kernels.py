@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
+from piga._kernels.estimation.noise import CANDIDATES, innovation_weights, likelihoods, whiten
 from piga._kernels.estimation.regressors import CODES, coupling_columns, half_angle_moments, product_column
 from piga._kernels.estimation.square_root import absorb, absorb_rows
-from piga._kernels.estimation.whitening import LANES, innovation_weights, likelihoods, whiten
 from piga.calibration.fit.residuals import LAG_PART, add_lagged_products
 from piga.calibration.noise.levels import Noise, find_noise, natural_spline
 
@@ -183,8 +183,8 @@ def test_likelihood_is_that_of_the_dense_covariance() -> None:
     h[20] = 0.0
     d = rng.standard_normal(50)
     d[20] = 0.0
-    kappas = np.geomspace(1e-3, 1e3, LANES)
-    log, square = np.zeros(LANES), np.zeros(LANES)
+    kappas = np.geomspace(1e-3, 1e3, CANDIDATES)
+    log, square = np.zeros(CANDIDATES), np.zeros(CANDIDATES)
     likelihoods(d, h, kappas, log, square)
     for kappa, found_log, found_square in zip(kappas, log, square, strict=True):
         wanted_log = wanted_square = 0.0

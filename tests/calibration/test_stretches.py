@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga._kernels.estimation.counting import add_waves
+from piga._kernels.estimation.noise import add_waves
 from piga.calibration.fit.one_run import fit_run, refine_counted
 from piga.calibration.model import design as design_module
 from piga.calibration.model.design import Design

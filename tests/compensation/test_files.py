@@ -13,7 +13,7 @@ import pytest
 import piga
 from piga.compensation.files import file_to_file as parts
 from piga.compensation.phase import RateAngle, integrated_rate
-from piga.compensation.resample import Resampler
+from piga.compensation.result import Resampler
 from piga.compensation.sets import set_files
 from piga.compensation.sets.set_files import orthogonal_triad
 from tests.output.kills import kills

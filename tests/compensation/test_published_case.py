@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.arithmetic.sine_cosine import sine_cosine
+from piga._kernels.arithmetic.trigonometry import sine_cosine
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of

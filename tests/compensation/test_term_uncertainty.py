@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.arithmetic.sine_cosine import LIMIT
+from piga._kernels.arithmetic.trigonometry import LIMIT
 from piga._kernels.compensation.layout import TERMS
 from piga.units import G0
 

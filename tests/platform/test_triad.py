@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga._kernels.platform.triad import solve_triad
+from piga._kernels.platform.motion import solve_triad
 from piga.errors import ArgumentError
 from piga.platform.model.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.model.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
-from piga.formats.stream import open_stream
 from piga.formats.text import source as text_source
 from piga.formats.text.reader import TextStream
 from piga.reading import raw_columns
+from piga.reading.raw_columns import open_stream
 from piga.records import spool
 from piga.records.run_file import read_run_file
 from piga.records.spool import exact_median

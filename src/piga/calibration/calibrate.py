@@ -60,9 +60,9 @@ from piga.calibration.model.identifiability import (
     refuse_useless,
     remarks_in_words,
 )
+from piga.calibration.model.reduction import beside
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Solution, name_coefficients, solve
-from piga.calibration.model.workers import beside
 from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.all_remarks import find_remarks, in_step, with_remarks

@@ -4,8 +4,7 @@ from piga.compensation.compensate import compensate
 from piga.compensation.compensator import Chunk, Compensator, Step, init_state, step
 from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
-from piga.compensation.resample import Resampler
-from piga.compensation.result import Compensated, CompensatedSet
+from piga.compensation.result import Compensated, CompensatedSet, Resampler
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.compensation.sets.triad import compensate_triad
 

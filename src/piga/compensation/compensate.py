@@ -113,9 +113,9 @@ def compensate_in_pieces(
     def room(_rows: slice, count: int) -> Step:
         return empty_step(count, uncertainty, flags=True)
 
-    for rows, chunk, found in plan.run(room, state, done):
+    for rows, chunk, computed in plan.run(room, state, done):
         part = Compensated(
-            chunk.t, found.ax, found.dv, found.u_ax, found.flags, record.serial, plan.method
+            chunk.t, computed.ax, computed.dv, computed.u_ax, computed.flags, record.serial, plan.method
         )  # fmt: skip
         yield record.labels[int(record.segment[rows.start])], chunk, part
 
@@ -187,9 +187,9 @@ class _Plan:
         typical = self.record.median_step if self.record.kind == "rate" else 0.0
         for rows, model in islice(self._pieces(), done, None):
             chunk = _chunk(self.record, rows)
-            found = room(rows, chunk.t.size)
-            run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, found)
-            yield rows, chunk, found
+            computed = room(rows, chunk.t.size)
+            run_kernel(model, state, chunk, self.record.kind, typical or 1.0, work, computed)
+            yield rows, chunk, computed
 
     def _pieces(self) -> Iterator[tuple[slice, Model]]:
         """Row ranges with one phase, and their model."""

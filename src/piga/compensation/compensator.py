@@ -17,8 +17,7 @@ from piga.compensation.result import Compensated, notes_on
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
-from piga.records.run import Run
-from piga.records.time_base import begins_stretch
+from piga.records.run import Run, begins_stretch
 
 Array = NDArray[np.float64]
 

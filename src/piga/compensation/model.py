@@ -167,7 +167,7 @@ def make_model(
     parameters[at.P_WHITE], parameters[at.P_WALK] = calibration.angle_rms**2, calibration.angle_random_walk**2
     for index, name in enumerate(at.TERMS):
         parameters[at.P_TERMS + index] = values.get(name, 0.0)
-    orders = sorted({found[1] for name in values if (found := harmonic(name)) and found[1] > 1})
+    orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
     codes, factor = _covariance_factor(calibration, used, phase)
     chosen = limits or Limits.of(calibration)
     return Model(
@@ -231,9 +231,9 @@ def _used_coefficients(
 
 
 def _code(name: str) -> int:
-    found = harmonic(name)
-    if found:
-        return at.HARMONIC + 2 * found[1] + (0 if found[0] == "s" else 1)
+    wave = harmonic(name)
+    if wave:
+        return at.HARMONIC + 2 * wave[1] + (0 if wave[0] == "s" else 1)
     special = {"scale_factor": at.SCALE_FACTOR, "tan_beta": at.TAN_BETA, "phi": at.PHI}
     return special[name] if name in special else at.P_TERMS + at.TERMS.index(name)
 

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import layout as at
 from piga._kernels.compensation.terms import SERVO, SERVO_DAMPING
+from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga._kernels.estimation.regressors import coupling_columns
-from piga._kernels.estimation.whitening import innovation_weights, whiten
 from piga.compensation.model import Model, Phase, make_model
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
@@ -213,15 +213,15 @@ def _phase_at_rest(
         rows[starts[0] :] = False
     psi = integrated_rate(t, output, begins) if kind == "rate" else output
     finder = PhaseFinder(calibration)
-    found = finder.push(t[rows], psi[rows], y[rows], z[rows])
-    if found is None:
+    phase = finder.push(t[rows], psi[rows], y[rows], z[rows])
+    if phase is None:
         raise CalibrationError(
             f"{source}: the output does not turn once in the first {duration:g} s",
             remedy="take a longer time at rest",
         )
-    if not found.std < USELESS:
+    if not phase.std < USELESS:
         raise CalibrationError(
-            f"{source}: the phase is known to {found.std:.2g} rad only after {duration:g} s",
+            f"{source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
             remedy="take a longer time at rest, or an attitude with more transverse specific force",
         )
-    return found
+    return phase

@@ -51,12 +51,12 @@ def format_of(path: Path) -> str:
     ArgumentError
         For any other suffix.
     """
-    found = FORMATS.get(path.suffix.lower())
-    if found is None:
+    file_format = FORMATS.get(path.suffix.lower())
+    if file_format is None:
         raise ArgumentError(
             f"{path}: files of kind '{path.suffix}' are not written", remedy="end it in .parquet or .csv"
         )
-    return found
+    return file_format
 
 
 def schema_of(

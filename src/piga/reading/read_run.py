@@ -32,11 +32,10 @@ from piga.reading.signal_checks import (
     stuck_extremes,
 )
 from piga.records.calibration import Event, Quality
-from piga.records.run import Run
+from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import RunFile, read_run_file
 from piga.records.spool import gathered, spans
 from piga.records.text_files import toml_bytes
-from piga.records.time_base import TimeBase, drop_repeats, examine_time
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.trend import days_so_far, inner_excess, merge_days
+from piga._kernels.estimation.trend import Points, days_so_far, inner_excess, merge_days
 from piga.errors import ArgumentError
 from piga.records.coverage import coverage_factor, welch_satterthwaite
 
@@ -227,11 +227,11 @@ def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.
     count = first.size - 1
     freedom = y.size - count
     within = inner_excess(y, v, first, count, freedom, 0.0) if freedom else 0.0
-    when, means, merged = np.empty(count), np.empty(count), np.empty(count)
-    merge_days(np.asarray(time, dtype=float), y, v, first, count, within, when, means, merged)
+    merged = Points(np.empty(count), np.empty(count), np.empty(count))
+    merge_days(Points(np.asarray(time, dtype=float), y, v), first, count, within, merged)
     plain = np.add.reduceat(y, first[:-1]) / np.diff(first)
     spread = float(np.sqrt(np.sum((y - plain[days]) ** 2) / freedom)) if freedom else math.nan
-    return Days(when, means, merged, within, spread, freedom)
+    return Days(merged.t, merged.y, merged.v, within, spread, freedom)
 
 
 def day_starts(days: NDArray[np.int64]) -> NDArray[np.int64]:

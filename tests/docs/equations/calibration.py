@@ -9,9 +9,8 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 
 import piga
-from piga._kernels.estimation.counting import saw_tooth_covariance
+from piga._kernels.estimation.noise import innovation_weights, saw_tooth_covariance, whiten
 from piga._kernels.estimation.regressors import coupling_columns, servo_columns
-from piga._kernels.estimation.whitening import innovation_weights, whiten
 from piga.calibration.classical.revolutions import _amplification
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import projected

@@ -6,6 +6,8 @@ method is applied to the reciprocal of the sum, which is nearly linear in the va
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,14 @@ STEPS = 100
 """Most Newton steps; three to six are usual."""
 RESOLUTION = 1e-9
 """Relative size of the last Newton step; the error left is of the order of its square."""
+
+
+class Points(NamedTuple):
+    """Times, values and their variances, (n,) each."""
+
+    t: Array
+    y: Array
+    v: Array
 
 
 @kernel
@@ -68,18 +78,10 @@ def inner_excess(y: Array, v: Array, first: Index, days: int, freedom: int, star
 
 @kernel
 def merge_days(
-    t: Array,
-    y: Array,
-    v: Array,
-    first: Index,
-    days: int,
-    within: float,
-    time: Array,
-    means: Array,
-    variances: Array,
-    start_day: int = 0,
+    values: Points, first: Index, days: int, within: float, merged: Points, start_day: int = 0
 ) -> None:
-    """Mean time, weighted mean and its variance of each day from ``start_day`` on."""
+    """Mean time, weighted mean and its variance of each day from ``start_day`` on, written to ``merged``."""
+    t, y, v = values
     for day in range(start_day, days):
         start, stop = first[day], first[day + 1]
         weight, mean, when = 0.0, 0.0, 0.0
@@ -88,9 +90,9 @@ def merge_days(
             weight += w
             mean += w * (y[i] - y[start])
             when += t[i] - t[start]
-        time[day] = t[start] + when / (stop - start)
-        means[day] = y[start] + mean / weight
-        variances[day] = 1.0 / weight
+        merged.t[day] = t[start] + when / (stop - start)
+        merged.y[day] = y[start] + mean / weight
+        merged.v[day] = 1.0 / weight
 
 
 @kernel
@@ -169,6 +171,7 @@ def days_so_far(
     """
     days, sources = first.size - 1, shared.shape[0]
     time, means, variances = np.empty(days), np.empty(days), np.empty(days)
+    values, means_of_days = Points(t, y, v), Points(time, means, variances)
     merged, ordered, weights, line = np.empty((days, sources)), np.empty(days), np.empty(days), np.empty(5)
     within, excess, done = 0.0, 0.0, 0
     for count in range(least, days + 1):
@@ -178,7 +181,7 @@ def days_so_far(
             within = inner_excess(y, v, first, count, freedom, within)
             if within != before:
                 done = 0  # another variance inside days: every day is merged anew
-        merge_days(t, y, v, first, count, within, time, means, variances, done)
+        merge_days(values, first, count, within, means_of_days, done)
         merge_shared(v, first, count, within, shared, merged, done)
         insert_sorted(variances, ordered, count, done)
         done = count

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import double_double as dd
-from piga._kernels.arithmetic.trig import double_arctangent
+from piga._kernels.arithmetic.trigonometry import double_arctangent
 from piga._kernels.jit import exact, inline, kernel, prefetch
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.whitening import LANES
+from piga._kernels.estimation.noise import CANDIDATES
 from piga.calibration.fit.one_run import SMALL, FaintWalk, Fit, log_determinant
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
@@ -85,10 +85,10 @@ def _likely_share(fit: Fit) -> float:
     information = CubicSpline(nodes, _logarithms(fit, nodes))
     best = 0.0
     for _ in range(PASSES):
-        grid = np.linspace(low, high, LANES)
+        grid = np.linspace(low, high, CANDIDATES)
         log, square = _sums(fit, unit * np.expm1(grid))
         best = least_on_grid(grid, _freedom(fit) * np.log(np.maximum(square, 1e-300)) + log + information(grid))
-        spacing = (high - low) / (LANES - 1)
+        spacing = (high - low) / (CANDIDATES - 1)
         low, high = max(best - spacing, math.log(LEAST)), min(best + spacing, math.log(MOST))
     return math.expm1(best)
 
@@ -101,7 +101,7 @@ def _walk_information(fit: Fit, share: float) -> Array:
     """
     ratio, at = slowest(fit) * share, math.log1p(share)
     grid = at + TWIST * np.linspace(-1.0, 1.0, 3)
-    log = _sums(fit, slowest(fit) * np.expm1(np.resize(grid, LANES)))[0][:3]
+    log = _sums(fit, slowest(fit) * np.expm1(np.resize(grid, CANDIDATES)))[0][:3]
     below, here, above = log + _logarithms(fit, grid)
     first, second = (above - below) / (2.0 * TWIST), (above - 2.0 * here + below) / TWIST**2
     scale = slowest(fit) * math.exp(at)

@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.whitening import LANES
+from piga._kernels.estimation.noise import CANDIDATES
 from piga.calibration.fit.one_run import SMALL, Fit, whitened_rows
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import KNOTS, solve
@@ -250,7 +250,7 @@ def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Devia
     step = fit.design.run.median_step
     freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
     centre = math.log10(max(noise.walk * step / noise.white, 1e-9))
-    grid = np.linspace(centre - below, centre + ABOVE, LANES)
+    grid = np.linspace(centre - below, centre + ABOVE, CANDIDATES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
     stated = tuple(variance / noise.white for variance in noise.stated)
     table = []

@@ -128,9 +128,9 @@ def _live_part(fit: JointFit, index: int, live: LiveRun, kind: str) -> _LivePart
     return residuals, segment_table(design, residuals), scatter, products
 
 
-def _products(found: list[_LivePart | None]) -> tuple[Products, ...]:
+def _products(parts: list[_LivePart | None]) -> tuple[Products, ...]:
     """Lagged products of the runs with raw data."""
-    return tuple(part[3] for part in found if part is not None)
+    return tuple(part[3] for part in parts if part is not None)
 
 
 def _own_segments(fit: JointFit, index: int, part: _LivePart | None) -> tuple[SegmentSummary, ...]:

@@ -29,8 +29,8 @@ from piga._kernels.estimation.regressors import (
     servo_columns,
     smooth_bows,
 )
+from piga.calibration.model.reduction import workers
 from piga.calibration.model.request import Request, phase_angle
-from piga.calibration.model.workers import workers
 from piga.errors import DataError
 from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.records.run import Run

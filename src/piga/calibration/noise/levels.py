@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.whitening import LANES, likelihoods
-from piga.calibration.model.workers import workers
+from piga._kernels.estimation.noise import CANDIDATES, likelihoods
+from piga.calibration.model.reduction import workers
 from piga.records.spool import exact_median, spans
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ def find_noise(
     best, size = low, 1.0
     for index in range(passes):
         coarse = near is None and index < passes - 2 and d.size > 4 * SAMPLE
-        grid = np.linspace(low, high, LANES)
+        grid = np.linspace(low, high, CANDIDATES)
         log, square = (
             deviance_sums(d[:SAMPLE], h[:SAMPLE], 10.0**grid / step)
             if coarse
@@ -137,10 +137,10 @@ def find_noise(
             objective = objective + information(grid)
         best = least_on_grid(grid, objective)
         size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
-        spacing = (high - low) / (LANES - 1)
+        spacing = (high - low) / (CANDIDATES - 1)
         low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
     if information is not None:
-        grid = np.append(LOWEST, np.full(LANES - 1, best))
+        grid = np.append(LOWEST, np.full(CANDIDATES - 1, best))
         log, square = deviance_sums(d, h, 10.0**grid / step)
         objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log + information(grid)
         if NEGLIGIBLE < objective[0] - objective[1] < SIGNIFICANT:
@@ -185,7 +185,7 @@ def deviance_sums(d: Array, h: Array, kappas: Array) -> tuple[Array, Array]:
     """Sums of the likelihood over the record; two threads compute one half each."""
     middle = d.size // 2
     parts = [(d[:middle], h[:middle]), (d[middle:], h[middle:])]
-    results = [(np.zeros(LANES), np.zeros(LANES)) for _ in parts]
+    results = [(np.zeros(CANDIDATES), np.zeros(CANDIDATES)) for _ in parts]
     with workers(d.size, 2) as pool:
         jobs = [
             pool.submit(likelihoods, part[0], part[1], kappas, result[0], result[1])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.estimation.counting import add_waves, saw_tooth_covariance
+from piga._kernels.estimation.noise import add_waves, saw_tooth_covariance
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.solution import Solution
 from piga.records.run import Run

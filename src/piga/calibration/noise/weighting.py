@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.estimation.whitening import innovation_weights, whiten
+from piga._kernels.estimation.noise import innovation_weights, whiten
 from piga.calibration.model.design import Block, Design
-from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.reduction import Reduction, workers
 from piga.calibration.model.solution import DRIFT_NAMES, KNOTS
-from piga.calibration.model.workers import workers
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.slow_bases import (
     BesideStated,

@@ -22,8 +22,7 @@ from piga._version import __version__
 from piga.compensation.compensate import compensate_in_pieces
 from piga.compensation.compensator import Chunk, init_state
 from piga.compensation.model import FLAGS
-from piga.compensation.resample import Resampler
-from piga.compensation.result import Compensated, notes_on
+from piga.compensation.result import Compensated, Resampler, notes_on
 from piga.compensation.writers import Inputs, TableWriter
 from piga.errors import ArgumentError
 from piga.output import hold, put_in_place, write_whole
@@ -122,8 +121,8 @@ class Parts:
         """State stored with the last complete part; None if there is none."""
         if self.count == 0:
             return None
-        found: dict[str, Any] = _content(self.folder / f"{self.count - 1}.json")
-        return found
+        state: dict[str, Any] = _content(self.folder / f"{self.count - 1}.json")
+        return state
 
     def writer(self) -> TableWriter:
         """Writer of the next part."""
@@ -202,9 +201,9 @@ class FileSummary:
         """Add a compensated part."""
         self.rows += part.size
         self.velocity += float(part.dv.sum())
-        found = int(np.bitwise_or.reduce(part.flags))
+        any_flags = int(np.bitwise_or.reduce(part.flags))
         for name, bit in FLAGS.items():
-            if found & bit:
+            if any_flags & bit:
                 count = int(np.count_nonzero(part.flags & bit))
                 self.flags[name] = self.flags.get(name, 0) + count
 

@@ -63,10 +63,10 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     while line := _line(source, number := number + 1):
         if not line.strip():
             continue
-        found = _pushed(stream, _row(line, header, number), f"line {number}").columns()
+        columns = _pushed(stream, _row(line, header, number), f"line {number}").columns()
         if rows == 0:
-            sink.write(",".join(found) + "\n")
-        sink.write(",".join(repr(column[0].item()) for column in found.values()) + "\n")
+            sink.write(",".join(columns) + "\n")
+        sink.write(",".join(repr(column[0].item()) for column in columns.values()) + "\n")
         sink.flush()
         rows += 1
     return rows
@@ -118,10 +118,10 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
     rows, writer = 0, None
     for number, batch in enumerate(_batches(source), start=1):
         columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
-        found = _pushed(stream, columns, f"batch {number}").columns()
-        schema = schema_of(found, notes=stream.notes)
+        compensated = _pushed(stream, columns, f"batch {number}").columns()
+        schema = schema_of(compensated, notes=stream.notes)
         writer = writer or pa.ipc.new_stream(sink, schema)
-        writer.write_batch(_batch(found, schema))
+        writer.write_batch(_batch(compensated, schema))
         sink.flush()
         rows += batch.num_rows
     if writer is not None:

@@ -307,7 +307,7 @@ class SetCompensator:
         before = self._states.copy(), self._set_state.copy()
         marks = find_begins(self._states[0], time) if begins is None else np.asarray(begins, dtype=np.bool_)
         u = np.empty((n if self._uncertainty else 0, 3))
-        found = CompensatedSet(
+        result = CompensatedSet(
             time,
             np.empty((n, 3)),
             np.empty((n, 3)),
@@ -320,13 +320,13 @@ class SetCompensator:
         set_kernel(
             SetSamples(time, marks, psi, rates, omega, warm, np.zeros(0)), self._arrays, self._flag, self._threshold,
             self._states, self._set_state, self._work,
-            SetRows(found.f, found.dv, found.u_f, found.residual, found.flags, found.misfit, found.each),
+            SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each),
         )  # fmt: skip
-        last = psi[:, -1:].sum() + (found.f if self._sampled else found.dv).sum()
+        last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):
             self._states, self._set_state = before
             _check_finite(output=psi, rate=rates, base_rate=omega, temperature=warm)
-        return found
+        return result
 
 
 def fault_threshold(freedom: int) -> float:

@@ -21,8 +21,7 @@ from piga.compensation.files.file_to_file import (
 )
 from piga.compensation.model import FLAGS, Phase
 from piga.compensation.phase import RateAngle
-from piga.compensation.resample import Resampler
-from piga.compensation.result import CompensatedSet, notes_on
+from piga.compensation.result import CompensatedSet, Resampler, notes_on
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
 from piga.compensation.sets.triad import check_member, check_together, mounted_on, set_stream
 from piga.compensation.writers import Inputs, TableWriter, inputs_listed

@@ -34,7 +34,7 @@ SUFFIXES = (".h5", ".hdf5", ".hdf", ".mat", ".tdms", ".xlsx")
 
 
 class ContainerStream:
-    """A container. It is read whole in a separate process and given in chunks (:class:`piga.formats.stream.RecordStream`)."""
+    """A container. It is read whole in a separate process and given in chunks (:class:`piga.formats.columns.RecordStream`)."""
 
     def __init__(
         self, path: Path, kind: str, numeric: tuple[str, ...], label: str | None, sheet: str | None = None,

@@ -17,7 +17,7 @@ from piga.records.limits import MAX_SEGMENTS, MOST_LETTERS, first_line, open_reg
 
 
 class ParquetStream:
-    """The named columns of a Parquet file, chunk by chunk; see :class:`piga.formats.stream.RecordStream`.
+    """The named columns of a Parquet file, chunk by chunk; see :class:`piga.formats.columns.RecordStream`.
 
     Raises
     ------

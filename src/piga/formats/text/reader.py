@@ -24,7 +24,7 @@ BLOCK_BYTES = 4 << 20
 
 
 class TextStream:
-    """The named columns of a text file, chunk by chunk; see :class:`piga.formats.stream.RecordStream`.
+    """The named columns of a text file, chunk by chunk; see :class:`piga.formats.columns.RecordStream`.
 
     Parameters
     ----------

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform
-from piga._kernels.platform.triad import solve_triad
+from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
 from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate

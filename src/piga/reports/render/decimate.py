@@ -92,11 +92,11 @@ def leading_part(residuals: Residuals) -> Residuals:
 
 def _starts(segment: NDArray[np.int32]) -> NDArray[np.int64]:
     """Rows where segments begin."""
-    found = [np.zeros(1, np.int64)]
+    starts = [np.zeros(1, np.int64)]
     for part in spans(segment.size):
         around = segment[max(part.start - 1, 0) : part.stop]
-        found.append(max(part.start - 1, 0) + 1 + np.flatnonzero(np.diff(around)))
-    return np.concatenate(found)
+        starts.append(max(part.start - 1, 0) + 1 + np.flatnonzero(np.diff(around)))
+    return np.concatenate(starts)
 
 
 def _rows(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
