@@ -71,6 +71,55 @@ def record(name: str, values: Mapping[str, Value | Figure], folder: Path = FOLDE
     print(f"recorded in {path.relative_to(ROOT) if path.is_relative_to(ROOT) else path}")
 
 
+def write(
+    name: str,
+    corner: str,
+    rows: Mapping[str, Mapping[str, Value | Figure]],
+    units: Mapping[str, str] | None = None,
+    *,
+    folder: Path = FOLDER,
+    **shared: Any,
+) -> None:
+    """Write a whole table of rows and columns, with version, commit and date of now.
+
+    Parameters
+    ----------
+    name : str
+        The table.
+    corner : str
+        Head of the column that names the rows.
+    rows : Mapping
+        For each row its values by column: a value, lowest and highest value, or several members of a figure.
+    units : Mapping
+        Unit of each column, by its name; none is 1.
+    folder : Path
+        Where the tables are.
+    **shared
+        What all figures share: ``command`` and ``conditions``.
+    """
+    columns = list(dict.fromkeys(column for cells in rows.values() for column in cells))
+    figures = []
+    for row, cells in rows.items():
+        for column, value in cells.items():
+            new = (
+                value
+                if isinstance(value, dict)
+                else {"value": list(value) if isinstance(value, tuple) else value}
+            )
+            own = {"name": f"{row}: {column}", "unit": (units or {}).get(column, "1")}
+            figures.append(own | new | {"row": row, "column": column})
+    now = {"version": version(), "commit": commit(), "date": dt.datetime.now(dt.UTC).date().isoformat()}
+    table = now | shared | {"rows": corner, "columns": columns, "figures": figures}
+    text = json.dumps(table, indent=1, ensure_ascii=False) + "\n"
+    (folder / f"{name}.json").write_text(text, encoding="utf-8")
+    print(f"recorded {name}")
+
+
+def rounded(value: float, digits: int = 3) -> float:
+    """A value with so many digits."""
+    return float(f"{value:.{digits}g}")
+
+
 def version() -> str:
     """Version of the sources."""
     text = (ROOT / "src" / "piga" / "_version.py").read_text(encoding="utf-8")
@@ -191,7 +240,7 @@ def number(value: float, figure: Figure, *, fixed: bool = False) -> str:
         return f"{value:,.{figure['decimals']}f}".replace(",", " ")
     if abs(value) >= 10_000 and value == int(value):
         return f"{value:,.0f}".replace(",", " ")
-    return re.sub(r"e([-+])0", r"e\1", f"{value:g}")
+    return re.sub(r"e([-+])0", r"e\1", f"{value:.{figure.get('digits', 6)}g}")
 
 
 def stamp(figures: list[Figure]) -> str:

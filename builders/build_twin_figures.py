@@ -1,7 +1,11 @@
-"""Figures and tables of docs/twin.md: run ``python builders/build_twin_figures.py`` from the repository root."""
+"""Figures and tables of docs/twin.md: ``python -m builders.build_twin_figures [STUDY ...]`` from the repository root.
+
+The tables go into ``docs/measured``; then run ``python benchmarks/measured.py``.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
 import tempfile
 import time
@@ -9,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from benchmarks import measured
+from benchmarks.measured import ROOT, rounded
 from scipy.integrate import solve_ivp
 
 from piga._kernels.motion import servo
@@ -32,7 +38,7 @@ from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scen
 from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, write_data
 from piga.units import ARCSEC, G0
 
-OUT = Path(__file__).parents[1] / "docs" / "figures"
+OUT = ROOT / "docs" / "figures"
 EXAMPLE = PRESETS["example"]
 
 
@@ -64,17 +70,28 @@ def row(*cells):
     print("| " + " | ".join(str(cell) for cell in cells) + " |")
 
 
+def record(study, corner, rows, conditions, units=None):
+    """Write a table of the page."""
+    for name, cells in rows.items():
+        row(name, *(value["value"] if isinstance(value, dict) else value for value in cells.values()))
+    command = f"python -m builders.build_twin_figures {study}"
+    measured.write(f"twin-{study}", corner, rows, units, command=command, conditions=conditions)
+
+
 def stiffening():
     t, f = constant((2 * G0, G0, 0.0), 10.0, 5e-3)
     quasi = propagate(Instrument(EXAMPLE.K, 1e-3, 0.2), t, f)
     factors = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
-    errors = []
+    errors, rows = [], {}
     for factor in factors:
         p = replace(EXAMPLE, pick_off_null=1e-3, alpha0=0.2, rate_gain=0.1).stiffened(factor)
         errors.append(float(np.max(np.abs(run_twin(p, t, f).alpha - quasi))))
-        row(f"{factor:g}", f"{errors[-1]:.3e}", f"{errors[-1] * factor:.3e}")
+        rows[f"{factor:g}"] = {
+            "largest difference": {"value": rounded(errors[-1], 4), "unit": "rad"},
+            "times s": {"value": rounded(errors[-1] * factor, 4), "unit": "rad"},
+        }
     order = -np.polyfit(np.log(factors[1:]), np.log(errors[1:]), 1)[0]
-    print(f"order {order:.4f}")
+    record("stiffening", "s", rows, f"preset `example`, 2 g along, 1 g across, 10 s; fitted order {order:.3f}")
     line = errors[-1] * factors[-1] / factors
     panel = Panel(
         Axis("all servo gains, multiplied by", "1", log=True),
@@ -87,22 +104,37 @@ def stiffening():
     save(Figure("twin-stiffening", "Towards the quasi-steady model", (panel,)))
 
 
+def percent(ratio):
+    """How far a ratio is from 1."""
+    return {"value": round(100 * (float(ratio) - 1), 2) + 0.0, "unit": "%", "decimals": 2}
+
+
 def rectification():
     gains = np.geomspace(600.0, 6000.0, 9)
     a_x, a_t = 2 * G0, G0
     w = EXAMPLE.K * a_x
-    rows = []
+    rows, table = [], {}
     for k_i in gains:
         p = replace(EXAMPLE, integral_gain=k_i, proportional_gain=60.0, rate_gain=0.1)
         mean, motion = mean_rate(p, a_x, a_t)
         textbook = p.K * a_t**2 * p.pendulosity * w / (2 * k_i)
         harmonic = second_harmonic(motion, w)
         rows.append((w - mean, textbook, -predicted_rectification(p, a_t, w), harmonic))
-        row(
-            f"{k_i:.0f}", f"{w - mean:.4e}", f"{textbook:.4e}", f"{100 * ((w - mean) / textbook - 1):+.2f} %",
-            f"{harmonic:.4e}", f"{100 * (harmonic / textbook - 1):+.2f} %",
-            f"{100 * (harmonic / predicted_second_harmonic(p, a_t, w) - 1):+.2f} %",
-        )  # fmt: skip
+        full = predicted_second_harmonic(p, a_t, w)
+        table[f"{k_i:.0f}"] = {
+            "fall of the mean rate": {"value": rounded(w - mean, 5), "unit": "rad/s"},
+            "by K a_t² ml w/(2 k_i)": {"value": rounded(textbook, 5), "unit": "rad/s"},
+            "difference": percent((w - mean) / textbook),
+            "second harmonic": {"value": rounded(harmonic, 5), "unit": "rad/s"},
+            "less the same formula": percent(harmonic / textbook),
+            "less abs(G)": percent(harmonic / full),
+        }
+    record(
+        "rectification",
+        "k_i",
+        {name: cells for k, (name, cells) in enumerate(table.items()) if k % 2 == 0},
+        "preset `example` with k_p = 60 and k_d = 0.1; 2 g along, 1 g across, three whole revolutions",
+    )
     shift, textbook, full, harmonic = (1e6 * np.array(column) for column in zip(*rows, strict=True))
     panels = tuple(
         Panel(
@@ -130,7 +162,7 @@ def rectification():
 
 def coulomb():
     friction = np.array([0.0, 1e-3, 2e-3, 4e-3, 8e-3])
-    shifts, rates = [], []
+    shifts, rates, rows = [], [], {}
     base = None
     for value in friction:
         p = replace(EXAMPLE, integral_gain=0.0, coulomb_friction=value)
@@ -138,12 +170,17 @@ def coulomb():
         base = base or (motion.beta.mean(), mean)
         shifts.append((motion.beta.mean() - base[0]) / ARCSEC)
         rates.append(1e6 * (mean / base[1] - 1))
-        row(
-            f"{1e3 * value:g}",
-            f"{shifts[-1]:.3f}",
-            f"{-value / p.proportional_gain / ARCSEC:.3f}",
-            f"{rates[-1]:+.4f}",
-        )
+        rows[f"{1e3 * value:g} mNm"] = {
+            "shift of beta": {"value": round(shifts[-1], 3), "unit": "arcsec", "decimals": 3},
+            "-M_c/k_p": {
+                "value": round(-value / p.proportional_gain / ARCSEC, 3),
+                "unit": "arcsec",
+                "decimals": 3,
+            },
+            "change of the mean rate": {"value": round(rates[-1], 3), "unit": "ppm", "decimals": 3},
+        }
+    rows.pop("0 mNm")
+    record("coulomb", "M_c", rows, "preset `example` without integral action; 2 g along, 0.3 g across")
     predicted = -friction / EXAMPLE.proportional_gain / ARCSEC
     panels = (
         Panel(
@@ -167,7 +204,7 @@ def coulomb():
 
 def k2():
     products = np.array([-4e-6, -2e-6, 0.0, 2e-6, 4e-6])
-    found, predicted = [], []
+    found, predicted, rows = [], [], {}
     for product in products:
         p = replace(EXAMPLE, product_of_inertia=product)
         even = 0.0
@@ -177,7 +214,12 @@ def k2():
             even += 0.5 * ((motion.alpha[-1] - motion.alpha[0]) / t[-1] / p.K - sign * 2 * G0)
         found.append(even / (2 * G0) ** 2 * G0 * 1e6)
         predicted.append(predicted_k2(p) * G0 * 1e6)
-        row(f"{product:g}", f"{found[-1]:.5f}", f"{predicted[-1]:.5f}")
+        rows[f"{product:g} kg m²"] = {
+            name: {"value": round(float(value), 5), "unit": "µg/g²", "digits": 7, "decimals": 5}
+            for name, value in (("twin", found[-1]), ("D K² g/(ml)", predicted[-1]))
+        }
+    rows.pop("0 kg m²")
+    record("k2", "D", rows, "preset `example`; even part of the rate at plus and minus 2 g")
     panel = Panel(
         Axis("product of inertia D", "mg m^2"),
         Axis("k2", "ug/g^2"),
@@ -223,13 +265,23 @@ def accuracy():
         servo.derivative(constants, s, x, servo.Inputs(*f[0], *omega[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), out)
         return out.copy()
 
-    start = [p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0]
+    start, rows = [p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0], {}
     for method in ("DOP853", "Radau"):
         truth = solve_ivp(rhs, (0, 10.0), start, method=method, rtol=1e-12, atol=1e-14, t_eval=t[::50]).y[0]
-        for tolerance in (1e-8, 1e-10, 1e-12):
+        for tolerance in (1e-8, 1e-12):
             motion = run_twin(p, t, f, omega, start="transient", accuracy=tolerance)
             error = np.max(np.abs(motion.alpha[::50] - truth))
-            row(method, f"{tolerance:g}", f"{error:.1e}", f"{motion.local_error:.1e}", motion.steps)
+            rows[f"{method}, {tolerance:.0e}".replace("e-0", "e-")] = {
+                "largest difference in alpha": {"value": rounded(error, 2), "unit": "rad"},
+                "own estimate, summed": {"value": rounded(motion.local_error, 2), "unit": "rad"},
+                "steps": int(motion.steps),
+            }
+    record(
+        "accuracy",
+        "SciPy method, local error allowed [rad]",
+        rows,
+        "10 s from rest with start-up transient, hunting wheel and turning base; preset `example-floated`",
+    )
 
 
 def speed():
@@ -252,14 +304,24 @@ def speed():
 def loop():
     for figure in loop_figures(EXAMPLE):
         save(replace(figure, key=f"twin-{figure.key}"))
+    rows = {}
     for name, p in PRESETS.items():
         a = analyse_loop(p)
-        row(
-            name, f"{p.nutation / 2 / math.pi:.1f}", f"{a.nutation / 2 / math.pi:.1f}", f"{a.nutation_damping:.2f}",
-            f"{a.crossover / 2 / math.pi:.1f}", f"{math.degrees(a.phase_margin):.1f}",
-            f"{20 * math.log10(a.gain_margin):.1f}" if math.isfinite(a.gain_margin) else "unlimited",
-            f"{a.bandwidth / 2 / math.pi:.0f}",
-        )  # fmt: skip
+        cells = {
+            "H/sqrt(J_x B)": (p.nutation / 2 / math.pi, 1, "Hz"),
+            "nutation in the loop": (a.nutation / 2 / math.pi, 1, "Hz"),
+            "damping": (a.nutation_damping, 2, "1"),
+            "crossover": (a.crossover / 2 / math.pi, 1, "Hz"),
+            "phase margin": (math.degrees(a.phase_margin), 1, "deg"),
+            "gain margin": (20 * math.log10(a.gain_margin), 1, "dB"),
+            "bandwidth": (a.bandwidth / 2 / math.pi, 0, "Hz"),
+        }
+        rows[name] = {
+            column: {"value": round(float(value), digits), "decimals": digits, "unit": unit}
+            for column, (value, digits, unit) in cells.items()
+            if math.isfinite(value)
+        }
+    record("loop", "preset", rows, "an empty gain margin: no gain makes the loop unstable")
 
 
 def recorded(scenario, test, folder):
@@ -280,14 +342,34 @@ def round_trip():
     raw = calibrate(run, plain)
     corrected = calibrate(replace(run, output=run.output - predicted_angle_error(test)), plain)
     full = calibrate(run)
-    names = {c.name for c in raw.coefficients}
+    names, rows = {c.name for c in raw.coefficients}, {}
     for c in full.coefficients:
-        others = [f"{k[c.name].value:.7g}" if c.name in names else "" for k in (raw, corrected)]
-        row(
-            c.name, f"{truth[c.name]:.7g}", *others, f"{c.value:.7g}", f"{c.std:.1g}",
-            f"{(c.value - truth[c.name]) / c.std:+.1f}", c.unit,
-        )  # fmt: skip
-    print("residual rms [rad]", *(f"{k.residual_rms:.3e}" for k in (raw, corrected, full)))
+        own = {"truth": truth[c.name], "without the terms": None, "predicted error taken off": None}
+        if c.name in names:
+            own |= {
+                "without the terms": raw[c.name].value,
+                "predicted error taken off": corrected[c.name].value,
+            }
+        own |= {"with the terms": c.value}
+        rows[f"{c.name} [{c.unit}]"] = {
+            column: {"value": rounded(value, 7), "digits": 7}
+            for column, value in own.items()
+            if value is not None
+        } | {
+            "u": rounded(c.std, 2),
+            "error/u": {"value": round((c.value - truth[c.name]) / c.std, 1) + 0.0, "decimals": 1},
+        }
+    rows["residual, rms [rad]"] = {
+        column: rounded(cal.residual_rms, 3)
+        for column, cal in (
+            ("without the terms", raw),
+            ("predicted error taken off", corrected),
+            ("with the terms", full),
+        )
+    }
+    record(
+        "round-trip", "coefficient", rows, "`examples/twin.toml`; u is the standard uncertainty with the terms"
+    )
 
 
 def missing_harmonic():
@@ -313,22 +395,24 @@ def lock():
 
 def main():
     OUT.mkdir(parents=True, exist_ok=True)
-    studies = (
-        loop,
-        stiffening,
-        rectification,
-        coulomb,
-        k2,
-        start_up,
-        accuracy,
-        speed,
-        round_trip,
-        missing_harmonic,
-        lock,
-    )
-    for study in studies:
-        print(f"\n{study.__name__}")
-        study()
+    studies = {
+        "loop": loop,
+        "stiffening": stiffening,
+        "rectification": rectification,
+        "coulomb": coulomb,
+        "k2": k2,
+        "start-up": start_up,
+        "accuracy": accuracy,
+        "speed": speed,
+        "round-trip": round_trip,
+        "missing-harmonic": missing_harmonic,
+        "lock": lock,
+    }
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("studies", nargs="*", choices=[*studies, []], help="all when none is named")
+    for name in parser.parse_args().studies or studies:
+        print(f"\n{name}")
+        studies[name]()
 
 
 if __name__ == "__main__":

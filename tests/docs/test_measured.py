@@ -103,3 +103,18 @@ def test_an_unknown_figure_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KeyError, match="no figures"):
         measured.record("small", {"ap": 1.0, "new": 1.0}, tmp_path)
     assert (tmp_path / "small.json").read_text(encoding="utf-8") == before
+
+
+def test_a_whole_table_is_written(tmp_path: Path) -> None:
+    rows = {
+        "a": {"p": (1.0, 2.0), "q": {"value": 0.123456789, "digits": 9, "unit": "m"}},
+        "b": {"p": measured.rounded(3.14159, 3)},
+    }
+    measured.write("new", "what", rows, {"p": "s"}, folder=tmp_path, command="do it", conditions="idle")
+    text = measured.render("new", tmp_path)
+    assert "| what | p | q |" in text
+    assert "| a | 1 to 2 s | 0.123456789 m |\n| b | 3.14 s |  |" in text
+    assert f"*`do it`. Version {measured.version()}, " in text
+    kept = {"version": "0.1.0", "date": "2026-01-01", "commit": "abc"}
+    measured.write("new", "what", rows, folder=tmp_path, command="do it", conditions="idle", **kept)
+    assert "Version 0.1.0, 2026-01-01. Idle.*" in measured.render("new", tmp_path)

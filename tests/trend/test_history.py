@@ -13,6 +13,7 @@ from piga.errors import ArgumentError
 from piga.records.coverage import TYPE_A_ONLY
 from piga.trend.history import YEAR, _to_two_digits_of, find_trend
 from piga.trend.trend_line import moving_average
+from tests.trend.campaign import SCENARIOS, covered, simulate
 from tests.trend.history import START, history, record
 
 
@@ -188,52 +189,6 @@ def test_moving_average_limits_by_simulation():
     assert math.isnan(average[0])
     assert average[1] == pytest.approx(0.2)
     assert limit[1] == pytest.approx(0.6)
-
-
-def simulate(rng, days, per_day, excess, within, own, shared, drift):
-    """One history with known truth; returns it and the truth at 1.3 times its length, and a further record."""
-    t, y, s = [], [], []
-    scale = rng.normal(0, shared) if shared else 0.0
-    span = 4.0
-    for day in range(days):
-        at = round(365.25 * span * day / (days - 1)) / 365.25
-        effect = rng.normal(0, excess)
-        for run in range(per_day):
-            std = own * (0.6 + 0.8 * ((day + run) % 3) / 2)
-            t.append(at + run * 1e-4)
-            y.append(5.0 + drift * at + effect + rng.normal(0, within) + rng.normal(0, std) + scale)
-            s.append(math.hypot(std, shared))
-    later = 1.3 * span
-    coefficient = 5.0 + drift * later + rng.normal(0, excess) + rng.normal(0, within)
-    further = coefficient + scale + rng.normal(0, math.sqrt(max(s[-1] ** 2 - shared**2, 0.0)))
-    common = {"reference": {"k0": shared}} if shared else None
-    return history(t, y, s, common=common), later, coefficient, further
-
-
-SCENARIOS = {
-    "stated scatter only": (8, 1, 0.0, 0.0, 1.0, 0.0),
-    "instability as large": (8, 1, 1.0, 0.0, 1.0, 0.0),
-    "instability rules": (6, 1, 5.0, 0.0, 1.0, 0.0),
-    "few records": (4, 1, 1.0, 0.0, 1.0, 0.0),
-    "many records": (24, 1, 0.5, 0.0, 1.0, 0.0),
-    "turn-ons": (7, 3, 1.0, 2.0, 1.0, 0.0),
-    "shared standard": (10, 1, 1.0, 0.0, 1.0, 3.0),
-}
-
-
-def covered(scenario, repeats, seed):
-    rng = np.random.default_rng(seed)
-    hits = np.zeros(3)
-    for _ in range(repeats):
-        entries, later, coefficient, further = simulate(rng, *SCENARIOS[scenario], drift=0.7)
-        trend = find_trend(entries)["k0"]
-        pairs = (
-            (trend.drift, 0.7),
-            (trend.model.coefficient_at(later), coefficient),
-            (trend.next_record(later), further),
-        )
-        hits += [abs(f.value - truth) <= f.half_width() for f, truth in pairs]
-    return hits / repeats
 
 
 @pytest.mark.slow

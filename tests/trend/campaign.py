@@ -1,0 +1,94 @@
+"""Coverage of the intervals of a trend over simulated histories: ``python -m tests.trend.campaign [--tests N] [--record]``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+from benchmarks import measured
+
+from piga.trend.history import find_trend
+
+from .history import history
+
+COLUMNS = ("drift", "coefficient", "further record")
+
+
+def simulate(rng, days, per_day, excess, within, own, shared, drift):
+    """One history with known truth; returns it and the truth at 1.3 times its length, and a further record."""
+    t, y, s = [], [], []
+    scale = rng.normal(0, shared) if shared else 0.0
+    span = 4.0
+    for day in range(days):
+        at = round(365.25 * span * day / (days - 1)) / 365.25
+        effect = rng.normal(0, excess)
+        for run in range(per_day):
+            std = own * (0.6 + 0.8 * ((day + run) % 3) / 2)
+            t.append(at + run * 1e-4)
+            y.append(5.0 + drift * at + effect + rng.normal(0, within) + rng.normal(0, std) + scale)
+            s.append(math.hypot(std, shared))
+    later = 1.3 * span
+    coefficient = 5.0 + drift * later + rng.normal(0, excess) + rng.normal(0, within)
+    further = coefficient + scale + rng.normal(0, math.sqrt(max(s[-1] ** 2 - shared**2, 0.0)))
+    common = {"reference": {"k0": shared}} if shared else None
+    return history(t, y, s, common=common), later, coefficient, further
+
+
+SCENARIOS = {
+    "8 days, stated scatter only": (8, 1, 0.0, 0.0, 1.0, 0.0),
+    "8 days, instability as large": (8, 1, 1.0, 0.0, 1.0, 0.0),
+    "6 days, instability five times as large": (6, 1, 5.0, 0.0, 1.0, 0.0),
+    "4 days, instability as large": (4, 1, 1.0, 0.0, 1.0, 0.0),
+    "24 days, instability half as large": (24, 1, 0.5, 0.0, 1.0, 0.0),
+    "7 days of 3 turn-ons, instability and turn-on": (7, 3, 1.0, 2.0, 1.0, 0.0),
+    "10 days, shared standard three times as large": (10, 1, 1.0, 0.0, 1.0, 3.0),
+}
+
+
+def covered(scenario, repeats, seed):
+    """Shares of histories whose 95 % intervals hold drift, coefficient and further record."""
+    rng = np.random.default_rng(seed)
+    hits = np.zeros(3)
+    for _ in range(repeats):
+        entries, later, coefficient, further = simulate(rng, *SCENARIOS[scenario], drift=0.7)
+        trend = find_trend(entries)["k0"]
+        pairs = (
+            (trend.drift, 0.7),
+            (trend.model.coefficient_at(later), coefficient),
+            (trend.next_record(later), further),
+        )
+        hits += [abs(f.value - truth) <= f.half_width() for f, truth in pairs]
+    return hits / repeats
+
+
+def main():
+    """Run all scenarios."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tests", type=int, default=2000)
+    parser.add_argument("--record", action="store_true", help="write them into docs/measured")
+    arguments = parser.parse_args()
+    rows = {}
+    for scenario in SCENARIOS:
+        shares = covered(scenario, arguments.tests, 11)
+        rows[scenario] = {
+            column: {"value": round(100 * float(share), 1), "decimals": 1, "unit": "%"}
+            for column, share in zip(COLUMNS, shares, strict=True)
+        }
+        print(scenario, *(cell["value"] for cell in rows[scenario].values()), flush=True)  # noqa: T201
+    if arguments.record:
+        conditions = (
+            f"coverage of 95 % intervals over {arguments.tests} simulated histories each, seed 11; "
+            "the stated uncertainties differ by a factor of 2.3 within each history"
+        )
+        measured.write(
+            "trend-intervals",
+            "history",
+            rows,
+            command="python -m tests.trend.campaign",
+            conditions=conditions,
+        )
+
+
+if __name__ == "__main__":
+    main()
