@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -16,7 +17,7 @@ from piga.reports.calibration.tables import residual_quantity
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit
-from piga.reports.render.orders import OrderSpectrum, Ripple, order_spectrum, ripple, segment_slices
+from piga.reports.render.orders import OrderSpectrum, Ripple, segment_slices, spectrum_and_ripple
 from piga.units import ARCSEC, G0, MICRO_G, conversion_factor
 
 
@@ -211,8 +212,9 @@ def calibration_figures(cal: Calibration) -> tuple[Figure, ...]:
             None if cal.runs else allan_figure(angles, (cal.angle_rms, cal.angle_random_walk), cal.bias_drift)
         )
         figures += [allan] if allan else []
-        spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
-        turned = ripple(angles, scale_factor(cal))
+        spectrum, turned = spectrum_and_ripple(
+            angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk)
+        )
         figures += [spectrum_figure(spectrum)] if spectrum.segments else []
         figures += [ripple_figure(turned)] if turned.segments else []
     if len(cal.segments) > 1:
@@ -299,18 +301,16 @@ def elapsed_time(residuals: Residuals) -> Array:
     return t - t[0]
 
 
-def _starts(x: Array, residuals: Residuals) -> NDArray[np.bool_]:
-    """Rows where a curve starts anew: the next segment, or after a hole of more than ten usual steps."""
-    starts = np.zeros(x.size, dtype=bool)
+def _parts(x: Array, residuals: Residuals) -> list[slice]:
+    """Parts of a curve: it starts anew at the next segment, or after a hole of more than ten usual steps."""
     steps = np.diff(x)
-    if steps.size:
-        starts[1:] = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps))
-    return starts
+    starts = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps)) if steps.size else steps
+    edges = [0, *(np.flatnonzero(starts) + 1).tolist(), x.size]
+    return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
-def _with_gaps(x: Array, y: Array, residuals: Residuals) -> tuple[Array, Array]:
-    """Reduced curve with gaps between the segments and at holes."""
-    parts = segment_slices(np.cumsum(_starts(x, residuals)))
+def _with_gaps(x: Array, y: Array, parts: list[slice]) -> tuple[Array, Array]:
+    """Reduced curve with gaps between ``parts``."""
     limit = max(12, POINTS // len(parts) - 1)
     pieces_x, pieces_y = [], []
     for part in parts:
@@ -325,10 +325,12 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
     t = elapsed_time(residuals)
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
     panels = []
+    single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
+    times = t / scale
+    parts = [] if single else _parts(times, residuals)
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
-        single = np.unique(residuals.segment).size == t.size
         y = np.asarray(values) / ARCSEC
-        x, y = (t / scale, y) if single else _with_gaps(t / scale, y, residuals)
+        x, y = (times, y) if single else _with_gaps(times, y, parts)
         series = Series(
             x,
             y,

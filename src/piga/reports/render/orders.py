@@ -11,7 +11,6 @@ others (resolution: two orders over the number of turns). Own derivation.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -32,7 +31,7 @@ LONG, JOINED = 1 << 16, 0.25
 joined: its amplitude is then too small by at most 0.3 %, that of the first order by 1e-4; the floor beside a strong line
 changes by less than 1 % of that line."""
 
-_CHUNK = 16384
+_CHUNK = 8192
 _STANDING = 1e-7
 
 
@@ -84,13 +83,19 @@ def segment_slices(segment: ArrayLike) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
-def _segments(residuals: Residuals, least: int = 8) -> Iterator[_Segment]:
+def _segments(residuals: Residuals, least: int = 8) -> list[_Segment]:
+    segments = []
     for part in segment_slices(residuals.segment):
-        t = residuals.t[part]
+        t, psi = residuals.t[part], residuals.psi[part]
         residual = np.stack((residuals.before[part], residuals.after[part]))
-        good = np.isfinite(t) & np.isfinite(residuals.psi[part]) & np.isfinite(residual).all(axis=0)
-        if np.count_nonzero(good) >= least:
-            yield _Segment(t[good], residuals.psi[part][good], residual[:, good])
+        if all(math.isfinite(values.sum()) for values in (t, psi, residual)):
+            segment = _Segment(t, psi, residual)  # nothing to leave out, nothing to copy
+        else:
+            good = np.isfinite(t) & np.isfinite(psi) & np.isfinite(residual).all(axis=0)
+            segment = _Segment(t[good], psi[good], residual[:, good])
+        if segment.t.size >= least:
+            segments.append(segment)
+    return segments
 
 
 def order_grid(highest: float = 6.0, step: float = 0.125) -> Array:
@@ -125,9 +130,26 @@ def order_spectrum(
         information it holds on that order. Segments that turn less than half as far as the farthest, or
         show less than two cycles of the order, are left out: they would blur the lines.
     """
+    return _spectrum(_segments(residuals), scale_factor, noise, step, highest)
+
+
+def spectrum_and_ripple(
+    residuals: Residuals, scale_factor: float, noise: tuple[float, float]
+) -> tuple[OrderSpectrum, Ripple]:
+    """:func:`order_spectrum` and :func:`ripple` of the same residuals; their samples are gathered once."""
+    segments = _segments(residuals)
+    return _spectrum(segments, scale_factor, noise), _ripple(segments, scale_factor)
+
+
+def _spectrum(
+    segments: list[_Segment],
+    scale_factor: float,
+    noise: tuple[float, float],
+    step: float = 0.125,
+    highest: float = 6.0,
+) -> OrderSpectrum:
     order = order_grid(highest, step)
     power, weight, used = np.zeros((3, order.size)), np.zeros(order.size), 0
-    segments = list(_segments(residuals))
     enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
     for segment in segments:
         shown = (order * segment.turns >= TURNS_NEEDED) & (segment.turns >= enough)
@@ -207,21 +229,21 @@ def _add_moments(
     rate = np.where(standing, 0.0, dt / np.where(standing, 1.0, dpsi)) / (1j * step)
     still = np.where(standing, dt, 0.0) if standing.any() else None
     root = np.sqrt(weight)
-    phasor, integral = np.ones_like(turn), np.empty(t.size, dtype=complex)
+    phasor, pieces, integral = np.ones_like(turn), np.empty_like(turn), np.empty_like(turn)
     for row in range(moments.shape[0]):
         phasor *= turn
-        pieces = np.diff(phasor)
-        pieces *= rate
+        pieces[0] = carry[row]
+        np.subtract(phasor[1:], phasor[:-1], out=pieces[1:])
+        pieces[1:] *= rate
         if still is not None:
-            pieces += (row + 1.0) * still * phasor[:-1]
-        integral[0] = carry[row]
-        np.cumsum(pieces, out=integral[1:])
-        integral[1:] += carry[row]
+            pieces[1:] += (row + 1.0) * still * phasor[:-1]
+        np.cumsum(pieces, out=integral)
         carry[row] = integral[-1]
-        parts = integral.view(float).reshape(-1, 2)
-        moments[row, :4] += weighted @ parts
+        moments[row, :4] += weighted @ integral.view(float).reshape(-1, 2)
         integral *= root
-        moments[row, 4:] += parts.T @ parts
+        squares, size = np.dot(integral, integral), np.vdot(integral, integral).real
+        moments[row, 4] += 0.5 * (size + squares.real), 0.5 * squares.imag
+        moments[row, 5] += 0.5 * squares.imag, 0.5 * (size - squares.real)
 
 
 def _fit_orders(moments: Array, plain: Array) -> tuple[Array, Array]:
@@ -253,7 +275,11 @@ def ripple(residuals: Residuals, scale_factor: float, bins: int = 36) -> Ripple:
     bins:
         Bins of one revolution; fewer are taken where the output turns further between samples.
     """
-    segments = [segment for segment in _segments(residuals) if segment.turns >= TURNS_NEEDED]
+    return _ripple(_segments(residuals), scale_factor, bins)
+
+
+def _ripple(segments: list[_Segment], scale_factor: float, bins: int = 36) -> Ripple:
+    segments = [segment for segment in segments if segment.turns >= TURNS_NEEDED]
     if segments:
         stride = max(float(np.median(np.abs(np.diff(segment.psi)))) for segment in segments)
         bins = min(bins, max(12, int(2.0 * math.pi / stride) if stride > 0.0 else bins))
