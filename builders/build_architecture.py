@@ -29,6 +29,7 @@ SENTENCES = {
     "compensation": "force from output, live too",
     "stand": "test stands as machines with errors",
     "instrument": "motion, regimes, servo twin",
+    "describe": "what an unknown log holds",
     "reading": "raw columns to a checked run",
     "formats": "one reader for each file format",
     "records": "plain data: runs, terms, calibrations",

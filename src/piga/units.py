@@ -103,7 +103,11 @@ _ALIASES = {
     "µs": "us", "μs": "us", "micro-g": "ug", "°C": "degC", "℃": "degC", "kelvin": "K",
     "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "days": "d", "second": "s",
     "seconds": "s", "degree": "deg", "degrees": "deg", "turn": "rev", "turns": "rev", "r": "rev",
-    "dph": "deg/h", "m/s²": "m/s^2", "N·m": "Nm", "N*m": "Nm", "N m": "Nm",
+    "dph": "deg/h", "m/s²": "m/s^2", "m/s2": "m/s^2", "N·m": "Nm", "N*m": "Nm", "N m": "Nm",
+    "Grad": "deg", "Sek": "s", "Umdr": "rev", "U/min": "rpm",
+    "tr/min": "rpm", "°/s²": "deg/s^2", "rad/s²": "rad/s^2", "度": "deg", "秒": "s", "毫秒": "ms", "转/分": "rpm",
+    "度/秒": "deg/s", "个": "count", "脉冲": "count", "Imp": "count", "imp": "count", "Impulse": "count", "Inkr": "count",
+    "pulses": "count", "pulse": "count", "impulsions": "count", "LSB": "count",
 }  # fmt: skip
 _TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?[0-9]+(?:\.[0-9]+)?)")
 _QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$")

@@ -37,9 +37,11 @@ def suggested(path: Path) -> list[tuple[str, str]]:
 
 
 def with_line(path: Path, table: str, line: str) -> Path:
-    """A run file beside ``path`` with one more line in a table."""
+    """A run file beside ``path`` with one more line in a table. It replaces the line with the same key."""
     changed = path.with_name("changed.toml")
-    changed.write_text(path.read_text().replace(f"[{table}]\n", f"[{table}]\n{line}\n", 1))
+    key = line.split(" = ", maxsplit=1)[0]
+    kept = [row for row in path.read_text().splitlines() if not row.startswith(f"{key} = ")]
+    changed.write_text("\n".join(kept).replace(f"[{table}]\n", f"[{table}]\n{line}\n", 1) + "\n")
     return changed
 
 
@@ -49,19 +51,19 @@ def test_a_sheet_of_several(tmp_path: Path) -> None:
     book.save(tmp_path / "run.xlsx")
     path = write_run(tmp_path, "run.xlsx")
     found = suggested(path)
-    assert found == [("data", "sheet = 'log 2'"), ("data", "sheet = 'notes'")]
+    assert found == [("data", "sheet = 'log 2'")]  # the other one does not hold the columns
     assert piga.read_run(with_line(path, *found[0])).size == 40
 
 
-@pytest.mark.parametrize(("bits", "begin", "which"), [(16, 0, 0), (24, (1 << 24) - 9000, 1)])
+@pytest.mark.parametrize(("bits", "begin", "which"), [(16, 0, 16), (24, (1 << 24) - 9000, 24)])
 def test_the_width_of_a_counter_that_folds(tmp_path: Path, bits: int, begin: int, which: int) -> None:
     cells = (row.split(",", maxsplit=2) for row in lines(60, rate=2.0))
     folded = [f"{t},{(int(n) + begin) % (1 << bits)},{rest}" for t, n, rest in cells]
     write_log(tmp_path, folded)
     path = write_run(tmp_path)
     found = suggested(path)
-    assert found == [("instrument", f"counter_bits = {bits}") for bits in (16, 24, 32)]
-    run = piga.read_run(with_line(path, *found[which]))
+    assert found == [("instrument", f"counter_bits = {which}")]
+    run = piga.read_run(with_line(path, *found[0]))
     assert events(run) == {"counter-roll-over": 4 if bits == 16 else 1}
     np.testing.assert_allclose(psi_steps(run), 0.5 * 10179.0 * 2.0 * math.pi / 72000.0, atol=1e-4)
 
@@ -75,13 +77,13 @@ def saturated(sign: float) -> list[str]:
     return [f"{a:.4f},{b:.0f},{c:.9f},{d:.6f},0.0" for a, b, c, d in zip(t, n, fx, fy, strict=True)]
 
 
-@pytest.mark.parametrize(("sign", "limits"), [(1.0, "[-1e30, 0.25]"), (-1.0, "[-0.25, 1e30]")])
+@pytest.mark.parametrize(("sign", "limits"), [(1.0, "[-1e+30, 0.25]"), (-1.0, "[-0.25, 1e+30]")])
 def test_the_range_of_a_column_that_saturates(tmp_path: Path, sign: float, limits: str) -> None:
     write_log(tmp_path, saturated(sign))
     path = write_run(tmp_path)
     assert "stuck-value" in events(piga.read_run(path))
     found = suggested(path)
-    assert found == [("data", f"range = {{ 'fy' = {limits} }}")]
+    assert found == [("data", f"range = {{ fy = {limits} }}")]
     after = piga.read_run(with_line(path, *found[0]))
     assert "stuck-value" not in events(after)
     assert events(after)["saturated"] > 8
@@ -112,9 +114,9 @@ def test_an_encoding_that_was_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "line"),
     [
-        ("t,counts,fx,fy,fz", "column = 'counts'"),
-        ("t,脉冲数,fx,fy,fz", "column = '脉冲数'"),
-        ("t,ｎ [1],fx,fy,fz", "column = 'ｎ'"),
+        ("t,counts,fx,fy,fz", "output = { column = 'counts', kind = 'counts' }"),
+        ("t,脉冲数,fx,fy,fz", "output = { column = '脉冲数', kind = 'counts' }"),
+        ("t,ｎ [1],fx,fy,fz", "output = { column = 'ｎ', kind = 'counts' }"),
     ],
 )
 def test_another_name_of_the_same_quantity(tmp_path: Path, header: str, line: str) -> None:
@@ -126,7 +128,7 @@ def test_a_name_that_is_nearly_right(tmp_path: Path) -> None:
     write_log(tmp_path, lines(), header="t,n,f_xx,fy,fz")
     path = write_run(tmp_path)
     path.write_text(path.read_text().replace('"fx"', '"f_x"'))
-    assert suggested(path) == [("data", "column = 'f_xx'")]
+    assert suggested(path) == [("data", "reference = { columns = ['f_xx', 'fy', 'fz'], unit = 'g' }")]
 
 
 def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
@@ -141,7 +143,9 @@ def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
 
 def test_a_unit_that_is_probably_another(tmp_path: Path) -> None:
     write_log(tmp_path, [row.replace("1.0,0.1,0.0", "9.80665,0.1,0.0") for row in lines()])
-    assert set(suggested(write_run(tmp_path))) == {("data", "unit = '...'")}
+    assert set(suggested(write_run(tmp_path))) == {
+        ("data", "reference = { columns = ['fx', 'fy', 'fz'], unit = 'm/s^2' }")
+    }
 
 
 def clean_table(text: str) -> str:
@@ -178,3 +182,26 @@ def test_convert_keeps_base_rate_and_temperature(tmp_path: Path, kind: str) -> N
     for name in ("t", "output", "f", "base_rate", "temperature"):
         np.testing.assert_array_equal(getattr(before, name), getattr(after, name))
     np.testing.assert_allclose(psi_steps(after), psi_steps(before), atol=0.0)
+
+
+def test_two_problems_one_after_the_other(tmp_path: Path) -> None:
+    """A preamble, and time stamps: the first line leads to the second problem; both lines together solve it."""
+    rows = [f"12:00:{k / 20:06.3f},{row.split(',', 1)[1]}" for k, row in enumerate(lines())]
+    write_log(tmp_path, ["t,n,fx,fy,fz", *rows], header="Test 12,A")
+    path = write_run(tmp_path)
+    assert suggested(path) == [
+        ("data", "header_row = 2"),
+        ("data", "time = { column = 't', stamp = 'hh:mm:ss.f' }"),
+    ]
+
+
+def test_nothing_is_suggested_that_does_not_help(tmp_path: Path) -> None:
+    write_log(tmp_path, ["t,n,fx,fy,what", *lines()], header="Test 12,A")
+    assert suggested(write_run(tmp_path)) == []
+
+
+def test_stamps_are_suggested(tmp_path: Path) -> None:
+    write_log(tmp_path, [f"12:00:{k / 20:06.3f},{row.split(',', 1)[1]}" for k, row in enumerate(lines())])
+    path = write_run(tmp_path)
+    assert suggested(path) == [("data", "time = { column = 't', stamp = 'hh:mm:ss.f' }")]
+    assert piga.read_run(with_line(path, *suggested(path)[0])).size == 40

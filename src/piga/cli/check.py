@@ -37,15 +37,14 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Show what is in a recorded test. Nothing is calibrated."""
-    from piga.reading import suggestions
     from piga.stand import read_run
 
     try:
         with progress("reading"):
             record = read_run(run)
-    except PigaError as error:
+    except PigaError:
         if fix_suggestions:
-            _print_suggestions(suggestions.from_error(error))
+            print_suggestions(run)
         raise
     document = _quality_document(record)
     if as_json:
@@ -53,7 +52,7 @@ def check(
     else:
         _print_check(run, record, document)
     if fix_suggestions and not as_json:
-        _print_suggestions(suggestions.from_run(record))
+        print_suggestions(run)
     if out is not None:
         from piga.reports.check import write_check
 
@@ -103,11 +102,15 @@ def _print_check(run: Path, record: Run, document: dict[str, Any]) -> None:
         say(f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}")
 
 
-def _print_suggestions(suggestions: list[Any]) -> None:
-    """Print suggested lines in run-file syntax, with the reason as a comment."""
-    if not suggestions:
+def print_suggestions(run: Path) -> None:
+    """Print the lines that were tried in run-file syntax, with the reason as a comment."""
+    from piga.describe import suggestions
+
+    with progress("trying run-file lines"):
+        tried = suggestions(run)
+    if not tried:
         say("# no run-file line would change what was found")
-    for item in dict.fromkeys(suggestions):
+    for item in tried:
         say(f"# {' '.join(item.reason.split())}")
         say(f"{item.line}    # in [{item.table}]")
 

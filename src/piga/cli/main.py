@@ -17,6 +17,7 @@ from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert
 from piga.cli.common import CommandGroup, note, prepare_output
 from piga.cli.compensate import compensate
+from piga.cli.init import init
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
@@ -62,7 +63,7 @@ def _options(
     pass
 
 
-for command in (demo, check, convert, calibrate, compensate, simulate, plan, reproduce):
+for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce):
     app.command()(command)
 app.add_typer(platform.app)
 trend.register(records.app)

@@ -27,7 +27,8 @@ from piga.records.spool import Arrays, arrays_like, spans
 
 Array = NDArray[np.float64]
 
-TEXT_SUFFIXES = (".csv", ".txt", ".tsv")
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
+"""Endings of separated text. ``.lvm`` is written by LabVIEW."""
 
 
 def open_stream(
@@ -57,12 +58,16 @@ def open_stream(
     if data.sheet is not None and kind != ".xlsx":
         raise DataError(f"{path}: [data] sheet is for .xlsx files", remedy="leave it out")
     if kind in TEXT_SUFFIXES:
+        from piga.formats.text.convention import HeadRows
         from piga.formats.text.reader import TextStream
 
+        stamp = (data.time.column, data.time.stamp) if data.time and data.time.stamp else None
         return TextStream(
             path, numeric, data.segment, separator=data.delimiter, decimal=data.decimal, encoding=data.encoding,
-            missing=data.missing, mask_damaged=data.damaged_rows == "mask", see=see or len,
+            rows=HeadRows(data.skip_rows, data.header_row, data.units_row), stamp=stamp, missing=data.missing,
+            mask_damaged=data.damaged_rows == "mask", see=see or len,
         )  # fmt: skip
+    _only_text(path, data)
     if kind in (".parquet", ".pq"):
         from piga.formats.containers.parquet_reader import ParquetStream
 
@@ -78,6 +83,23 @@ def open_stream(
         if spreadsheet
         else f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",
     )
+
+
+def _only_text(path: Path, data: DataTable) -> None:
+    """Refuse options of text files for other files."""
+    named = {
+        "skip_rows": data.skip_rows,
+        "header_row": data.header_row,
+        "units_row": data.units_row is not None,
+    }
+    for key, given in named.items():
+        if given:
+            raise DataError(f"{path}: [data] {key} is for text files", remedy="leave it out")
+    if data.time is not None and data.time.stamp is not None:
+        raise DataError(
+            f"{path}: [data] time: time stamps are read from text files only",
+            remedy="log seconds in a number column, or export the file as CSV",
+        )
 
 
 def file_kind(path: Path) -> str:

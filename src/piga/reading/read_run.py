@@ -171,7 +171,9 @@ class Assembly:
 
     def _time(self) -> Array:
         data, raw = self.run_file.data, self.raw
-        if data.time is not None:
+        if data.time is not None and data.time.unit is None:
+            return raw.numbers[data.time.column]  # time stamps are in seconds already
+        if data.time is not None and data.time.unit is not None:
             return self._scaled(
                 data.time.column, conversion_factor(self._unit(data.time.column, data.time.unit), "s")
             )
@@ -311,7 +313,12 @@ class Assembly:
 
 
 def read_record(
-    path: str | Path, stand_reference: StandReference, *, need_reference: bool = True, held: int | None = None
+    path: str | Path,
+    stand_reference: StandReference,
+    *,
+    need_reference: bool = True,
+    held: int | None = None,
+    content: bytes | None = None,
 ) -> Run:
     """Read a recorded test. :func:`piga.read_run` calls this with the stands of piga.
 
@@ -325,6 +332,8 @@ def read_record(
         False: a record without reference is read too, with ``f`` nan. A set of instruments needs no reference.
     held:
         Most rows whose arrays lie in memory; None: 4 194 304. It does not affect the result.
+    content:
+        Bytes of the run file, in place of those on disk.
 
     Raises
     ------
@@ -340,7 +349,7 @@ def read_record(
     """
     path = Path(path)
     settle(path.parent)
-    content = toml_bytes(path)
+    content = toml_bytes(path) if content is None else content
     run_file = read_run_file(path, content)
     if need_reference and run_file.data.reference is None and run_file.stand is None:
         raise RunFileError(

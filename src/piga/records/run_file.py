@@ -20,6 +20,8 @@ from piga.units import conversion_factor, to_si
 
 Quantity = str | float | int
 
+MOST_HEAD_ROWS = 10_000
+"""Largest row number of the header or the units in a text file."""
 LEAST_COUNTS, MOST_COUNTS = 1e-6, 1e15
 """Allowed range of counts per revolution."""
 
@@ -94,6 +96,14 @@ class Column(TomlTable, frozen=True):
     unit: str
 
 
+class TimeColumn(TomlTable, frozen=True):
+    """The time column: numbers with a ``unit``, or time stamps of the form ``stamp``."""
+
+    column: str
+    unit: str | None = None
+    stamp: str | None = None
+
+
 class OutputColumn(TomlTable, frozen=True):
     """The output column: counts, angle or rate. ``wraps_at`` is the value at which a logged angle folds back."""
 
@@ -123,7 +133,7 @@ class DataTable(TomlTable, frozen=True):
     file: str
     output: OutputColumn
     reference: Columns | None = None
-    time: Column | None = None
+    time: TimeColumn | None = None
     sample_rate: Quantity | None = None
     base_rate: Columns | None = None
     temperature: Column | None = None
@@ -131,6 +141,9 @@ class DataTable(TomlTable, frozen=True):
     delimiter: str | None = None
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
+    skip_rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_HEAD_ROWS)] = 0
+    header_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | None = None
+    units_row: Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)] | bool | None = None
     sheet: str | None = None
     missing: Annotated[tuple[str, ...], msgspec.Meta(max_length=100)] = ()
     damaged_rows: Literal["refuse", "mask"] = "refuse"
@@ -313,7 +326,7 @@ def _check_units(run_file: RunFile) -> None:
     if run_file.instrument.servo is not None:
         run_file.instrument.servo.parameters()
     if data.time is not None:
-        conversion_factor(data.time.unit, "s", what="[data] time")
+        _check_time(data.time)
     for name, table, like in (("reference", data.reference, "g"), ("base_rate", data.base_rate, "rad/s")):
         if table is not None:
             conversion_factor(table.unit, like, what=f"[data] {name}")
@@ -335,6 +348,16 @@ def _check_units(run_file: RunFile) -> None:
             "[estimation] angle_rms and angle_random_walk are given together or not at all",
             remedy="add the other one, '0 rad' or '0 rad/sqrt(s)' if it is absent",
         )
+
+
+def _check_time(time: TimeColumn) -> None:
+    if (time.unit is None) == (time.stamp is None):
+        raise RunFileError(
+            "[data] time: give either unit or stamp",
+            remedy="unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps",
+        )
+    if time.unit is not None:
+        conversion_factor(time.unit, "s", what="[data] time")
 
 
 def _check_output(run_file: RunFile) -> None:

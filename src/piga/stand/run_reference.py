@@ -80,7 +80,9 @@ class StandChange:
     draw: Draw = "reference"
 
 
-def read_run(path: str | Path, *, need_reference: bool = True, held: int | None = None) -> Run:
+def read_run(
+    path: str | Path, *, need_reference: bool = True, held: int | None = None, content: bytes | None = None
+) -> Run:
     """Read a recorded test.
 
     Parameters
@@ -92,6 +94,8 @@ def read_run(path: str | Path, *, need_reference: bool = True, held: int | None 
         False: a record with neither is read too, with ``f`` nan. Instruments compensated together need no reference.
     held:
         Most rows whose arrays lie in memory; longer records lie on disk. None: 4 194 304. It does not affect the result.
+    content:
+        Bytes of the run file, in place of those on disk.
 
     Raises
     ------
@@ -116,7 +120,7 @@ def read_run(path: str | Path, *, need_reference: bool = True, held: int | None 
         return result
 
     try:
-        run = read_record(path, reference, need_reference=need_reference, held=held)
+        run = read_record(path, reference, need_reference=need_reference, held=held, content=content)
         for name in stand_files(run.stand):
             run.input_sha256[name] = read.get(name) or file_digest(Path(path).parent / name)
         return run

@@ -1,4 +1,4 @@
-"""Detect the format of a text file: encoding, separator, decimal mark, header, units row.
+"""Detect the format of a text file: separator, decimal mark, header, units row.
 
 Nothing is guessed. If two readings are possible and would give different numbers, the file is refused, and the
 message names the run-file key that decides.
@@ -6,12 +6,12 @@ message names the run-file key that decides.
 
 from __future__ import annotations
 
-import codecs
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from piga.errors import DataError, UnitError
+from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
 
 SNIFF_BYTES = 1 << 16
@@ -29,7 +29,10 @@ INFINITE = ("inf", "Inf", "INF", "-inf", "-Inf", "-INF", "+inf", "OVER", "OVL", 
 
 @dataclass(frozen=True)
 class TextFormat:
-    """Format of a text file. ``skip`` is the number of lines before the first data line."""
+    """Format of a text file. ``skip`` is the number of lines before the first data line.
+
+    ``stamps``: form of the time stamps of a column.
+    """
 
     encoding: str
     separator: str
@@ -37,82 +40,125 @@ class TextFormat:
     names: tuple[str, ...]
     skip: int
     units: dict[str, str]
+    header: int = 1
+    stamps: dict[str, TimeStamp] = field(default_factory=dict)
 
 
-ENCODINGS = (
-    "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-le", "utf-32-be", "ascii",
-    "gb18030", "gbk", "gb2312", "hz", "big5", "big5hkscs", "cp950", "shift_jis", "cp932", "euc_jp", "euc_kr", "cp949",
-    "iso8859-1", "iso8859-2", "iso8859-5", "iso8859-7", "iso8859-9", "iso8859-15", "koi8-r", "koi8-u", "mac-roman",
-    "cp437", "cp850", "cp852", "cp855", "cp866", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257",
-)  # fmt: skip
-"""Allowed encodings, by their Python names. (Python also has codecs that are not text encodings.)"""
+@dataclass(frozen=True)
+class HeadRows:
+    """What the run file says about the first rows. Rows are counted from 1.
+
+    ``skip``: lines before the header. ``header``: row of the column names. ``units``: row of the units, False if there
+    is none. None: detected from the file.
+    """
+
+    skip: int = 0
+    header: int | None = None
+    units: int | bool | None = None
+
+    @property
+    def last(self) -> int:
+        """The last row named."""
+        return max(self.skip, self.header or 0, int(self.units or 0))
 
 
-def find_encoding(head: bytes, path: Path, declared: str | None) -> str:
-    """Detect the encoding: by byte-order mark, else strict UTF-8, else GB18030, else as declared."""
-    if declared is not None:
-        try:
-            name = codecs.lookup(declared).name
-        except (LookupError, ValueError):
-            name = ""
-        if name in ENCODINGS:
-            return name
-        raise DataError(
-            f"{path}: [data] encoding '{declared[:40]}' is not one that text files are read in",
-            remedy=f"one of: {', '.join(ENCODINGS)}",
-        )
-    for mark, name in (
-        (codecs.BOM_UTF8, "utf-8-sig"),
-        (codecs.BOM_UTF16_LE, "utf-16"),
-        (codecs.BOM_UTF16_BE, "utf-16"),
-    ):
-        if head.startswith(mark):
-            return name
-    for name in ("utf-8", "gb18030"):
-        try:
-            codecs.getincrementaldecoder(name)().decode(head)
-        except UnicodeDecodeError:
-            continue
-        return name
-    raise DataError(f"{path}: neither UTF-8 nor GB18030 text", remedy="add [data] encoding = '...'")
-
-
-def find_format(text: str, path: Path, encoding: str, separator: str | None, decimal: str | None) -> TextFormat:
+def find_format(
+    text: str,
+    path: Path,
+    encoding: str,
+    separator: str | None,
+    decimal: str | None,
+    rows: HeadRows | None = None,
+) -> TextFormat:
     """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
+
+    Parameters
+    ----------
+    text, path, encoding:
+        Head of the file as text, its name, and how it was decoded.
+    separator, decimal, rows:
+        From the run file; None: detected.
 
     Raises
     ------
     DataError
         If there is no header or no data, a column name is repeated, or two readings are possible.
     """
+    rows = rows or HeadRows()
     lines = LINE_END.split(text)
-    header_at = next(
-        (i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None
-    )
-    if header_at is None:
-        raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
+    header_at = _header_at(lines, rows, path)
     sample = [line for line in lines[header_at + 1 :] if line.strip()][:50]
     separator = separator or _find_separator(lines[header_at], sample)
-    names = tuple(cell.strip().strip('"').strip() for cell in lines[header_at].split(separator))
+    line = lines[header_at] if rows.header is None else re.sub(r"^ *#+ *", "", lines[header_at])
+    names = tuple(cell.strip().strip('"').strip() for cell in line.split(separator))
     if all(_NUMBER_POINT.match(name) for name in names):
         raise DataError(
             f"{path}: row {header_at + 1}: the first row holds numbers, not column names",
             remedy="add a header row with the column names",
         )
+    names = _as_wide_as_data(names, sample, separator)
     check_names(names, path, header_at + 1)
     names, units = units_in_names(names)
     skip = header_at + 1
     body = [(i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip()]
-    if body and is_units_row(body[0][1].split(separator)):
-        row_units = [cell.strip().strip('"').strip("[]()（） ") for cell in body[0][1].split(separator)]
-        units.update({n: u for n, u in zip(names, row_units, strict=False) if u})
-        skip, body = body[0][0] + 1, body[1:]
+    units_at = _units_at(body, separator, rows, path)
+    if units_at is not None:
+        row_units = [unit_text(cell) for cell in lines[units_at].split(separator)]
+        units.update({n: u for n, u in zip(names, row_units, strict=False) if u not in NO_UNIT})
+        skip, body = units_at + 1, [(i, line) for i, line in body if i > units_at]
     if not body:
         raise DataError(f"{path}: a header but no data", remedy="check that the logger wrote data")
     cells = [line.split(separator) for _, line in body[:50]]
-    return TextFormat(
-        encoding, separator, _decimal_mark(cells, separator, decimal, path, body[0][0] + 1), names, skip, units
-    )
+    mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
+    return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
+
+
+def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
+    """Index of the line with the column names: as named, else the first that is neither empty nor a comment."""
+    if rows.header is not None:
+        if rows.header > len(lines) or not lines[rows.header - 1].strip():
+            raise DataError(
+                f"{path}: row {rows.header}: [data] header_row names an empty row",
+                remedy="name the row with the column names, counted from 1",
+            )
+        return rows.header - 1
+    for index, line in enumerate(lines):
+        if index >= rows.skip and line.strip() and not line.lstrip().startswith("#"):
+            return index
+    if rows.skip:
+        raise DataError(
+            f"{path}: no row of column names after the {rows.skip} rows of [data] skip_rows",
+            remedy="name a smaller number of rows",
+        )
+    raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
+
+
+def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path: Path) -> int | None:
+    """Index of the units row: as named, else the first row after the header if it is one."""
+    if rows.units is False or not body:
+        return None
+    if isinstance(rows.units, int) and rows.units is not True:
+        if rows.units - 1 not in (index for index, _ in body):
+            raise DataError(
+                f"{path}: [data] units_row {rows.units} is not a row below the column names",
+                remedy="name the row of the units, counted from 1, or false if there is none",
+            )
+        return rows.units - 1
+    following = body[1][1].split(separator) if len(body) > 1 else None
+    return body[0][0] if rows.units or is_units_row(body[0][1].split(separator), following) else None
+
+
+def _as_wide_as_data(names: tuple[str, ...], sample: list[str], separator: str) -> tuple[str, ...]:
+    """The names, adapted to the data rows if these all have one cell more or less at the end.
+
+    Some programs end every data row with a separator. LabVIEW names a last column ``Comment`` that has no cells.
+    """
+    widths = {line.count(separator) + 1 for line in sample[:-1] if '"' not in line}
+    if widths == {len(names) - 1} and names[-1] in ("", "Comment"):
+        return names[:-1]
+    if widths == {len(names) + 1} and all(line.endswith(separator) for line in sample[:-1]):
+        return (*names, "")
+    return names
 
 
 def _find_separator(header: str, sample: list[str]) -> str:
@@ -167,12 +213,37 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def is_units_row(cells: list[str]) -> bool:
-    """True for a units row below the header: no cell is a number, and at least one is a unit."""
-    stripped = [cell.strip().strip('"').strip() for cell in cells]
-    if any(_NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell) or cell in MISSING[1:] for cell in stripped):
-        return False
-    return any(cell and _is_unit(cell.strip("[]()（） ")) for cell in stripped)
+NO_UNIT = ("", "-", "--", "---", "–", "—")
+"""Cells of a units row for a column without a unit."""
+
+
+def unit_text(cell: str) -> str:
+    """A cell of a units row without quotes and brackets."""
+    return cell.strip().strip('"').strip("[]()（） ")
+
+
+def is_units_row(cells: list[str], following: list[str] | None = None) -> bool:
+    """True for a units row below the header: at least one cell is a unit, and none is a number.
+
+    A dash or ``1`` is allowed for a column without a unit. Then the ``following`` row must show that a unit stands above
+    a number, since a data row may have such cells too.
+    """
+    bare = [unit_text(cell) for cell in cells]
+    below = [cell.strip().strip('"').strip() for cell in following or ()]
+    loose = False
+    for cell in bare:
+        if cell in NO_UNIT[1:] or cell == "1":
+            loose = True
+        elif _NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell) or cell in MISSING[1:]:
+            return False
+    named = [k for k, cell in enumerate(bare) if cell not in (*NO_UNIT, "1") and _is_unit(cell)]
+    if not loose:
+        return bool(named)
+    return any(
+        k < len(below)
+        and (_NUMBER_POINT.match(below[k]) or _NUMBER_COMMA.match(below[k]) or forms_of([below[k]]))
+        for k in named
+    )
 
 
 def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, path: Path, row: int) -> str:

@@ -13,6 +13,7 @@ from piga.errors import DataError
 from piga.formats.columns import column_letter
 from piga.formats.text.convention import INFINITE, MISSING, TextFormat
 from piga.formats.text.source import Bytes
+from piga.formats.text.time_stamp import forms_of
 from piga.records.calibration import Event
 
 MAX_LISTED = 100
@@ -131,10 +132,18 @@ def _look_at(
         return
     for name, column in places:
         cell = cells[column].strip().strip('"').strip()
-        if cell in tokens or is_number(cell, form.decimal):
+        stamp = form.stamps.get(name)
+        if cell in tokens or (
+            is_number(cell, form.decimal) if stamp is None else stamp.seconds(cell) is not None
+        ):
             continue
-        words = f"row {row}, column '{name}' ({column_letter(column)}): '{cell[:40]}' is not a number"
-        faults.add(row, "not-a-number", words, _cell_hint(cell, form))
+        where = f"row {row}, column '{name}' ({column_letter(column)}): '{cell[:40]}' is"
+        if stamp is None:
+            faults.add(row, "not-a-number", f"{where} not a number", _cell_hint(cell, form, name))
+        else:
+            faults.add(
+                row, "not-a-time", f"{where} not a time stamp of the form {stamp.form}", _stamp_hint(cell, name)
+            )
 
 
 def split_cells(line: str, separator: str) -> list[str] | None:
@@ -165,7 +174,16 @@ def is_number(cell: str, decimal: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None
 
 
-def _cell_hint(cell: str, form: TextFormat) -> str:
+def _stamp_hint(cell: str, name: str) -> str:
+    """How to read a cell that is a time stamp."""
+    return "".join(
+        f"; or read it with time = {{ column = '{name}', stamp = '{form}' }}" for form in forms_of([cell])[:1]
+    )
+
+
+def _cell_hint(cell: str, form: TextFormat, name: str) -> str:
+    if forms_of([cell]):
+        return f"{_stamp_hint(cell, name)} in [data]"
     if not cell.isascii() and cell.replace(".", "").replace("．", "").strip("-－+").isdecimal():
         return "; write the digits as plain 0-9 (these are full-width)"
     if "," in cell and "," not in (form.separator, form.decimal):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,19 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError
 from piga.formats.columns import FileChunk, LabelCodes, MissingCount, nulls_of, numbers_of
-from piga.formats.text.convention import INFINITE, MISSING, TextFormat, find_format
+from piga.formats.text.convention import (
+    INFINITE,
+    LINE_END,
+    MISSING,
+    SEPARATORS,
+    HeadRows,
+    TextFormat,
+    find_format,
+    units_in_names,
+)
 from piga.formats.text.faults import Faults, FilePlace, find_faults, split_cells
-from piga.formats.text.source import Bytes, TextSource
+from piga.formats.text.source import FIRST_ROWS, Bytes, TextSource
+from piga.formats.text.time_stamp import StampClock, time_stamp
 from piga.records.calibration import Event
 
 _SPACES_ONLY = re.compile(rb"^[ \t]+\r?\n", re.MULTILINE)
@@ -32,8 +43,10 @@ class TextStream:
         ``.csv`` (``.txt``, ``.tsv``), plain or ``.gz``.
     numeric, label:
         Names of the number columns and of the segment column.
-    separator, decimal, encoding:
+    separator, decimal, encoding, rows:
         From the run file; None: detected from the file.
+    stamp:
+        Name and form of a number column that holds time stamps. It is given in seconds since the first midnight.
     missing:
         Further words that mean a missing value.
     mask_damaged:
@@ -58,6 +71,8 @@ class TextStream:
         separator: str | None = None,
         decimal: str | None = None,
         encoding: str | None = None,
+        rows: HeadRows | None = None,
+        stamp: tuple[str, str] | None = None,
         missing: tuple[str, ...] = (),
         mask_damaged: bool = False,
         piece: int | None = None,
@@ -69,10 +84,15 @@ class TextStream:
             label,
             missing,
         )
-        self._source = TextSource(path, encoding, see, piece)
+        rows = rows or HeadRows()
+        wanted = [*numeric, *([label] if label else [])]
+        self._source = TextSource(path, encoding, see, piece, wanted=wanted, first_rows=FIRST_ROWS + rows.last)
         head = self._source.head.decode("utf-8", errors="replace")
-        self._form = find_format(head, path, self._source.encoding, separator, decimal)
-        _check_columns(self._form, numeric, label, path)
+        self._form = find_format(head, path, self._source.encoding, separator, decimal, rows)
+        self._clock = None if stamp is None else StampClock(time_stamp(stamp[1]))
+        if stamp is not None:
+            self._form = replace(self._form, stamps={stamp[0]: time_stamp(stamp[1])})
+        _check_columns(self._form, wanted, head, path)
         self.units = {name: unit for name, unit in self._form.units.items() if name in numeric}
         self.label_names: list[str] = []
         self._codes = LabelCodes(self.label_names)
@@ -203,7 +223,8 @@ class TextStream:
             return _no_rows(self._numeric, self._label), ""
         if b"\r" in raw and raw.count(b"\r") != raw.count(b"\r\n"):
             return None, "a carriage return inside a line"
-        form, types = self._form, dict.fromkeys(self._numeric, pa.float64())
+        form = self._form
+        types = {name: pa.string() if name in form.stamps else pa.float64() for name in self._numeric}
         if self._label is not None:
             types[self._label] = pa.string()
         bad: list[Any] = []
@@ -236,7 +257,19 @@ class TextStream:
         counted = table.num_rows == ends or table.num_rows == _filled(raw)
         if not counted or _open_quote(raw, form.separator):
             return None, "a quotation mark is not closed"
-        return table, ""
+        return self._with_times(table)
+
+    def _with_times(self, table: Any) -> tuple[Any, str]:
+        """The table with seconds in place of time stamps."""
+        if self._clock is None:
+            return table, ""
+        name = next(iter(self._form.stamps))
+        clock = self._clock.copy()
+        seconds = clock.convert(table.column(name), {*MISSING, *self._missing})
+        if seconds is None:
+            return None, f"column '{name}' holds a cell that is not a time stamp"
+        self._clock = clock
+        return table.set_column(table.schema.get_field_index(name), name, seconds), ""
 
 
 def _filled(raw: Bytes) -> int:
@@ -271,12 +304,30 @@ def _no_rows(numeric: tuple[str, ...], label: str | None) -> Any:
     return pa.schema(list(types.items())).empty_table()
 
 
-def _check_columns(form: TextFormat, numeric: tuple[str, ...], label: str | None, path: Path) -> None:
-    wanted = [*numeric, *([label] if label else [])]
+def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -> None:
+    """Refuse a file that lacks a wanted column. A later row that holds all of them is named."""
     missing = list(dict.fromkeys(name for name in wanted if name not in form.names))
-    if missing:
-        listed = ", ".join(f"'{name}'" for name in missing)
-        raise DataError(
-            f"{path}: row {form.skip}: no column {listed}; the columns are: {', '.join(form.names)}",
-            remedy="correct the column name in [data], or [data] delimiter if the columns are not split",
-        )
+    if not missing:
+        return
+    listed = ", ".join(f"'{name}'" for name in missing)
+    guessed = "" if form.encoding.startswith("utf") else f" (read as {form.encoding})"
+    row = _row_of(wanted, head, form.header)
+    remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
+    if row is not None:
+        remedy = f"row {row} has these names: add [data] header_row = {row}"
+    elif guessed:
+        remedy += "; or add [data] encoding = '...', if the names are misread"
+    raise DataError(
+        f"{path}: row {form.header}{guessed}: no column {listed}; the columns are: {', '.join(form.names)}",
+        remedy=remedy,
+    )
+
+
+def _row_of(wanted: list[str], head: str, after: int) -> int | None:
+    """The first row after ``after`` whose cells hold all wanted names, whatever its separator."""
+    for number, line in enumerate(LINE_END.split(head), start=1):
+        for separator in SEPARATORS if number > after else "":
+            names = tuple(cell.strip().strip('"').strip() for cell in line.split(separator))
+            if set(wanted) <= {*names, *units_in_names(names)[0]}:
+                return number
+    return None

@@ -11,7 +11,7 @@ import gzip
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO, TypeVar, cast
@@ -19,7 +19,8 @@ from typing import BinaryIO, TypeVar, cast
 import numpy as np
 
 from piga.errors import DataError
-from piga.formats.text.convention import SNIFF_BYTES, find_encoding
+from piga.formats.text.convention import SNIFF_BYTES
+from piga.formats.text.encoding import find_encoding
 from piga.records.limits import open_regular
 
 MAX_EXPANSION = 200
@@ -57,7 +58,7 @@ class TextSource:
     Attributes
     ----------
     encoding:
-        Encoding of the file: by its byte-order mark, strict UTF-8, GB18030, or as declared.
+        Encoding of the file; see :func:`piga.formats.text.encoding.find_encoding`.
     head:
         The first complete lines as UTF-8: at most :data:`~piga.formats.text.convention.SNIFF_BYTES` bytes, or
         :data:`MAX_HEAD` if the first three lines need more.
@@ -71,7 +72,14 @@ class TextSource:
     """
 
     def __init__(
-        self, path: Path, encoding: str | None, see: Callable[[Bytes], object], piece: int | None = None
+        self,
+        path: Path,
+        encoding: str | None,
+        see: Callable[[Bytes], object],
+        piece: int | None = None,
+        *,
+        wanted: Iterable[str] = (),
+        first_rows: int = FIRST_ROWS,
     ) -> None:
         self.path, self.cut, self._see = path, False, see
         self._piece = piece or PIECE_BYTES
@@ -80,17 +88,17 @@ class TextSource:
         first = _gather(self._blocks, GZIP_FIRST if packed else SNIFF_BYTES)
         if not first or (len(first) < SNIFF_BYTES and first.isspace()):
             raise DataError(f"{path}: the file is empty", remedy="check that the logger wrote data")
-        self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding)
+        self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding, wanted)
         self._blocks = _sliced(first, self._blocks, self._piece)
         if self.encoding not in ("utf-8", "utf-8-sig", "ascii"):
             self._blocks = self._decoded(self._blocks)
         self._first = _gather(self._blocks, SNIFF_BYTES).removeprefix(b"\xef\xbb\xbf")
         self._refuse_utf16()
         self.head = self._complete_lines(SNIFF_BYTES)
-        if len(self._first) >= SNIFF_BYTES and _rows(self.head) < FIRST_ROWS:
+        if len(self._first) >= SNIFF_BYTES and _rows(self.head) < first_rows:
             self._first += _gather(self._blocks, MAX_HEAD + 1 - len(self._first))
             self.head = self._complete_lines(MAX_HEAD)
-            self._refuse_long_head()
+            self._refuse_long_head(first_rows)
 
     def pieces(self, skip: int) -> Iterator[tuple[Bytes, int]]:
         """Complete lines in order, without the first ``skip``, and their number. Another thread reads ahead."""
@@ -106,8 +114,8 @@ class TextSource:
         end = max(head.rfind(b"\n"), head.rfind(b"\r")) + 1
         return head[:end] if end or len(self._first) > most else head
 
-    def _refuse_long_head(self) -> None:
-        if len(self._first) > MAX_HEAD and _rows(self.head) < FIRST_ROWS:
+    def _refuse_long_head(self, first_rows: int) -> None:
+        if len(self._first) > MAX_HEAD and _rows(self.head) < first_rows:
             row = sum(1 for _ in LINE_END.finditer(self.head)) + 1
             raise DataError(
                 f"{self.path}: row {row}: a line too long, or too many comments: header, units and first data row must lie "

@@ -1,0 +1,184 @@
+"""``piga init``: a run file for a log of any program."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.common import (
+    ForceOption,
+    JsonOption,
+    note,
+    print_json,
+    progress,
+    say,
+    write_by_rename,
+    write_text,
+)
+from piga.errors import ArgumentError, PigaError
+from piga.output import check_outputs
+
+if TYPE_CHECKING:
+    from piga.describe import LogDescription, RunFileDraft
+    from piga.records import Run
+
+
+def init(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a test, written by any program.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="RUN.toml", help="The run file [default: LOG.toml].")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Take all guesses; do not ask.")] = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Draft a run file for a log.
+
+    Guesses encoding, header, units, separator, decimal mark, time stamps, and what each column holds. Every guess stands
+    in the run file with its reason and with what else it may be. In a terminal, what the log does not say is asked.
+    """
+    from piga.describe import describe_log, draft_run_file, setting
+    from piga.records.run_file import read_run_file
+
+    target = out or log.with_name(f"{log.name.split('.')[0]}.toml")
+    if target.suffix != ".toml":
+        raise ArgumentError(f"--out {target}: the name must end in .toml", remedy="e.g. run.toml")
+    check_outputs([target], [log], force=force)
+    given = dict(setting(text) for text in settings or [])
+    with progress(f"reading {log.name}"):
+        described = describe_log(log)
+    draft = draft_run_file(described, given, folder=target.parent)
+    asking = not (yes or as_json) and sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+    if asking:
+        draft = _ask(described, given, target)
+    if draft.open:
+        raise ArgumentError(
+            f"{log}: the log does not say: {'; '.join(f'{one.key} ({one.words})' for one in draft.open)}",
+            remedy="give it: " + " ".join(f"--set {one.key}='{one.example}'" for one in draft.open),
+        )
+    read_run_file(target, draft.text().encode())
+    with progress("trying it"):
+        tried = _tried(draft, target)
+    text = draft.text()
+    write_by_rename(target, lambda path: write_text(path, text))
+    if as_json:
+        print_json(_document(described, draft, target))
+        return
+    if not asking:
+        _print_columns(described)
+    say(f"wrote {target}")
+    _say_outcome(target, tried)
+
+
+def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunFileDraft:
+    """Show the guesses, ask for what is missing and for corrections, until the user is content."""
+    from piga.describe import draft_run_file, setting
+
+    _print_columns(described)
+    while True:
+        draft = draft_run_file(described, given, folder=target.parent)
+        if draft.open:
+            question = draft.open[0]
+            answer = _answer(f"{question.words} [{question.key}], e.g. {question.example}: ")
+            if not answer:
+                raise ArgumentError(
+                    f"{question.key}: not given", remedy="nothing was written; run the command again"
+                )
+            try:
+                given |= dict([setting(f"{question.key}={answer}")])
+                draft_run_file(described, given, folder=target.parent)
+            except PigaError as error:
+                given.pop(question.key, None)
+                note(f"  {error}")
+            continue
+        note("")
+        note(draft.text())
+        answer = _answer("A correction as table.key=value, or Enter to write the file: ")
+        if not answer:
+            return draft
+        try:
+            trial = given | dict([setting(answer)])
+            draft_run_file(described, trial, folder=target.parent)
+            given.clear()
+            given |= trial
+        except PigaError as error:
+            note(f"  {error}")
+
+
+def _answer(words: str) -> str:
+    """One line from the terminal."""
+    sys.stderr.write(words)
+    sys.stderr.flush()
+    line = sys.stdin.readline()
+    if not line:
+        raise ArgumentError(
+            "the input ended", remedy="nothing was written; run the command again, or with --yes"
+        )
+    return line.strip()
+
+
+def _print_columns(described: LogDescription) -> None:
+    from piga.describe.columns import WORDS
+
+    layout = described.layout
+    if layout is not None:
+        say(f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}")
+    width = max((len(column.name) for column in described.columns), default=0)
+    for column in described.columns:
+        axis = "" if column.axis is None else f" {'XYZ'[column.axis]}0"
+        unit = f" [{column.unit}]" if column.unit else f" ({column.stamp})" if column.stamp else ""
+        others = f"; or {', '.join(column.alternatives)}" if column.alternatives else ""
+        say(f"  {column.name:<{width}}  {WORDS[column.kind]}{axis}{unit}: {column.reason}{others}")
+
+
+def _tried(draft: RunFileDraft, target: Path) -> Run | PigaError:
+    """The log as read with the new run file, or why it cannot be read."""
+    from piga.describe import try_run_file
+
+    try:
+        return try_run_file(draft, target)
+    except PigaError as error:
+        return error
+
+
+def _say_outcome(target: Path, tried: Run | PigaError) -> None:
+    from piga.cli.check import print_suggestions
+
+    if isinstance(tried, PigaError):
+        say(f"The log cannot be read with it yet: {tried.message}")
+        print_suggestions(target)
+        return
+    counted = "".join(f"; {event.count} x {event.kind}" for event in tried.quality.events)
+    say(f"It reads {tried.size} of {tried.quality.rows} rows in {len(tried.labels)} segments{counted}")
+    say(f"Next: piga check {target}; piga calibrate {target}")
+
+
+def _document(described: LogDescription, draft: RunFileDraft, target: Path) -> dict[str, Any]:
+    return {
+        "run_file": str(target),
+        "document": draft.document,
+        "comments": draft.comments,
+        "columns": [
+            {
+                "name": column.name,
+                "kind": column.kind,
+                "axis": None if column.axis is None else "XYZ"[column.axis] + "0",
+                "unit": column.unit or None,
+                "stamp": column.stamp or None,
+                "reason": column.reason,
+                "alternatives": list(column.alternatives),
+            }
+            for column in described.columns
+        ],
+    }

@@ -1,0 +1,207 @@
+"""Layout of a text log: encoding, preamble, header, units row, separator and decimal mark, without any column known."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from piga.describe.guess import Guess
+from piga.describe.names import fact, kind_of_name, known_unit
+from piga.errors import DataError
+from piga.formats.text.convention import INFINITE, LINE_END, MISSING, NO_UNIT, unit_text, units_in_names
+from piga.formats.text.encoding import GUESSED
+from piga.formats.text.source import TextSource
+from piga.formats.text.time_stamp import forms_of
+
+MOST_LINES = 400
+"""Lines of the head that are examined."""
+SEPARATORS = ("\t", ";", "|", ",")
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+_EMPTY = {*MISSING, *INFINITE}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Layout of a text log. Rows are counted from 1; ``facts`` are keys of the run file that the preamble gives."""
+
+    encoding: Guess
+    separator: Guess
+    decimal: Guess
+    header_row: Guess
+    units_row: Guess
+    names: tuple[str, ...]
+    units: dict[str, str]
+    sample: dict[str, list[str]]
+    facts: dict[str, Guess]
+
+
+def text_layout(path: Path) -> Layout:
+    """Guess the layout of a text log from its first lines.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or no table of numbers begins in its first lines.
+    """
+    source = TextSource(path, None, len)
+    tried = [source.encoding]
+    if source.encoding in GUESSED:
+        tried = [source.encoding, *(one for one in GUESSED if one != source.encoding)]
+    layouts = []
+    for encoding in tried:
+        try:
+            head = TextSource(path, encoding, len).head.decode("utf-8", errors="replace")
+        except DataError:
+            continue
+        layouts.append((encoding, _layout(head, path)))
+    encoding, best = max(
+        layouts, key=lambda one: sum(kind_of_name(name)[0] != "other" for name in one[1].names)
+    )
+    if len(tried) == 1:
+        why = "the file has a byte-order mark" if encoding not in ("utf-8", "ascii") else "all bytes are UTF-8"
+        guess = Guess(encoding, why)
+    else:
+        others = tuple(one for one, _ in layouts if one != encoding)
+        guess = Guess(
+            encoding, "the bytes are not UTF-8, and the column names are words in this encoding", others
+        )
+    return Layout(guess, *best.parts)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A table of numbers in some lines: its separator, first data line, and cells of a line."""
+
+    separator: str
+    start: int
+    width: int
+    rows: int
+
+
+@dataclass(frozen=True)
+class _Best:
+    names: tuple[str, ...]
+    parts: tuple
+
+
+def _layout(head: str, path: Path) -> _Best:
+    lines = LINE_END.split(head)[:MOST_LINES]
+    tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
+    if not tables:
+        raise DataError(
+            f"{path}: no table of numbers in the first {len(lines)} rows",
+            remedy="check that this is the log; columns are separated by ; , | or a tab",
+        )
+    table = max(tables, key=lambda one: (one.width > 1, one.rows * one.width))
+    header, units_at = _heads(lines, table)
+    if header is None:
+        raise DataError(
+            f"{path}: row {table.start + 1}: numbers begin here, and no row above holds as many column names",
+            remedy="add a row with the column names above the numbers",
+        )
+    cells = _cells(_bare(lines[header]), table.separator)
+    body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
+    width = max(len(row) for row in body[:-1] or body)
+    if len(cells) == width + 1 and cells[-1] in ("", "Comment"):
+        cells = cells[:-1]
+    names, units = units_in_names(tuple(cells))
+    if units_at is not None:
+        for name, cell in zip(names, _cells(lines[units_at], table.separator), strict=False):
+            if known_unit(unit_text(cell)):
+                units[name] = known_unit(unit_text(cell))
+    sample = {
+        name: [row[k] for row in body if len(row) > k and row[k] not in _EMPTY][:200]
+        for k, name in enumerate(names)
+        if name
+    }
+    preamble = range(header)
+    skipped = (
+        "" if header == 0 else f"; rows 1 to {header} are a preamble" if header > 1 else "; row 1 is a preamble"
+    )
+    head_guess = Guess(header + 1, f"the first row above the numbers with {len(cells)} names{skipped}")
+    units_guess = (
+        Guess(False, "the numbers begin below the names")
+        if units_at is None
+        else Guess(units_at + 1, "it holds units and no numbers")
+    )
+    shown = {"\t": "tab"}.get(table.separator, table.separator)
+    separator = Guess(table.separator, f"'{shown}' splits {table.rows} rows into {table.width} cells each")
+    facts = _facts([lines[k] for k in preamble])
+    decimal = _decimal(body, table.separator)
+    return _Best(names, (separator, decimal, head_guess, units_guess, names, units, sample, facts))
+
+
+def _bare(line: str) -> str:
+    """A line without the mark of a comment at its start."""
+    return re.sub(r"^ *#+ *", "", line)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return [cell.strip().strip('"').strip() for cell in line.rstrip("\r\n").split(separator)]
+
+
+def _is_value(cell: str) -> bool:
+    return bool(cell in _EMPTY or _NUMBER.fullmatch(cell) or _COMMA.fullmatch(cell) or forms_of([cell]))
+
+
+def _table(lines: list[str], separator: str) -> _Table | None:
+    """The rows at the end of the head that this separator splits into the same number of cells, most of them numbers."""
+    width, start, rows = 0, 0, 0
+    for index in range(len(lines) - 1, -1, -1):
+        line = lines[index]
+        if not line.strip():
+            continue
+        cells = _cells(line, separator)
+        values = sum(_is_value(cell) for cell in cells)
+        numbers = sum(_is_value(cell) and cell not in _EMPTY for cell in cells)
+        fits = 2 * values >= len(cells) and numbers > 0
+        if fits and rows == 0:
+            width = len(cells)
+        if not fits or (rows > 1 and abs(len(cells) - width) > 1):
+            if rows < 2 and index > len(lines) - 4:  # a cut or damaged last row
+                rows, width = 0, 0
+                continue
+            break
+        width, start, rows = (len(cells) if rows == 1 else width), index, rows + 1
+    return _Table(separator, start, width, rows) if rows >= 2 else None
+
+
+def _heads(lines: list[str], table: _Table) -> tuple[int | None, int | None]:
+    """Rows of the names and of the units above the first data row (0-based)."""
+    above = [k for k in range(table.start) if lines[k].strip()]
+    wide = [k for k in above[-3:] if abs(len(_cells(_bare(lines[k]), table.separator)) - table.width) <= 1]
+    if not wide or wide[-1] != above[-1]:
+        return None, None
+    last = _cells(lines[wide[-1]], table.separator)
+    marks = [cell for cell in last if unit_text(cell) in NO_UNIT or known_unit(unit_text(cell))]
+    bracketed = all(re.fullmatch(r"[\[(（].*[\])）]", cell) or cell in NO_UNIT for cell in last)
+    names = sum(kind_of_name(cell)[0] != "other" for cell in last)
+    if (
+        len(wide) > 1
+        and wide[-2] == above[-2]
+        and (bracketed or (2 * len(marks) >= len(last) and len(marks) > names))
+    ):
+        return wide[-2], wide[-1]
+    return wide[-1], None
+
+
+def _decimal(body: list[list[str]], separator: str) -> Guess:
+    cells = [cell for row in body for cell in row]
+    commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
+    if separator == "," or not commas:
+        return Guess(
+            ".", "the numbers have a point" if any("." in cell for cell in cells) else "no number has decimals"
+        )
+    unsure = all(re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}", cell) for cell in commas)
+    return Guess(",", f"numbers such as {commas[0]}", (".",) if unsure else ())
+
+
+def _facts(lines: list[str]) -> dict[str, Guess]:
+    facts: dict[str, Guess] = {}
+    for number, line in enumerate(lines, start=1):
+        read = fact(line)
+        if read is not None:
+            facts[read[0]] = Guess(read[1], f"row {number}: '{' '.join(line.split())[:60]}'")
+    return facts

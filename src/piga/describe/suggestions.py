@@ -1,0 +1,264 @@
+"""Run-file lines that resolve an error or a doubt of a data file. Each is applied and tried before it is given."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piga.describe.names import kind_of_name
+from piga.describe.toml_writer import toml_key, toml_text, toml_value
+from piga.errors import PigaError
+from piga.records.run import Run
+from piga.records.text_files import toml_bytes, toml_document
+from piga.stand.run_reference import read_run
+
+_LINE = re.compile(r"\[(data|model|instrument)\] (\w+ = (?:'[^']*'|\[[^\]]*\]|\d+))(?:,? or (\w+ = '[^']*'))?")
+_MISSING = re.compile(r"no column ((?:'[^']*'(?:, )?)+); the columns are: (.*)", re.DOTALL)
+_SHEETS = re.compile(r"there are \d+ sheets: (.*)")
+_STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
+_STAMP = re.compile(r"time = \{ column = '[^']*', stamp = '[^']*' \}")
+MOST_STEPS = 8
+"""Most problems that are solved one after the other."""
+SOME_ROWS = 100_000
+"""Rows on which a unit is judged."""
+MOST_RATIO = 1.5
+"""Largest ratio of the output to that of the nominal scale factor."""
+FORCE_UNITS = ("g", "m/s^2", "mg", "ug")
+ANGLE_UNITS = ("deg", "rad", "arcmin", "arcsec", "rev", "mrad")
+RATE_UNITS = ("deg/s", "rad/s", "deg/h", "rpm", "rev/s")
+_GUESSES = ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be")
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A line for a table of the run file, and the reason. It replaces a line with the same key."""
+
+    table: str
+    line: str
+    reason: str
+
+
+Document = Mapping[str, Any]
+Change = tuple[str, str, Any, str]
+"""Table, key, value and reason of a change of the run file."""
+
+
+def suggestions(path: Path) -> list[Suggestion]:
+    """Lines that solve what is open with a run file. Every line was put into the file, and the log was read again.
+
+    A line that leads to another problem is kept if further lines solve that one. If only one of several lines lets the
+    log be read, the others are left out. The list is empty if no lines let the log be read.
+    """
+    try:
+        document: Document = toml_document(path, toml_bytes(path))
+    except PigaError:
+        return []
+    kept: list[Change] = []
+    for _ in range(MOST_STEPS):
+        outcome = _read(path, document)
+        working = _working(path, document, outcome)
+        new = [change for change in working if change[:3] not in [known[:3] for known in kept]]
+        if not new:
+            break
+        kept += new
+        document = _changed(document, new[0])
+    if isinstance(_read(path, document), PigaError):
+        return []
+    return [
+        Suggestion(table, f"{toml_key(key)} = {_shown(value)}", reason) for table, key, value, reason in kept
+    ]
+
+
+def _shown(value: Any) -> str:
+    """A value with single quotes, as in the messages."""
+    text = toml_value(value)
+    return text if "'" in text or "\\" in text else text.replace('"', "'")
+
+
+def _read(path: Path, document: Document) -> Run | PigaError:
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return read_run(path, content=toml_text(document).encode())
+    except PigaError as error:
+        return error
+
+
+def _working(path: Path, document: Document, before: Run | PigaError) -> list[Change]:
+    """The changes that help: that let the log be read; else those that lead to another problem."""
+    changes = _of_error(before, document) if isinstance(before, PigaError) else _of_run(before, document)
+    read, other = [], []
+    for change in _unique(changes):
+        after = _read(path, _changed(document, change))
+        if isinstance(after, Run):
+            if isinstance(before, PigaError) or _settles(change, before, after):
+                read.append(change)
+        elif isinstance(before, PigaError) and _problem(after) != _problem(before) and change[1] != "sheet":
+            other.append(change)
+    return read or other
+
+
+def _unique(changes: list[Change]) -> list[Change]:
+    known: dict[tuple[str, str, str], Change] = {}
+    for change in changes:
+        known.setdefault((change[0], change[1], toml_value(change[2])), change)
+    return list(known.values())
+
+
+def _problem(error: PigaError) -> str:
+    """The message of an error without what depends on the change itself."""
+    return re.sub(r" \(read as [^)]*\)", "", error.message.split("; the columns are")[0])
+
+
+_SETTLED = {
+    "range": "stuck-value",
+    "unit": "implausible-unit",
+    "reference": "implausible-unit",
+    "output": "implausible-unit",
+}
+
+
+def _settles(change: Change, before: Run, after: Run) -> bool:
+    """True if a change of a readable record removes the finding it is for, or states what was guessed."""
+    kind = _SETTLED.get(change[1])
+    kinds = [event.kind for event in after.quality.events]
+    if kind == "implausible-unit" and not _plausible(after):
+        return False
+    return kind not in kinds if kind else after.size >= before.size
+
+
+def _plausible(run: Run) -> bool:
+    """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
+    some = slice(0, min(run.size, SOME_ROWS))
+    a_x, t = run.f[some, 0], run.t[some]
+    if run.kind == "rate":
+        turned, force = run.output[some], a_x
+    else:
+        inside = ~run.begins[some][1:]
+        turned, force = (np.diff(run.output[some]) / np.diff(t))[inside], a_x[1:][inside]
+    strong = np.abs(force) > 0.2 * np.abs(force).max(initial=0.0)
+    if not strong.any():
+        return False
+    ratio = float(np.median(np.abs(turned[strong] / (run.scale_factor * force[strong]))))
+    return 1.0 / MOST_RATIO < ratio < MOST_RATIO
+
+
+def _changed(document: Document, change: Change) -> dict[str, Any]:
+    table, key, value, _ = change
+    return {**document, table: {**document.get(table, {}), key: value}}
+
+
+def _of_error(error: PigaError, document: Document) -> list[Change]:
+    changes: list[Change] = []
+    first = error.message.split(": ", 1)[-1][:160]
+    remedy = error.remedy or ""
+    for match in _LINE.finditer(remedy):
+        for line in match.groups()[1:]:
+            if line and "..." not in line:
+                changes += [(match.group(1), key, value, first) for key, value in _parsed(line)]
+    for match in _STAMP.finditer(remedy):
+        changes += [("data", key, value, first) for key, value in _parsed(match.group())]
+    missing = _MISSING.search(error.message)
+    if missing:
+        changes += _of_names(re.findall(r"'([^']*)'", missing.group(1)), missing.group(2).split(", "), document)
+    if "encoding = '...'" in remedy:
+        changes += [("data", "encoding", name, first) for name in _GUESSES]
+    sheets = _SHEETS.search(error.message)
+    if sheets:
+        titles = re.findall(r"'([^']*)'", sheets.group(1))
+        changes += [("data", "sheet", title, "one of the sheets") for title in titles]
+    if "the output jumps" in error.message or "it was reset there" in error.message:
+        changes += [
+            ("instrument", "counter_bits", bits, "if the counter wraps at that width") for bits in (16, 24, 32)
+        ]
+    return changes
+
+
+def _parsed(line: str) -> list[tuple[str, Any]]:
+    try:
+        return list(tomllib.loads(line).items())
+    except tomllib.TOMLDecodeError:
+        return []
+
+
+def _of_names(missing: list[str], columns: list[str], document: Document) -> list[Change]:
+    """Keys of ``[data]`` with a similar name in place of each that is not there, all at once."""
+    near = {name: similar for name in missing if (similar := similar_name(name, columns)) is not None}
+    data = document.get("data", {})
+    changes: list[Change] = []
+    for key, value in data.items():
+        renamed = _renamed(value, near) if key not in ("file", "missing") else value
+        if renamed != value:
+            reason = ", ".join(
+                f"instead of '{name}', which is not in the file" for name in near if name in toml_value(value)
+            )
+            changes.append(("data", key, renamed, reason))
+    return changes
+
+
+def _renamed(value: Any, near: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return near.get(value, value)
+    if isinstance(value, Mapping):
+        return {
+            near.get(key, key): _renamed(part, near) if key in ("column", "columns") else part
+            for key, part in value.items()
+        }
+    return [_renamed(part, near) for part in value] if isinstance(value, list) else value
+
+
+def _of_run(run: Run, document: Document) -> list[Change]:
+    changes: list[Change] = []
+    data = document.get("data", {})
+    for event in run.quality.events:
+        stuck = _STUCK.search(event.detail)
+        if stuck:
+            name, side, value = stuck.groups()
+            limits = [-1e30, float(value)] if side == "largest" else [float(value), 1e30]
+            changes.append(("data", "range", {**data.get("range", {}), name: limits}, event.detail))
+        if event.kind == "phase-lost" and document.get("model", {}).get("phase") != "per-segment":
+            changes.append(("model", "phase", "per-segment", "the zero of the output angle was lost"))
+        if event.kind == "encoding" and "encoding" not in data:
+            changes.append(("data", "encoding", event.detail.split()[-1], "to fix what was detected"))
+        if event.kind == "implausible-unit":
+            key = "reference" if "|f|" in event.detail else "output"
+            table = data.get(key)
+            if isinstance(table, Mapping) and "unit" in table:
+                units = (
+                    FORCE_UNITS
+                    if key == "reference"
+                    else RATE_UNITS
+                    if table.get("kind") == "rate"
+                    else ANGLE_UNITS
+                )
+                changes += [
+                    ("data", key, {**table, "unit": unit}, event.detail)
+                    for unit in units
+                    if unit != table["unit"]
+                ]
+    return changes
+
+
+def similar_name(name: str, columns: list[str]) -> str | None:
+    """The most probable column: equal apart from character width and case, of the same kind, or nearly equal."""
+    plain = {_plain(column): column for column in columns}
+    if _plain(name) in plain:
+        return plain[_plain(name)]
+    kind = kind_of_name(name)
+    if kind[0] != "other":
+        same = [column for column in columns if kind_of_name(column) == kind]
+        if same:
+            return same[0]
+    near = difflib.get_close_matches(_plain(name), list(plain), n=1)
+    return plain[near[0]] if near else None
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\[(（].*$", "", unicodedata.normalize("NFKC", name)).strip().lower()

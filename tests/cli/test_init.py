@@ -1,0 +1,146 @@
+"""``piga init`` as its user sees it: with ``--yes``, in a terminal, and with what the log does not say."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from piga.cli.main import app
+
+LOGS = Path(__file__).resolve().parent.parent / "data" / "logs"
+SCALE = "instrument.scale_factor=0.8884 rad/s/g"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return Path(shutil.copy(LOGS / "german.csv", tmp_path))
+
+
+def run(*arguments: object) -> tuple[int, str, str]:
+    done = CliRunner().invoke(app, [str(one) for one in arguments])
+    message = "" if done.exception is None or isinstance(done.exception, SystemExit) else str(done.exception)
+    return done.exit_code, done.stdout, message
+
+
+def test_it_writes_a_run_file_that_check_accepts(log: Path) -> None:
+    code, out, _ = run("init", log, "--yes", "--set", SCALE)
+    assert code == 0
+    assert "It reads 960 of 960 rows in 12 segments" in out
+    assert "Zählerstand" in out
+    code, out, _ = run("check", log.with_suffix(".toml"))
+    assert code == 0
+    assert "instrument G-0417, 960 of 960 rows used" in out
+
+
+def test_settings_replace_guesses(log: Path) -> None:
+    out = log.with_name("mine.toml")
+    code, _, _ = run(
+        "init",
+        log,
+        "-y",
+        "--out",
+        out,
+        "--set",
+        SCALE,
+        "--set",
+        "instrument.serial=X-1",
+        "--set",
+        "model.terms=['scale_factor']",
+    )
+    assert code == 0
+    assert 'serial = "X-1"' in out.read_text(encoding="utf-8")
+    assert 'terms = ["scale_factor"]' in out.read_text(encoding="utf-8")
+
+
+def test_what_is_missing_is_named_with_the_option(log: Path) -> None:
+    """The German log has the counts of a revolution, so its scale factor can be computed. That of LabVIEW has not."""
+    assert run("init", log, "--yes")[0] == 0
+    assert 'scale_factor = "0.888' in log.with_suffix(".toml").read_text(encoding="utf-8")
+    shutil.copy(LOGS / "labview.lvm", log.parent)
+    _, _, message = run("init", log.with_name("labview.lvm"), "--yes")
+    assert "the log does not say: instrument.scale_factor" in message
+    assert "--set instrument.scale_factor='0.8884 rad/s/g'" in message
+    assert not log.with_name("labview.toml").exists()
+
+
+@pytest.mark.parametrize(("setting", "words"), [
+    ("scale", "is not table.key=value"),
+    ("instrument.scale_factor=0.8884 kg", "is given in 'kg'"),
+    ("data.sheep=3", "has the unknown key 'sheep'"),
+])  # fmt: skip
+def test_settings_that_cannot_be_used(log: Path, setting: str, words: str) -> None:
+    _, _, message = run("init", log, "--yes", "--set", SCALE, "--set", setting)
+    assert words in message
+    assert not log.with_suffix(".toml").exists()
+
+
+def test_an_older_run_file_is_kept(log: Path) -> None:
+    log.with_suffix(".toml").write_text("mine")
+    _, _, message = run("init", log, "--yes", "--set", SCALE)
+    assert "there already" in message
+    assert log.with_suffix(".toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"hello\nworld\n", b"\x00\x01\x02" * 100, b"1;2;3\n4;5;6\n", "ä\n".encode("cp1252")]
+)
+def test_files_that_are_no_logs(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.csv"
+    path.write_bytes(content)
+    code, _, message = run("init", path, "--yes", "--set", SCALE)
+    assert code != 0
+    assert "x.csv" in message
+
+
+def test_json(log: Path) -> None:
+    _, out, _ = run("init", log, "--json", "--set", SCALE)
+    document = json.loads(out)
+    assert document["document"]["data"]["encoding"] == "cp1252"
+    assert [column["kind"] for column in document["columns"]] == [
+        "time",
+        "segment",
+        "counts",
+        "force",
+        "force",
+        "force",
+        "temperature",
+    ]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_in_a_terminal_it_asks(tmp_path: Path) -> None:
+    import pty
+
+    log = Path(shutil.copy(LOGS / "labview.lvm", tmp_path))
+    master, slave = pty.openpty()
+    source = str(Path(__file__).resolve().parents[2] / "src")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "piga", "init", str(log)],
+        stdin=slave, stdout=slave, stderr=slave, close_fds=True,
+        env=os.environ | {"PYTHONPATH": source, "NUMBA_DISABLE_JIT": "1"},
+    )  # fmt: skip
+    os.close(slave)
+    os.write(master, b"0.8884 kg\n0.8884 rad/s/g\ninstrument.serial=Q-5\n\n")
+    text = b""
+    while True:
+        try:
+            part = os.read(master, 4096)
+        except OSError:
+            break
+        if not part:
+            break
+        text += part
+    os.close(master)
+    assert process.wait(timeout=60) == 0, text.decode()
+    assert "nominal scale factor" in text.decode()
+    assert "is given in 'kg'" in text.decode()
+    written = log.with_suffix(".toml").read_text(encoding="utf-8")
+    assert 'serial = "Q-5"' in written
+    assert 'scale_factor = "0.8884 rad/s/g"' in written

@@ -1,0 +1,162 @@
+"""Logs as other programs write them: a run file is drafted, the log is read and calibrated, and the numbers are right."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders import build_lab_logs
+
+import piga
+from piga.describe import describe_log, draft_run_file, try_run_file
+from piga.earth import Site
+from piga.records.run_file import read_run_file
+
+LOGS = Path(__file__).resolve().parent.parent / "data" / "logs"
+SCALE = {"instrument.scale_factor": "0.8884 rad/s/g"}
+ROWS = build_lab_logs.rows()
+TUMBLES = ("german.csv", "labview.lvm", "chinese.csv", "french.csv", "iso.csv")
+STAND = {
+    "centrifuge.csv": {
+        "stand.latitude": "48 deg",
+        "stand.radius": "1 m",
+        "instrument.counts_per_revolution": 72000,
+    }
+}
+
+
+def drafted(folder: Path, name: str) -> tuple[Path, piga.Run]:
+    shutil.copy(LOGS / name, folder)
+    target = folder / "run.toml"
+    draft = draft_run_file(describe_log(folder / name), SCALE | STAND.get(name, {}), folder=folder)
+    assert draft.open == []
+    run = try_run_file(draft, target)
+    target.write_text(draft.text(), encoding="utf-8")
+    return target, run
+
+
+@pytest.mark.parametrize("name", TUMBLES)
+def test_numbers_are_those_of_the_record(tmp_path: Path, name: str) -> None:
+    path, run = drafted(tmp_path, name)
+    t = np.array([row[0] for row in ROWS])
+    counts = np.array([row[2] for row in ROWS])
+    f = np.array([[float(text) for text in row[3:]] for row in ROWS])
+    np.testing.assert_allclose(run.t - run.t[0], t - t[0], atol=1e-9)
+    np.testing.assert_allclose(run.output * 72000 / (2.0 * np.pi), counts, rtol=1e-12)
+    np.testing.assert_allclose(run.f / 9.80665, f, atol=2e-8)
+    assert len(run.labels) == 12
+    assert {event.kind for event in run.quality.events} <= {"encoding"}
+    assert read_run_file(path).instrument.counts_per_revolution == 72000
+
+
+@pytest.mark.parametrize(("name", "key", "value"), [
+    ("german.csv", "encoding", "cp1252"),
+    ("german.csv", "decimal", ","),
+    ("german.csv", "header_row", 6),
+    ("german.csv", "units_row", 7),
+    ("german.csv", "time", {"column": "Zeitstempel", "stamp": "DD.MM.YYYY hh:mm:ss.f"}),
+    ("german.csv", "temperature", {"column": "Temperatur", "unit": "°C"}),
+    ("labview.lvm", "header_row", 20),
+    ("labview.lvm", "delimiter", "\t"),
+    ("labview.lvm", "output", {"column": "Counter", "kind": "counts"}),
+    ("chinese.csv", "encoding", "gb18030"),
+    ("chinese.csv", "segment", "位置号"),
+    ("french.csv", "time", {"column": "Temps", "unit": "ms"}),
+    ("french.csv", "header_row", 2),
+    ("iso.csv", "time", {"column": "timestamp", "stamp": "iso"}),
+    ("folded.tsv", "header_row", 5),
+    ("folded.tsv", "units_row", 6),
+    ("head-angle.csv", "segment", "Teilkopfwinkel"),
+    ("centrifuge.csv", "segment", "level"),
+])  # fmt: skip
+def test_what_is_guessed(name: str, key: str, value: object) -> None:
+    assert draft_run_file(describe_log(LOGS / name)).document["data"][key] == value
+
+
+@pytest.mark.parametrize(("name", "serial"), [
+    ("german.csv", "G-0417"), ("chinese.csv", "BY-07"), ("french.csv", "A-12"), ("folded.tsv", "T-9"), ("iso.csv", "iso"),
+])  # fmt: skip
+def test_serial_of_the_preamble(name: str, serial: str) -> None:
+    assert draft_run_file(describe_log(LOGS / name)).document["instrument"]["serial"] == serial
+
+
+def test_a_counter_that_folds_and_a_gap(tmp_path: Path) -> None:
+    path, run = drafted(tmp_path, "folded.tsv")
+    document = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert document["instrument"]["counter_bits"] == 16
+    assert document["model"]["phase"] == "per-segment"
+    kinds = {event.kind: event.count for event in run.quality.events}
+    assert kinds["gap"] == 1
+    assert kinds["counter-roll-over"] == 6
+    steps = np.diff(run.output)[~run.begins[1:]] * 72000 / (2.0 * np.pi)
+    counts = np.array([row[2] for row in ROWS])
+    assert np.abs(steps).max() < 1100
+    assert np.abs(np.diff(counts)[0] - steps[0]) < 1e-6
+
+
+def test_the_angle_of_a_head_gives_the_reference(tmp_path: Path) -> None:
+    path, run = drafted(tmp_path, "head-angle.csv")
+    stand = tomllib.loads(path.read_text(encoding="utf-8"))["stand"]
+    assert stand["kind"] == "dividing-head"
+    assert stand["positions"][:3] == ["0 Grad", "30 Grad", "60 Grad"]
+    assert stand["latitude"] == "48 Grad"
+    np.testing.assert_allclose(
+        np.unique(run.f[:, 0].round(6)).max(), Site(np.deg2rad(48.0)).local_gravity, atol=1e-6
+    )
+    result = piga.calibrate(run)
+    assert abs(result["scale_factor"].value / 0.8884 - 1.0) < 1e-5
+    assert abs(result["k0"].value * 1e6 - 300.0) < 5.0 * result["k0"].std * 1e6
+
+
+def test_the_speed_of_a_centrifuge_gives_the_reference(tmp_path: Path) -> None:
+    path, run = drafted(tmp_path, "centrifuge.csv")
+    stand = tomllib.loads(path.read_text(encoding="utf-8"))["stand"]
+    assert stand["kind"] == "centrifuge"
+    assert stand["rates"] == [f"{rate} rpm" for rate in (30, 60, 90, 120, 90, 60, 30)]
+    assert run.f[:, 0].max() == pytest.approx((120.0 * 2.0 * np.pi / 60.0) ** 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", [*TUMBLES, "folded.tsv", "centrifuge.csv"])
+def test_it_calibrates(tmp_path: Path, name: str) -> None:
+    _, run = drafted(tmp_path, name)
+    result = piga.calibrate(run)
+    assert abs(result["scale_factor"].value / 0.8884 - 1.0) < 5e-4
+
+
+def test_every_guess_stands_in_the_file_with_its_reason(tmp_path: Path) -> None:
+    path, _ = drafted(tmp_path, "german.csv")
+    text = path.read_text(encoding="utf-8")
+    assert "#   Lage: segment: its name" in text
+    assert "# the bytes are not UTF-8" in text
+    assert '#   or: encoding = "gb18030"' in text
+    assert "# row 2: 'Gerät;G-0417;;;;;'" in text
+    assert "# from the log: " not in text
+
+
+def test_counts_of_a_revolution_from_the_log(tmp_path: Path) -> None:
+    """The log of LabVIEW does not say them: output over specific force and the nominal scale factor do."""
+    path, _ = drafted(tmp_path, "labview.lvm")
+    assert "# from the log: 7" in path.read_text(encoding="utf-8")
+    draft = draft_run_file(describe_log(LOGS / "labview.lvm"), {"instrument.counts_per_revolution": 72000})
+    assert draft.document["instrument"]["scale_factor"].startswith("0.888")
+
+
+def test_what_the_log_does_not_say_is_asked() -> None:
+    draft = draft_run_file(describe_log(LOGS / "labview.lvm"))
+    assert [one.key for one in draft.open] == ["instrument.scale_factor"]
+    draft = draft_run_file(describe_log(LOGS / "centrifuge.csv"), SCALE)
+    assert [one.key for one in draft.open] == [
+        "instrument.counts_per_revolution",
+        "stand.latitude",
+        "stand.radius",
+    ]
+
+
+def test_the_logs_are_those_of_the_builder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(build_lab_logs, "TARGET", tmp_path)
+    build_lab_logs.main()
+    for path in tmp_path.iterdir():
+        assert path.read_bytes() == (LOGS / path.name).read_bytes(), path.name

@@ -1,0 +1,115 @@
+"""Header, units row and skipped rows as the run file names them; encodings judged by the wanted column names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piga
+from piga.formats.text.convention import is_units_row
+from piga.formats.text.encoding import find_encoding, looks_western
+from tests.records.files import events, lines, write_run
+
+PREAMBLE = "Test 12;A. B.\nn;t\n1;2\n"
+HEADER = "t;n;fx;fy;fz"
+
+
+def body() -> list[str]:
+    return [line.replace(",", ";") for line in lines()]
+
+
+def read(folder: Path, text: str, data: str = "", encoding: str = "utf-8") -> piga.Run:
+    (folder / "run.csv").write_bytes(text.encode(encoding))
+    return piga.read_run(write_run(folder, data=data))
+
+
+@pytest.mark.parametrize("data", ["header_row = 4", "skip_rows = 3", "header_row = 4\nskip_rows = 1"])
+def test_rows_before_the_header(tmp_path: Path, data: str) -> None:
+    run = read(tmp_path, PREAMBLE + "\n".join([HEADER, *body(), ""]), data)
+    assert run.size == 40
+    assert run.row[0] == 5
+
+
+def test_the_row_with_the_names_is_named(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError) as caught:
+        read(tmp_path, PREAMBLE + "\n".join([HEADER, *body(), ""]))
+    assert "row 4 has these names: add [data] header_row = 4" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "units", ["s;-;g;g;g", "[s];[-];[g];[g];[g]", "s;;g;g;g", "s;1;g;g;g", '"s";"-";"g";"g";"g"']
+)
+def test_a_units_row(tmp_path: Path, units: str) -> None:
+    run = read(tmp_path, "\n".join([HEADER, units, *body(), ""]))
+    assert run.size == 40
+    with pytest.raises(piga.DataError, match="is in 'mg' there, but in 'g'"):
+        read(tmp_path, "\n".join([HEADER, units.replace("g", "mg"), *body(), ""]))
+
+
+def test_a_units_row_that_is_named(tmp_path: Path) -> None:
+    text = "\n".join([HEADER, "Ueberschrift;;;;", "sec;Imp.;;;", *body(), ""])
+    with pytest.raises(piga.DataError):
+        read(tmp_path, text)
+    assert read(tmp_path, text.replace("Ueberschrift;;;;\n", ""), "units_row = 2").size == 40
+    assert read(tmp_path, text, "units_row = 3").size == 40
+    with pytest.raises(piga.DataError, match="units_row 900 is not a row below"):
+        read(tmp_path, text, "units_row = 900")
+
+
+def test_no_units_row() -> None:
+    """A label that is a unit, and missing values, do not make a units row."""
+    assert not is_units_row(["-", "-", "g"], ["1.0", "2", "g"])
+    assert is_units_row(["-", "-", "g"], ["1.0", "2", "3.5"])
+    assert not is_units_row(["1.0", "s"])
+    assert not is_units_row(["NaN", "s"])
+    assert not is_units_row(["-", "-"])
+
+
+def test_a_first_row_that_only_looks_like_units(tmp_path: Path) -> None:
+    text = "\n".join(["t;n;fx;fy;fz;seg", *(f"{row};m" for row in body()), ""])
+    assert read(tmp_path, text, 'segment = "seg"\nunits_row = false').size == 40
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"),
+    [("Zählerstand", "cp1252"), ("Größe", "cp1252"), ("脉冲数", "gb18030"), ("Compteur d'été", "cp1252")],
+)
+def test_encodings_by_the_wanted_names(tmp_path: Path, name: str, encoding: str) -> None:
+    text = "\n".join([HEADER.replace("n", name), *body(), ""])
+    (tmp_path / "run.csv").write_bytes(text.encode(encoding))
+    path = write_run(tmp_path)
+    path.write_text(path.read_text().replace('"n"', f'"{name}"'), encoding="utf-8")
+    run = piga.read_run(path)
+    assert run.size == 40
+    assert events(run) == {"encoding": 1}
+    assert run.quality.events[0].detail == f"read as {encoding}"
+
+
+def test_encodings_without_names() -> None:
+    assert find_encoding("Zähler;Prüfer\n".encode("cp1252"), Path("x"), None) == "cp1252"
+    assert find_encoding("时间,脉冲数\n".encode("gb18030"), Path("x"), None) == "gb18030"
+    assert find_encoding("Größe\n".encode("cp1252"), Path("x"), None) == "gb18030"
+    assert find_encoding("Größe\n".encode("cp1252"), Path("x"), None, ["Größe"]) == "cp1252"
+    assert looks_western("°C; m/s²".encode("cp1252"))
+
+
+def test_a_misread_name_says_how_it_was_read(tmp_path: Path) -> None:
+    text = "\n".join([HEADER.replace("n", "Größe"), *body(), ""])
+    (tmp_path / "run.csv").write_bytes(text.encode("cp1252"))
+    with pytest.raises(piga.DataError, match=r"row 1 \(read as gb18030\): no column 'n'"):
+        piga.read_run(write_run(tmp_path))
+
+
+def test_separators_at_the_end_of_rows(tmp_path: Path) -> None:
+    run = read(tmp_path, "\n".join([HEADER, *(f"{row};" for row in body()), ""]))
+    assert run.size == 40
+    np.testing.assert_allclose(run.t[:2], [0.0, 0.05])
+
+
+def test_only_for_text(tmp_path: Path) -> None:
+    (tmp_path / "run.parquet").write_bytes(b"")
+    for key in ("skip_rows = 1", "header_row = 2", "units_row = 2"):
+        with pytest.raises(piga.DataError, match="is for text files"):
+            piga.read_run(write_run(tmp_path, "run.parquet", data=key))
