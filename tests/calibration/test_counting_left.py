@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.fit.residuals import DRAWS, LAGS, counting_probability
+from piga.calibration.fit.residuals import WHITENESS, counting_probability
 from piga.records.verdict import COUNTED
 from tests.calibration.synthetic import TERMS, record
 
@@ -58,12 +58,12 @@ def test_several_runs() -> None:
 def test_the_probability_is_even_where_counting_is_all() -> None:
     """Correlations of one kind, with means of their own: the data are one of them."""
     rng = np.random.default_rng(35)
-    middle = 0.1 * rng.standard_normal(LAGS)
+    middle = 0.1 * rng.standard_normal(WHITENESS.lags)
 
     def products(shift: float) -> np.ndarray:
-        correlation = middle + 0.006 * rng.standard_normal((1 + DRAWS, LAGS))
+        correlation = middle + 0.006 * rng.standard_normal((1 + WHITENESS.draws, WHITENESS.lags))
         correlation[0] += shift
-        return 28_800 * np.hstack([np.ones((1 + DRAWS, 1)), correlation])
+        return 28_800 * np.hstack([np.ones((1 + WHITENESS.draws, 1)), correlation])
 
     found = np.array([counting_probability((lambda: products(0.0),)) for _ in range(400)])
     assert np.mean(found < 0.05) == pytest.approx(0.05, abs=0.035)

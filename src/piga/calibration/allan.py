@@ -16,15 +16,33 @@ from piga.errors import ArgumentError
 
 Array = NDArray[np.float64]
 
-PER_DECADE = 8
-"""Averaging times per decade."""
-DIFFERENCES = 1 << 17
-"""Most differences used per averaging time. A longer record uses every second, third, ... difference; the
-deviation is then known to 0.2 %."""
-FEWEST_DEGREES = 1.0
-"""Fewest degrees of freedom of an averaging time that is shown."""
-UNEVEN = 0.01
-"""Relative scatter of the sampling steps above which a stretch is interpolated to an even grid."""
+
+@dataclass(frozen=True)
+class AllanSettings:
+    """Settings of the Allan deviation (own choices).
+
+    Attributes
+    ----------
+    per_decade:
+        Averaging times per decade.
+    differences:
+        Most differences used per averaging time. A longer record uses every second, third, ... difference; the
+        deviation is then known to 0.2 %.
+    fewest_degrees:
+        Fewest degrees of freedom of an averaging time that is shown.
+    uneven:
+        Relative scatter of the sampling steps above which a stretch is interpolated to an even grid.
+    """
+
+    per_decade: int = 8
+    differences: int = 1 << 17
+    fewest_degrees: float = 1.0
+    uneven: float = 0.01
+
+
+ALLAN = AllanSettings()
+
+
 ONE_SIGMA = 0.682689492137
 """Probability of the bands."""
 
@@ -87,11 +105,11 @@ def allan_deviation(
 
     stretches, step = _even_stretches(angle, t, begins)
     longest = max((x.size for x in stretches), default=0)
-    every = max(angle.size // DIFFERENCES, 1)
+    every = max(angle.size // ALLAN.differences, 1)
     rows = [
         (m * step, *pooled)
         for m in _multiples(longest)
-        if (pooled := _pooled(stretches, m, every, _walking(m * step, white, walk)))[1] >= FEWEST_DEGREES
+        if (pooled := _pooled(stretches, m, every, _walking(m * step, white, walk)))[1] >= ALLAN.fewest_degrees
     ]
     table = np.array(rows).reshape(-1, 4)
     tau, degrees = table[:, 0], table[:, 2]
@@ -138,8 +156,8 @@ def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[
     for left, right in zip(starts, np.append(starts[1:], t.size), strict=True):
         time = t[left:right] - t[left]
         even: Array = step * np.arange(time.size, dtype=float)
-        if np.abs(time - even).max() > UNEVEN * step:
-            even = step * np.arange(int(time[-1] / step + UNEVEN) + 1, dtype=float)
+        if np.abs(time - even).max() > ALLAN.uneven * step:
+            even = step * np.arange(int(time[-1] / step + ALLAN.uneven) + 1, dtype=float)
             stretches.append(np.interp(even, time, angle[left:right]))
         else:
             stretches.append(angle[left:right])
@@ -151,7 +169,7 @@ def _multiples(longest: int) -> list[int]:
     most = (longest - 1) // 3
     if most < 1:
         return []
-    count = max(int(PER_DECADE * math.log10(most)) + 1, 1)
+    count = max(int(ALLAN.per_decade * math.log10(most)) + 1, 1)
     return np.unique(np.round(np.geomspace(1, most, count)).astype(int)).tolist()
 
 

@@ -14,14 +14,32 @@ from piga.units import G0
 
 Array = NDArray[np.float64]
 
-STUCK = 8
-"""Fewest equal extreme values in a row that are reported."""
-RESTING = 2.0
-"""Steps that a run of equal extreme values may hide because of rounding."""
-SHOULDER = 1 << 16
-"""Most rows beside such a run that are examined."""
-SAMPLED = 1 << 17
-"""Rows of a long record that are examined for wrong units."""
+
+@dataclass(frozen=True)
+class SignalCheckSettings:
+    """Limits for doubtful signals (own choices).
+
+    Attributes
+    ----------
+    stuck:
+        Fewest equal extreme values in a row that are reported.
+    resting:
+        Steps that a run of equal extreme values may hide because of rounding.
+    shoulder:
+        Most rows beside such a run that are examined.
+    sampled:
+        Rows of a long record that are examined for wrong units.
+    """
+
+    stuck: int = 8
+    resting: float = 2.0
+    shoulder: int = 1 << 16
+    sampled: int = 1 << 17
+
+
+SIGNAL_CHECKS = SignalCheckSettings()
+
+
 FACTORS = {9.80665: "9.80665 (g and m/s^2)", 57.29577951: "57.2958 (deg and rad)", 1e3: "1000 (mg and g)",
            1e6: "10^6 (ug and g)", 3600.0: "3600 (per hour and per second)",
            57.29577951 * 3600: "206265 (deg/h and rad/s, or arcsec and rad)",
@@ -132,7 +150,7 @@ def stuck_extremes(
     A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
     and not reported. A run at or beyond the ``declared`` limits is not reported either: it counts as saturated.
     """
-    if extremes.size < 4 * STUCK or extremes.changes < 0.5 * extremes.size:
+    if extremes.size < 4 * SIGNAL_CHECKS.stuck or extremes.changes < 0.5 * extremes.size:
         return []
     events = []
     for word, bounds, best in (("largest", extremes.highs, np.nanmax), ("smallest", extremes.lows, np.nanmin)):
@@ -142,7 +160,10 @@ def stuck_extremes(
         for part, bound in zip(spans(values.size), bounds, strict=True):
             if bound == extreme:
                 run.see(values[part] == extreme, part.start)
-        if run.length >= STUCK and cut_off(values, segment, run.start, run.length, extreme) > RESTING:
+        if (
+            run.length >= SIGNAL_CHECKS.stuck
+            and cut_off(values, segment, run.start, run.length, extreme) > SIGNAL_CHECKS.resting
+        ):
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             events.append(Event("stuck-value", run.length, int(rows[run.start]), detail))
     return events
@@ -156,7 +177,7 @@ def cut_off(values: Array, segment: NDArray[np.int32], start: int, length: int, 
     comes from rounding hides at most one step. The neighbourhood ends with the ``segment``, because the speed of the
     reading in the next position does not apply to an output that is locked in this one.
     """
-    reach, last = min(length, SHOULDER), start + length - 1
+    reach, last = min(length, SIGNAL_CHECKS.shoulder), start + length - 1
     left, right = slice(max(start - reach, 0), start), slice(last + 1, last + 1 + reach)
     sides = (
         values[left][::-1][np.logical_and.accumulate(segment[left][::-1] == segment[start])],
@@ -195,7 +216,7 @@ def stopped_output(
         still = (steps(output, part) == 0.0) & ~begins[part]
         if still.any():
             run.see(still & (np.abs(a_x[part]) > least), part.start)
-    if run.length < STUCK:
+    if run.length < SIGNAL_CHECKS.stuck:
         return []
     expected = 0.0
     for part in spans(run.length):
@@ -247,7 +268,7 @@ def sequence_breaks(
 
 def sampled(count: int) -> NDArray[np.int64]:
     """Every row of a short record; equally spaced rows of a long one."""
-    return np.arange(0, count, max(1, -(-count // SAMPLED)))
+    return np.arange(0, count, max(1, -(-count // SIGNAL_CHECKS.sampled)))
 
 
 def mistaken_unit(f: Array, count: int, row: int) -> list[Event]:
@@ -268,7 +289,7 @@ def mistaken_rate(a_x: Array, rate: Array, scale_factor: float, count: int, row:
     """Report a mean output rate [rad/s] that differs from K a_x by a factor between units."""
     wanted = scale_factor * a_x
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
-    if strong.sum() < STUCK:
+    if strong.sum() < SIGNAL_CHECKS.stuck:
         return []
     ratio = abs(float(np.median(rate[strong] / wanted[strong])))
     for factor, words in FACTORS.items():

@@ -24,9 +24,8 @@ from piga.records.coverage import TYPE_A_ONLY, Coverage, coverage_factor, is_of_
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.trend.trend_line import (
-    DOUBT,
-    LEAST_DAYS,
     LIMIT,
+    TREND,
     Forecast,
     TrendModel,
     day_starts,
@@ -266,7 +265,7 @@ class _Records:
 
     def _model(self, values: Array, variances: Array, shared: Array) -> TrendModel:
         """The lines up to each day; no line if there are too few days."""
-        if self.days[-1] + 1 >= LEAST_DAYS:
+        if self.days[-1] + 1 >= TREND.least_days:
             return lines_so_far(self.years, values, variances, self.days, shared)
         merged = merge_by_day(self.years, values, variances, self.days)
         return TrendModel(None, merged.within, merged.freedom, float(np.median(merged.variances)))
@@ -294,12 +293,12 @@ class _Records:
         self, model: TrendModel, values: Array, own: Array, shared: Array
     ) -> tuple[list[Forecast | None], Array, Array]:
         """Forecast of each record from earlier days, and scores of records and days (nan: too few days)."""
-        late = np.flatnonzero(self.days >= LEAST_DAYS)
+        late = np.flatnonzero(self.days >= TREND.least_days)
         scores, day_scores = np.full(values.size, math.nan), np.full(int(self.days[-1]) + 1, math.nan)
         forecasts: list[Forecast | None] = [None] * values.size
         if not late.size:
             return forecasts, scores, day_scores
-        before = model.take(self.days[late] - LEAST_DAYS)
+        before = model.take(self.days[late] - TREND.least_days)
         expected = before.record_at(self.years[late], own[late], shared[:, late].T)
         scores[late] = expected.score(values[late])
         forecasts[late[0] :] = expected.rows()
@@ -313,7 +312,7 @@ class _Records:
             1.0 / total,
             (np.add.reduceat(weights * shared[:, late], first, axis=1) / total).T,
         )
-        day_scores[LEAST_DAYS:] = mean.score(np.add.reduceat(weights * values[late], first) / total)
+        day_scores[TREND.least_days :] = mean.score(np.add.reduceat(weights * values[late], first) / total)
         return forecasts, scores, day_scores
 
 
@@ -451,13 +450,13 @@ def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:
         if line is None:
             continue
         freedom = line.degrees_of_freedom
-        if chdtrc(freedom, line.chi2) < DOUBT:
+        if chdtrc(freedom, line.chi2) < TREND.doubt:
             ratio = (line.chi2 / freedom) ** 0.5
             sentences.append(
                 f"{trend.key}: days scatter {ratio:.1f} times as much as the records' own uncertainties let expect; the "
                 "excess is taken as day-to-day instability."
             )
-        elif chdtr(freedom, line.chi2) < DOUBT:
+        elif chdtr(freedom, line.chi2) < TREND.doubt:
             sentences.append(
                 f"{trend.key}: days scatter less than the records' own uncertainties let expect: these are stated too "
                 "large, or contain a part that the records share."

@@ -26,14 +26,31 @@ Array = NDArray[np.float64]
 Values = Any
 """A float for one line, or an array (k,) for k lines."""
 
-LEAST = 0.2
-"""Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
-DOUBT = 0.01
-"""Probability below which a small or large scatter contradicts the stated uncertainties."""
-TINY = 1e-12
-"""Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
-LEAST_DAYS = 3
-"""Fewest days for a line with uncertainty."""
+
+@dataclass(frozen=True)
+class TrendSettings:
+    """Limits of the trend line (own choices).
+
+    Attributes
+    ----------
+    low_sum:
+        Probability of the quantile that bounds the weighted residual sum from below; few values may agree by
+        chance.
+    doubt:
+        Probability below which a small or large scatter contradicts the stated uncertainties.
+    tiny:
+        Smallest standard uncertainty, relative to the largest value; prevents infinite weights.
+    least_days:
+        Fewest days for a line with uncertainty.
+    """
+
+    low_sum: float = 0.2
+    doubt: float = 0.01
+    tiny: float = 1e-12
+    least_days: int = 3
+
+
+TREND = TrendSettings()
 
 
 @dataclass(frozen=True)
@@ -263,16 +280,16 @@ def lines_so_far(
     """
     first = day_starts(days)
     count = first.size - 1
-    if count < LEAST_DAYS:
-        raise ArgumentError(f"a line with uncertainty needs {LEAST_DAYS} days, not {count}")
+    if count < TREND.least_days:
+        raise ArgumentError(f"a line with uncertainty needs {TREND.least_days} days, not {count}")
     t = np.asarray(time, dtype=float)
     if np.ptp(t) == 0.0:
         raise ArgumentError("a drift needs values at different times")
-    figures = np.empty((count + 1 - LEAST_DAYS, 11))
+    figures = np.empty((count + 1 - TREND.least_days, 11))
     known = np.empty((figures.shape[0], 2, shared.shape[0]))
     y, v = np.asarray(values, dtype=float), _not_exact(values, variances)
-    days_so_far(t, y, v, first, np.ascontiguousarray(shared), LEAST_DAYS, figures, known)
-    repeats = (first - np.arange(count + 1))[LEAST_DAYS:]
+    days_so_far(t, y, v, first, np.ascontiguousarray(shared), TREND.least_days, figures, known)
+    repeats = (first - np.arange(count + 1))[TREND.least_days :]
     return TrendModel(_line(figures, known), figures[:, 0], repeats, figures[:, 10])
 
 
@@ -281,8 +298,8 @@ def _line(figures: Array, known: Array) -> Line:
     from scipy.special import chdtri
 
     _, origin, level, slope, weight, moment, excess, chi2, residual_sum, stated, _ = figures.T
-    freedom = np.arange(LEAST_DAYS, LEAST_DAYS + figures.shape[0]) - 2.0
-    scale = np.maximum(residual_sum, chdtri(freedom, 1.0 - LEAST)) / freedom
+    freedom = np.arange(TREND.least_days, TREND.least_days + figures.shape[0]) - 2.0
+    scale = np.maximum(residual_sum, chdtri(freedom, 1.0 - TREND.low_sum)) / freedom
     return Line(
         origin=origin,
         level=level,
@@ -300,7 +317,7 @@ def _line(figures: Array, known: Array) -> Line:
 
 def _not_exact(values: Array, variances: Array) -> Array:
     """The variances with a lower bound, so that no value has infinite weight."""
-    return np.maximum(variances, (TINY * float(np.abs(values).max() or 1.0)) ** 2)
+    return np.maximum(variances, (TREND.tiny * float(np.abs(values).max() or 1.0)) ** 2)
 
 
 SMOOTHING = 0.2

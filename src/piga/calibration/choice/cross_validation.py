@@ -18,14 +18,30 @@ from piga.records.run import Run
 
 Array = NDArray[np.float64]
 
-FEWEST = 4
-"""Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
-BLOCKS = 10
-"""Number of blocks for a record of fewer segments; each has about the same number of rows."""
-MOST_FOLDS = 50
-"""Most parts that are left out one by one. With more parts, neighbours are left out together."""
-DEPENDENT = 1e-9
-"""Largest independent share of a column's length for which the column counts as dependent on the others."""
+
+@dataclass(frozen=True)
+class FoldSettings:
+    """Parts that cross-validation leaves out (own choices).
+
+    Attributes
+    ----------
+    fewest_segments:
+        Fewest segments for leaving out segments. A record with fewer segments is cut into blocks.
+    blocks:
+        Number of blocks for a record of fewer segments; each has about the same number of rows.
+    most:
+        Most parts that are left out one by one. With more parts, neighbours are left out together.
+    dependent:
+        Largest independent share of a column's length for which the column counts as dependent on the others.
+    """
+
+    fewest_segments: int = 4
+    blocks: int = 10
+    most: int = 50
+    dependent: float = 1e-9
+
+
+FOLDS = FoldSettings()
 
 
 @dataclass(frozen=True)
@@ -74,15 +90,15 @@ class HeldOutPrediction:
 def row_edges(run: Run, per_segment: bool) -> tuple[NDArray[np.int64], str]:
     """First row of every part and the end row; what the parts are (segments or blocks)."""
     edges = run.segment_edges()
-    if per_segment or edges.size > FEWEST:
+    if per_segment or edges.size > FOLDS.fewest_segments:
         return edges, "segment"
-    blocks = np.linspace(0, run.size, min(BLOCKS, run.size) + 1).astype(np.int64)
+    blocks = np.linspace(0, run.size, min(FOLDS.blocks, run.size) + 1).astype(np.int64)
     return np.unique(np.concatenate((edges, blocks))), "block"
 
 
 def fold_of(parts: int) -> NDArray[np.int64]:
     """Fold of each part: one per part, or one for several neighbours if there are many parts."""
-    return np.arange(parts) * min(parts, MOST_FOLDS) // parts
+    return np.arange(parts) * min(parts, FOLDS.most) // parts
 
 
 def predict(
@@ -135,6 +151,6 @@ def _least_squares(rows: Array) -> Array | None:
         return None
     triangle: Array = np.linalg.qr(rows / np.append(size, 1.0))[1]
     m = size.size
-    if np.abs(np.diag(triangle)[:m]).min() <= DEPENDENT:
+    if np.abs(np.diag(triangle)[:m]).min() <= FOLDS.dependent:
         return None
     return solve_upper(triangle[:m, :m], triangle[:m, m]) / size

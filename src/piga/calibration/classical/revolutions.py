@@ -39,19 +39,41 @@ from piga.records.run import Run
 Array = NDArray[np.float64]
 
 TURN = 2.0 * np.pi
-STEADY = 2e-3
-"""Largest change of the specific force in a position, relative to its size."""
+
+
+@dataclass(frozen=True)
+class RevolutionSettings:
+    """Settings of the method of whole turns (own choices).
+
+    Attributes
+    ----------
+    steady:
+        Largest change of the specific force in a position, relative to its size.
+    phases:
+        Parts of a turn whose durations give the amplification.
+    locking:
+        Amplification of the variance of a turn above which a position is left out: a/b below 1.08.
+    clear:
+        Ratio of the pulling to its standard uncertainty above which tan_beta is estimated.
+    least_freedom:
+        Fewest degrees of freedom of a result.
+    walk_shares:
+        Trial values for the share of the random walk in the scatter of turns.
+    """
+
+    steady: float = 2e-3
+    phases: int = 32
+    locking: float = 10.0
+    clear: float = 4.0
+    least_freedom: int = 3
+    walk_shares: int = 41
+
+
+REVOLUTIONS = RevolutionSettings()
+
+
 STEPS, SETTLED = 50, 1e-12
 """Most Gauss-Newton steps; relative size of the step that ends them."""
-PHASES = 32
-"""Parts of a turn whose durations give the amplification."""
-LOCKING = 10.0
-"""Amplification of the variance of a turn above which a position is left out: a/b below 1.08."""
-CLEAR = 4.0
-"""Ratio of the pulling to its standard uncertainty above which tan_beta is estimated."""
-LEAST_FREEDOM = 3
-RATIOS = 41
-"""Trial values for the share of the random walk in the scatter of turns."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +139,11 @@ class RevolutionFit:
 
     @property
     def shows_pulling(self) -> bool:
-        """True when ``tan(beta)^2`` exceeds ``CLEAR`` standard uncertainties."""
-        return self.square is not None and self.square > CLEAR * float(np.sqrt(self.covariance[-1, -1])) > 0.0
+        """True when ``tan(beta)^2`` exceeds ``REVOLUTIONS.clear`` standard uncertainties."""
+        return (
+            self.square is not None
+            and self.square > REVOLUTIONS.clear * float(np.sqrt(self.covariance[-1, -1])) > 0.0
+        )
 
 
 def find_positions(run: Run) -> Positions:
@@ -137,12 +162,12 @@ def find_positions(run: Run) -> Positions:
         at = np.interp(TURN * np.arange(count + 1), x, run.t[part])
         inside = slice(part.start, part.start + int(np.searchsorted(run.t[part], at[-1])) + 1)
         force = run.f[inside]
-        if np.ptp(force, axis=0).max() > STEADY * np.linalg.norm(force, axis=1).max():
+        if np.ptp(force, axis=0).max() > REVOLUTIONS.steady * np.linalg.norm(force, axis=1).max():
             unsteady.append(label)
             continue
         span = at[-1] - at[0]
         pulled, slow = _amplification(x, run.t[part], count)
-        if pulled > LOCKING:
+        if pulled > REVOLUTIONS.locking:
             locking.append(label)
             continue
         squares.append(float(np.sum((np.diff(at) * (TURN * count / span) - TURN) ** 2)))
@@ -154,7 +179,7 @@ def find_positions(run: Run) -> Positions:
         rows.append(part.stop - part.start)
         used.append((index, inside))
     freedom = int(sum(turns)) - len(turns)
-    if freedom < LEAST_FREEDOM:
+    if freedom < REVOLUTIONS.least_freedom:
         raise CalibrationError(
             f"method 'revolutions' finds {freedom + len(points)} whole turns of the output in {len(points)} positions"
             + (f"; not one in {', '.join(short[:6])}" if short else "")
@@ -183,8 +208,8 @@ def _amplification(x: Array, t: Array, count: int) -> tuple[float, float]:
     turn: ``w^3/(2 pi) integral d(angle)/r^3``, which is ``(1 + r0^2/2)/(1 - r0^2)`` for ``r0 = b/a``. For reading
     noise, r is the rate where turns begin and end.
     """
-    inner = np.interp(TURN / PHASES * np.arange(PHASES * count + 1), x, t)
-    times = np.diff(inner).reshape(count, PHASES).mean(axis=0)
+    inner = np.interp(TURN / REVOLUTIONS.phases * np.arange(REVOLUTIONS.phases * count + 1), x, t)
+    times = np.diff(inner).reshape(count, REVOLUTIONS.phases).mean(axis=0)
     slowness = times / times.mean()
     return float(np.mean(slowness**3)), float(0.5 * (slowness[0] + slowness[-1])) ** 2
 
@@ -199,7 +224,7 @@ def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> TurnScatter
     own, sums, degrees = shape[usable], squares[usable], freedom[usable]
     scale = shape.mean(axis=0)
     best, levels = np.inf, np.zeros(2)
-    for share in np.linspace(0.0, 1.0, RATIOS):
+    for share in np.linspace(0.0, 1.0, REVOLUTIONS.walk_shares):
         mixed = own @ (np.array([share, 1.0 - share]) / scale)
         level = float(np.sum(sums / mixed) / degrees.sum())
         cost = float(np.sum(degrees * np.log(mixed))) + degrees.sum() * np.log(max(level, 1e-300))
@@ -357,7 +382,7 @@ def revolutions_degrees(fit: RevolutionFit, request: Request) -> Array:
     share = np.array(parts)
     doubt = np.einsum("ik,ij,jk->k", share, scatter.covariance, share)
     degrees: Array = 2.0 * (scatter.levels @ share) ** 2 / np.maximum(doubt, 1e-300)
-    return np.clip(degrees, LEAST_FREEDOM, positions.freedom)
+    return np.clip(degrees, REVOLUTIONS.least_freedom, positions.freedom)
 
 
 def _named(fit: RevolutionFit, request: Request, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
@@ -467,7 +492,7 @@ def _events(positions: Positions) -> list[Event]:
         (
             "near-lock",
             positions.locking,
-            f"pulling amplifies the scatter of a turn more than {LOCKING:g} times",
+            f"pulling amplifies the scatter of a turn more than {REVOLUTIONS.locking:g} times",
         ),
     ):
         if labels:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,14 +25,32 @@ Integers = NDArray[np.int64]
 
 LAG_PART = 8192
 """Samples per step when lagged products are summed: 64 KiB."""
-LAGS = 20
-"""Lags of the portmanteau test."""
-WHITE = 1e-3
-"""Probability below which whitened residuals are called not white."""
-DRAWS = 32
-"""Simulated countings for the correlations of a coarsely counted record."""
-DRAWN_ROWS = 1 << 16
-"""First rows of the record used for this simulation: 0.2 s of processor time."""
+
+
+@dataclass(frozen=True)
+class WhitenessSettings:
+    """Settings of the tests for white residuals (own choices).
+
+    Attributes
+    ----------
+    lags:
+        Lags of the portmanteau test.
+    white:
+        Probability below which whitened residuals are called not white.
+    draws:
+        Simulated countings for the correlations of a coarsely counted record.
+    drawn_rows:
+        First rows of the record used for this simulation: 0.2 s of processor time.
+    """
+
+    lags: int = 20
+    white: float = 1e-3
+    draws: int = 32
+    drawn_rows: int = 1 << 16
+
+
+WHITENESS = WhitenessSettings()
+
 
 Products = Callable[[], "Array | None"]
 """Function that gives lagged products of one run: residuals, then each simulated counting (:func:`counted_products`)."""
@@ -226,13 +244,13 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
         square = x[part] * x[part]
         sums += (float(square.sum()), float(square @ x[part]), float(square @ square))
     variance = float(sums[0]) / n
-    lags = min(LAGS, n // 5)
+    lags = min(WHITENESS.lags, n // 5)
     products = np.zeros(lags + 1)
     add_lagged_products(x, products)
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
-    white = probability > WHITE
+    white = probability > WHITENESS.white
     counting = math.nan if white else counting_probability(runs)
     return replace(
         plain,
@@ -248,7 +266,7 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
         verdict="white"
         if white
         else COUNTED
-        if counting > WHITE
+        if counting > WHITENESS.white
         else "not white: the model or the noise description misses something",
     )
 
@@ -263,7 +281,7 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
     run, count = design.run, count_of(design.run)
     if count == 0.0 or mode != "increments":
         return None
-    size = min(run.size, DRAWN_ROWS)
+    size = min(run.size, WHITENESS.drawn_rows)
     h = np.zeros(size)
     for block in design.blocks():
         if block.start >= size:
@@ -276,9 +294,9 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
     formed = innovation != 0.0
     rng = np.random.default_rng(0)
     besides = math.sqrt(max(noise.white - count**2 / 12.0, 0.0))
-    correlated = np.zeros((1 + DRAWS, LAGS + 1))
+    correlated = np.zeros((1 + WHITENESS.draws, WHITENESS.lags + 1))
     rows = [innovation]
-    for _ in range(DRAWS):
+    for _ in range(WHITENESS.draws):
         place = rng.uniform(0.0, count, int(stretch[-1]) + 1)[stretch]
         walk = np.cumsum(np.sqrt(max(noise.walk, 0.0) * np.where(h > 0.0, h, 0.0)) * rng.standard_normal(size))
         noisy = path + place + walk + besides * rng.standard_normal(size)
@@ -307,7 +325,7 @@ def counting_probability(runs: tuple[Products, ...]) -> float:
     total = np.sum(counted, axis=0)
     correlation = total[:, 1:] / total[:, :1]
     data, draws = correlation[0], correlation[1:]
-    others = (draws.sum(axis=0) - draws) / (DRAWS - 1)
+    others = (draws.sum(axis=0) - draws) / (WHITENESS.draws - 1)
     own = np.sum((draws - others) ** 2, axis=1)
     distance = float(np.sum((data - draws.mean(axis=0)) ** 2))
     middle, spread = float(own.mean()), float(own.var(ddof=1))

@@ -10,7 +10,7 @@ sin(phi)`` carry the phase, which does not depend on their common size. The obse
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +26,37 @@ from piga.records.terms import SERVO_TERMS
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 40
-"""Most steps about the phase; four are usual."""
-SETTLED = 1e-10
-"""Change of the phase [rad] that ends the iteration."""
-SCAN = 72
-"""Trial phases before the first step, if one phase serves the whole record."""
-SEEN = 4.0
-"""Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
-SEPARATE = 1e-3
-"""Smallest independent part of a term's column, relative to its size, for the term to be determined."""
-SHARE = 0.05
-"""Least share of that column for which another term is named."""
+
+@dataclass(frozen=True)
+class ServoFitSettings:
+    """Settings of the search for the phase of the servo terms (own choices).
+
+    Attributes
+    ----------
+    iterations:
+        Most steps about the phase; four are usual.
+    settled:
+        Change of the phase [rad] that ends the iteration.
+    scan:
+        Trial phases before the first step, if one phase serves the whole record.
+    seen:
+        Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase
+        is fixed.
+    separate:
+        Smallest independent part of a term's column, relative to its size, for the term to be determined.
+    named_share:
+        Least share of that column for which another term is named.
+    """
+
+    iterations: int = 40
+    settled: float = 1e-10
+    scan: int = 72
+    seen: float = 4.0
+    separate: float = 1e-3
+    named_share: float = 0.05
+
+
+SERVO_FIT = ServoFitSettings()
 
 
 def at_state(
@@ -100,7 +119,7 @@ def find_state(
     given = known or {}
     state = ServoState((0.0,) * len(parts), given.get("servo", 0.0), given.get("servo_damping", 0.0), 0.0)
     state = replace(state, phases=_first_phases(layout, parts, wanted, state, given))
-    for _ in range(ITERATIONS):
+    for _ in range(SERVO_FIT.iterations):
         chosen = [
             at_state(part, names, state, g, given)
             for g, (part, names) in enumerate(zip(parts, wanted, strict=True))
@@ -108,7 +127,7 @@ def find_state(
         estimate = solve_parts(layout, chosen)
         moved = _state_of(layout, estimate, given, sum(part.count for part in parts))
         change = np.angle(np.exp(1j * (np.array(moved.phases) - np.array(state.phases))))
-        settled = np.abs(change).max() < SETTLED and (moved.inverse == 0.0) == (state.inverse == 0.0)
+        settled = np.abs(change).max() < SERVO_FIT.settled and (moved.inverse == 0.0) == (state.inverse == 0.0)
         sizes = np.array([state.stiffness, state.damping]), np.array([moved.stiffness, moved.damping])
         settled = settled and bool(np.all(np.abs(sizes[1] - sizes[0]) <= 1e-9 * np.abs(sizes[1])))
         state = moved
@@ -128,7 +147,7 @@ def _state_of(layout: Layout, estimate: Estimate, known: dict[str, float], rows:
     coupling = float(estimate.amplitudes[0])
     freedom = max(rows - estimate.covariance.shape[0], 1)
     deviation = np.sqrt(max(estimate.covariance[0, 0] * estimate.cost / freedom, 0.0))
-    inverse = 1.0 / coupling if abs(coupling) > SEEN * deviation else 0.0
+    inverse = 1.0 / coupling if abs(coupling) > SERVO_FIT.seen * deviation else 0.0
     phases = tuple(float(phase) for phase in estimate.phases)
     return ServoState(phases, sizes["servo"], sizes["servo_damping"], inverse)
 
@@ -147,7 +166,7 @@ def _first_phases(
 def _scanned(part: Reduction, wanted: Names, known: dict[str, float]) -> float:
     """Phase of least sum of squares; the coupling is bound to it."""
     best, chosen = np.inf, 0.0
-    for phase in 2.0 * np.pi * np.arange(SCAN) / SCAN - np.pi:
+    for phase in 2.0 * np.pi * np.arange(SERVO_FIT.scan) / SERVO_FIT.scan - np.pi:
         state = ServoState((float(phase),), 0.0, 0.0, 0.0)
         factor = at_state(part, wanted, state, 0, known).factor
         bound = np.column_stack([factor[:, :2] @ [np.cos(phase), np.sin(phase)], factor[:, 2:]])
@@ -284,9 +303,13 @@ def _made_of(rows: Array, size: float, names: list[str]) -> Names:
     columns = rows[:, :-1] / scale
     share = np.linalg.lstsq(columns, rows[:, -1], rcond=1e-9)[0]
     left = float(np.linalg.norm(rows[:, -1] - columns @ share))
-    if left > SEPARATE * size:
+    if left > SERVO_FIT.separate * size:
         return ()
-    named = tuple(dict.fromkeys(n for n, part in zip(names, share, strict=True) if abs(part) > SHARE * size))
+    named = tuple(
+        dict.fromkeys(
+            n for n, part in zip(names, share, strict=True) if abs(part) > SERVO_FIT.named_share * size
+        )
+    )
     return named or ("tan_beta",)
 
 

@@ -29,14 +29,32 @@ from piga.records.terms import SERVO_TERMS, check_terms, harmonic
 
 Array = NDArray[np.float64]
 
-INNER = 1e-6
-"""Relative change of K above which the regressors of runs with base rotation are computed again."""
+
+@dataclass(frozen=True)
+class JointSettings:
+    """Limits and steps of a joint fit (own choices).
+
+    Attributes
+    ----------
+    inner_change:
+        Relative change of K above which the regressors of runs with base rotation are computed again.
+    same_servo:
+        Largest relative difference of a servo coefficient between runs that is accepted; different rates cause
+        it.
+    noise_step:
+        Finite-difference step of a run's noise for d(variance)/d(noise), relative.
+    """
+
+    inner_change: float = 1e-6
+    same_servo: float = 0.02
+    noise_step: float = 0.01
+
+
+JOINT = JointSettings()
+
+
 SERVO_SOURCE = "servo "
 """Prefix of the names of sources that belong to the instrument."""
-SAME_SERVO = 0.02
-"""Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
-SMALL = 0.01
-"""Finite-difference step of a run's noise for d(variance)/d(noise), relative."""
 COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
 
@@ -125,7 +143,7 @@ def fit_jointly(
     stale = [
         i
         for i, summary in enumerate(summaries)
-        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > INNER
+        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > JOINT.inner_change
     ]
     for i in stale:
         prepared_again = live[i]
@@ -272,7 +290,7 @@ def _servo_state(
         return None
     for index, given in enumerate(known):
         alike = given.keys() == known[0].keys() and all(
-            abs(size - known[0][name]) <= SAME_SERVO * abs(size) for name, size in given.items()
+            abs(size - known[0][name]) <= JOINT.same_servo * abs(size) for name, size in given.items()
         )
         if not alike:
             raise CalibrationError(
@@ -435,14 +453,14 @@ def joint_degrees(fit: JointFit) -> Array:
         parts = _parts(layout, shared, fit.summaries, fit.servo)
         first = fit.first_group(index)
         for group in range(first, first + len(summary.parts)):
-            parts[group] = parts[group].scaled(1.0 / (1.0 + SMALL))
+            parts[group] = parts[group].scaled(1.0 / (1.0 + JOINT.noise_step))
         summaries = list(fit.summaries)
         summaries[index] = replace(
-            summary, added=tuple(noise.scaled(1.0 / (1.0 + SMALL)) for noise in summary.added)
+            summary, added=tuple(noise.scaled(1.0 / (1.0 + JOINT.noise_step)) for noise in summary.added)
         )
         estimate = _estimate(layout, shared, summaries, parts, fit.servo)
         _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
-        known += ((np.diag(covariance) - now) / SMALL) ** 2 / summary.degrees_of_freedom
+        known += ((np.diag(covariance) - now) / JOINT.noise_step) ** 2 / summary.degrees_of_freedom
     plain = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo))
     for noise, per_unit in _added(layout, shared, fit.summaries, plain, fit.servo):
         _, share = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
