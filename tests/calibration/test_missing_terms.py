@@ -1,6 +1,5 @@
 """Missing terms are found by their signature, errors of single positions and right models are left alone."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -134,40 +133,3 @@ def test_a_temperature_that_does_nothing_is_not_suggested():
 
     assert sum(suggested(replace(WARMING, k0_T=0.0), seed) for seed in range(200)) <= 2
     assert sum(suggested(WARMING, seed) for seed in range(40)) >= 38
-
-
-SWINGING = replace(WARMING, warmth=lambda t: 0.5 * np.sin(2.0 * np.pi * t / 400.0 + 1.57), k0_T=0.0)
-"""A bench whose temperature swings once while the head turns once."""
-
-
-def said_of_the_temperature(bench, seed=1, terms=TERMS):
-    found = piga.calibrate(bench.record(seed), terms)
-    return [remark for remark in found.remarks if "in step with the positions" in remark]
-
-
-@pytest.mark.only_compiled
-def test_a_temperature_in_step_with_the_positions_is_said():
-    """The scale factor moves as said: by 10 ug/K that are not in the model."""
-    (remark,) = said_of_the_temperature(SWINGING)
-    assert "'k0_T'" in remark
-    assert "another order" in remark
-    shift = float(re.search(r"moves scale_factor by ([0-9.e+]+) standard", remark)[1])
-    pair = [piga.calibrate(replace(SWINGING, k0_T=k0_T).record(1), TERMS) for k0_T in (0.0, 1e-5)]
-    moved = abs(pair[1]["scale_factor"].value - pair[0]["scale_factor"].value)
-    assert moved / pair[0]["scale_factor"].std == pytest.approx(shift, rel=0.2)
-    assert said_of_the_temperature(SWINGING, terms=(*TERMS, "k0_T")) == []
-
-
-@pytest.mark.only_compiled
-@pytest.mark.parametrize(
-    "warmth",
-    [
-        WARMING.warmth,
-        lambda t: 3.0 * t / 400.0,
-        lambda t: 0.5 * np.sin(2.0 * np.pi * t / 90.0),
-        lambda t: 1e-3 * np.sin(2.0 * np.pi * t / 400.0 + 1.57),
-    ],
-    ids=["warming", "ramp", "quick", "faint"],
-)
-def test_a_temperature_out_of_step_is_not_said(warmth):
-    assert said_of_the_temperature(replace(SWINGING, warmth=warmth)) == []

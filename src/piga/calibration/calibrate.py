@@ -65,8 +65,9 @@ from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Solution, name_coefficients, solve
 from piga.calibration.noise.weighting import weighting_mode
 from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.all_remarks import find_remarks, in_step, with_remarks
+from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
+from piga.calibration.remarks.temperature import unseen_bias
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import (
@@ -176,9 +177,11 @@ def _calibration(
         scatter = segment_scatter(fit.design, residuals, fit.noise)
         notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
         result = _assemble(run, fit, coefficients, covariance, budget.rows, residuals, notes, history)
-    warm = in_step(without_slow(fit), coefficients)
+    said = remarks.result()
+    unseen = unseen_bias(without_slow(fit), coefficients, said.missing)
+    warm = (unseen.words,) if unseen else ()
     result = replace(result, remarks=(*warm, *remarks_in_words(coefficients, request.phase)))
-    result = with_remarks(result, fit, remarks.result(), doubts)
+    result = with_remarks(result, fit, said, doubts)
     result = with_given_servo(result, given_servo(run), _moved_servo(run))
     compared = compare_models(run).document() if run.model.compare else None
     diagnostics = replace(result.diagnostics, monte_carlo=monte_carlo, model_comparison=compared)

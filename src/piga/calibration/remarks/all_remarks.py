@@ -1,4 +1,4 @@
-"""Remarks on a finished calibration: leverage, missing terms, data read wrongly, temperature in step with force.
+"""Remarks on a finished calibration: leverage, missing terms, data read wrongly.
 
 One cause gets one remark. Data that were read wrongly look as if terms were missing, and a missing term affects single
 segments. Advice on the data therefore suppresses suggestions of terms, and both suppress remarks on segments that
@@ -12,19 +12,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit.one_run import Fit, without_slow
-from piga.calibration.model.solution import layout_of, name_coefficients
+from piga.calibration.model.solution import name_coefficients
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
 from piga.calibration.remarks.leverage import find_leverage
-from piga.calibration.remarks.missing_terms import CANDIDATES, pieces_of, suggest_terms, suggestions_in_words
+from piga.calibration.remarks.missing_terms import suggest_terms, suggestions_in_words
 from piga.records.calibration import Calibration, Coefficient, MissingTerm, SegmentLeverage
-from piga.records.spool import extent
-from piga.records.terms import si_factor
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -97,74 +92,3 @@ def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, .
         replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
         for c, noisy, quiet in zip(coefficients, *named, strict=True)
     )
-
-
-@dataclass(frozen=True)
-class WarmSettings:
-    """Limits for the remark on temperature in step with force.
-
-    Attributes
-    ----------
-    growth:
-        Ratio [1] of the standard uncertainties of the scale factor with ``k0_T`` and without it, by the fit alone. Chosen
-        on eight starting phases of a swing in step with a tumble.
-    bias:
-        Change of the bias with temperature [g/K] that an instrument may have. The remark needs an effect on the scale
-        factor above its standard uncertainty.
-    """
-
-    growth: float = 1.5
-    bias: float = 1e-5
-
-
-WARM = WarmSettings()
-
-
-def in_step(plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[str, ...]:
-    """The remark on ``k0_T`` and ``scale_factor``; none where the record tells them apart.
-
-    Parameters
-    ----------
-    plain:
-        The fit without a slow noise.
-    coefficients:
-        Those of the result, with combined standard uncertainties.
-    """
-    design, run = plain.design, plain.design.run
-    scale = next((c for c in coefficients if c.name == "scale_factor"), None)
-    thermal = {"k0_T", "k1_T"} & set(design.request.terms)
-    if scale is None or run.temperature is None or thermal or design.request.phase_source != "output":
-        return ()
-    low, high = extent(run.temperature)
-    if low == high:
-        return ()
-    layout = layout_of(design)
-    names = layout.columns
-    if design.has_phases:
-        names = tuple(name for name, _ in layout.amplitude_keys)
-    pieces, _ = pieces_of(plain, ["k0_T"])
-    rows = np.vstack(pieces)[:, :-1]
-    size = np.linalg.norm(rows, axis=0)
-    if not size.all():
-        return ()
-    factor: Array = np.asarray(np.linalg.qr(rows / size, mode="r"))
-    m, at = len(names), names.index("scale_factor")
-    if np.abs(np.diag(factor)[:m]).min() == 0.0:
-        return ()
-    inverse = np.linalg.inv(factor[:m, :m])
-    share = inverse @ factor[:m, m]
-    left = abs(float(factor[m, m]))
-    own = float(np.sum(inverse[at] ** 2))
-    growth = math.inf if left < CANDIDATES.confounded else math.sqrt(1.0 + (float(share[at]) / left) ** 2 / own)
-    moved = abs(float(share[at]) * size[m] / size[at]) * WARM.bias * si_factor("k0_T") * scale.value
-    if growth < WARM.growth or moved < scale.std:
-        return ()
-    much = "without limit" if math.isinf(growth) else f"{growth:.2g} times as large"
-    words = (
-        f"the temperature moves in step with the positions: scale_factor and k0_T, a bias that follows the temperature, "
-        f"cannot be told apart here. With k0_T the fit's standard uncertainty of scale_factor is {much}; a bias of "
-        f"{1e6 * WARM.bias:g} ug/K that is not in the model moves scale_factor by {moved / scale.std:.2g} standard "
-        "uncertainties. Take the positions in another order, or twice at different temperatures, or hold the temperature; "
-        "or add 'k0_T' to [model] terms"
-    )
-    return (words,)

@@ -253,14 +253,17 @@ def term_values(name: str, a: Array, t: Array, warm: Array, turning: Array, alph
 class Tested:
     """A candidate (one column, or a pair that turns with the output) against the model.
 
-    ``columns`` are its column coefficients with ``std``. ``fall`` is the relative decrease of the sum of squares.
-    ``probability`` is that of such a decrease by chance (the larger of both tests). ``change`` is the change of the
-    parameters when the candidate is added.
+    ``columns`` are its column coefficients with ``std`` by the noise and ``spread`` by the scatter between the parts of
+    the record. ``freedom`` is the number of degrees of freedom of the scatter. ``fall`` is the relative decrease of the
+    sum of squares. ``probability`` is that of such a decrease by chance (the larger of both tests). ``change`` is the
+    change of the parameters when the candidate is added.
     """
 
     names: Names
     columns: Array
     std: Array
+    spread: Array
+    freedom: int
     fall: float
     probability: float
     change: Array
@@ -437,16 +440,19 @@ def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> Te
     model = solve_upper(R[:m, :m], R[:m, m : m + q])
     variance = rest / freedom
     by_noise = float(fdtrc(q, freedom, fall / q / max(variance, 1e-300)))
-    by_parts = _scatter_probability(parts, scale, model, R, size)
+    by_parts, spread, count = _scatter(parts, scale, model, R, size)
     std = np.sqrt(variance * np.sum(solve_upper(own, np.eye(q)) ** 2, axis=1))
     change = -(model @ size) / scale[:m]
-    return Tested(
-        names, size / scale[m:], std / scale[m:], fall / (fall + rest), max(by_noise, by_parts), change
-    )
+    chance = max(by_noise, by_parts)
+    columns, std, spread = size / scale[m:], std / scale[m:], spread / scale[m:]
+    return Tested(names, columns, std, spread, count, fall / (fall + rest), chance, change)
 
 
-def _scatter_probability(parts: list[Array], scale: Array, model: Array, R: Array, size: Array) -> float:
-    """Probability of the estimate, given the scatter of its score between the parts of the record."""
+def _scatter(parts: list[Array], scale: Array, model: Array, R: Array, size: Array) -> tuple[float, Array, int]:
+    """Probability of the estimate, given the scatter of its score between the parts of the record.
+
+    With it come the standard uncertainties of the estimate by this scatter, and their degrees of freedom.
+    """
     from scipy.special import fdtrc
 
     m, q = model.shape
@@ -459,9 +465,13 @@ def _scatter_probability(parts: list[Array], scale: Array, model: Array, R: Arra
         scatter += np.outer(score, score)
     count = len(parts)
     freedom = max(count - m - q, 4)
-    weight = own.T @ own @ size
-    ratio = float(weight @ np.linalg.pinv(scatter * count / freedom) @ weight) / q
-    return float(fdtrc(q, freedom, ratio))
+    information = own.T @ own
+    scatter *= count / freedom
+    weight = information @ size
+    ratio = float(weight @ np.linalg.pinv(scatter) @ weight) / q
+    inverse = np.linalg.inv(information)
+    spread = np.sqrt(np.diag(inverse @ scatter @ inverse))
+    return float(fdtrc(q, freedom, ratio)), spread, freedom
 
 
 def after_change(fit: Fit, change: Array) -> dict[str, float]:
