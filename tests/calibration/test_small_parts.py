@@ -311,7 +311,7 @@ def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
 
     with pytest.raises(ArgumentError, match=r"\[mounting\] step: must be positive"):
         planned(step="0 s")
-    with pytest.raises(ArgumentError, match=r"\[mounting\] skew: '0:90 deg' is no range(?s:.*)0:91:1 deg"):
+    with pytest.raises(ArgumentError, match=r"\[mounting\] skew: '0:90 deg' is not a range(?s:.*)0:91:1 deg"):
         planned(skew="0:90 deg")
     scenario = wish.scenario
     straight = replace(scenario.specimen, instrument=piga.Instrument(scale_factor=SCALE, beta=0.0))

@@ -267,9 +267,9 @@ def test_keys_that_do_not_fit(cal, keys, tmp_path):
     root = dcc_document(complete(), cal)
     with pytest.raises(DataError, match="is not the key of"):
         sign_xml(root, keys["ours"][0], keys["other"][1])
-    with pytest.raises(DataError, match="no private key"):
+    with pytest.raises(DataError, match="not a usable private key"):
         sign_xml(root, keys["ours"][1], keys["ours"][1])
-    with pytest.raises(DataError, match=r"no X.509 certificate"):
+    with pytest.raises(DataError, match=r"not an X.509 certificate"):
         sign_xml(root, keys["ours"][0], keys["ours"][0])
     with pytest.raises(DataError, match="cannot be read"):
         sign_xml(root, tmp_path / "none.pem", keys["ours"][1])

@@ -104,7 +104,7 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
     [
         (["list"], "Missing option '--store'"),
         (["list", "--store", "none.sqlite"], "no such store"),
-        (["list", "--store", "text.txt"], "no SQLite database"),
+        (["list", "--store", "text.txt"], "not an SQLite database"),
         (["show", "77", "--store", "a.sqlite"], "no record 77"),
         (["show", "first", "--store", "a.sqlite"], "is not a record"),
         (
@@ -115,12 +115,15 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
         (["verify", "--store", "bad.sqlite"], "damaged"),
         (["verify", "--store", "a.sqlite", "--head", "12"], "head 12: is not in this chain"),
         (["export", "a.sqlite", "--store", "a.sqlite"], "exists already"),
-        (["import", "text.txt", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "no ZIP file"),
+        (["import", "text.txt", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "not a ZIP file"),
         (["backup", "missing/x", "--store", "a.sqlite"], "cannot be written"),
-        (["restore", "text.txt", "--store", "new.sqlite"], "no SQLite database"),
+        (["restore", "text.txt", "--store", "new.sqlite"], "not an SQLite database"),
         (["reproduce", "--store", "a.sqlite"], "cannot be recomputed"),
         (["add", "none.toml", "--store", "new.sqlite", "--operator", "A", "--reason", "B"], "cannot be read"),
-        (["add", "none.toml", "--store", "text.txt", "--operator", "A", "--reason", "B"], "no SQLite database"),
+        (
+            ["add", "none.toml", "--store", "text.txt", "--operator", "A", "--reason", "B"],
+            "not an SQLite database",
+        ),
     ],
 )
 def test_wrong_use_is_exit_2_with_one_message(

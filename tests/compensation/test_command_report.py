@@ -221,7 +221,7 @@ def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):
     run = write(tmp_path)
     for words, says in (
         (("--report", tmp_path / "page.pdf"), "must end in .html"),
-        (("--report", tmp_path / "page.html", "--resume"), "does not go with --resume"),
+        (("--report", tmp_path / "page.html", "--resume"), "cannot be used with --resume"),
     ):
         code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *words)
         assert code == 2

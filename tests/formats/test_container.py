@@ -271,7 +271,7 @@ def test_cells_of_a_sheet(tmp_path: Path) -> None:
 
 def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:
     (tmp_path / "run.xls").write_bytes(b"x")
-    with pytest.raises(piga.DataError, match=r"'\.xls' are not read(?s:.*)save it as \.xlsx"):
+    with pytest.raises(piga.DataError, match=r"of kind '\.xls'(?s:.*)save it as \.xlsx"):
         piga.read_run(write_run(tmp_path, "run.xls"))
     write_xlsx(tmp_path / "run.xlsx", columns())
     (tmp_path / "~$run.xlsx").write_bytes(b"x")

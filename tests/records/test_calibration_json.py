@@ -52,7 +52,7 @@ def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) ->
     ("change", "message"),
     [
         (lambda d: d.update(schema="piga.calibration/2"), "not known to this version"),
-        (lambda d: d.update(schema="other"), "no calibration record"),
+        (lambda d: d.update(schema="other"), "not a calibration record"),
         (lambda d: d.pop("noise"), "missing required field `noise`"),
         (lambda d: d["coefficients"][0].update(unit="furlong"), "'rad/s/g' is needed"),
         (lambda d: d["coefficients"][0].update(name="k99"), "unknown coefficient 'k99'"),

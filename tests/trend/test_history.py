@@ -13,6 +13,7 @@ from piga.errors import ArgumentError
 from piga.records.coverage import TYPE_A_ONLY
 from piga.trend.history import YEAR, _to_two_digits_of, find_trend
 from piga.trend.trend_line import moving_average
+from tests.chance import assert_variance
 from tests.trend.campaign import SCENARIOS, covered, simulate
 from tests.trend.history import START, history, record
 
@@ -101,11 +102,15 @@ def test_turn_on_and_day_to_day_are_told_apart():
             t.append(day * 36 / 365.25 + run * 2e-4)
             y.append(10.0 + day_effect[day] + rng.normal(0, 1.5) + rng.normal(0, 0.5))
     trend = find_trend(history(t, y, 0.5))["k0"]
-    assert trend.turn_on == pytest.approx(1.5, rel=0.15)
-    assert trend.day_to_day == pytest.approx(3.0, rel=0.25)
+    within = trend.turn_on**2 + 0.5**2
+    assert_variance(within / (1.5**2 + 0.5**2), days * (per_day - 1), "turn-on")
+    between = trend.day_to_day**2 + within / per_day
+    assert_variance(between / (3.0**2 + (1.5**2 + 0.5**2) / per_day), days - 2, "day to day")
     assert trend.model.line.degrees_of_freedom == days - 2
-    forecast = trend.next_record(6.0)
-    assert forecast.std**2 == pytest.approx(9.0 + 2.25 + 0.25, rel=0.4)
+    line = between * (1.0 / days + (6.0 - np.mean(t)) ** 2 / (days * np.var(t)))
+    own = trend.day_to_day**2 + trend.turn_on**2 + 0.5**2
+    unclear = 0.5 * between * math.sqrt(2.0 / (days - 2))  # half the standard uncertainty of tau^2, at most
+    assert own + line <= trend.next_record(6.0).std ** 2 * (1.0 + 1e-9) <= own + line + unclear
 
 
 def test_an_outlier_and_a_shift_raise_alarms_in_words():

@@ -104,7 +104,7 @@ def issue(
     if (key is None) != (certificate is None):
         raise PigaError("--key and --certificate belong together", remedy="give both, or none")
     if key is not None and not dcc:
-        raise PigaError("--key signs the XML, which is not asked for", remedy="add --dcc")
+        raise PigaError("--key signs the XML, but no XML is written", remedy="add --dcc")
     file = _issued(read_certificate_file(data), issued)
     raw = _bytes(calibration)
     certified = calibration_from_bytes(raw, calibration)

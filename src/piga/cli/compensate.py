@@ -161,7 +161,7 @@ def _page(report: Path | None, resume: bool) -> Path | None:
     if report is None:
         return None
     if resume:
-        raise ArgumentError("--report does not go with --resume", remedy="leave one of them out")
+        raise ArgumentError("--report cannot be used with --resume", remedy="leave one of them out")
     if report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     return report
@@ -337,7 +337,7 @@ def _together(
         paths, mounted, inputs = runs, orthogonal_triad(calibrations), sources
     else:
         raise ArgumentError(
-            f"{len(runs)} runs with {len(calibrations)} calibrations: the mounting is not known",
+            f"{len(runs)} runs and {len(calibrations)} calibrations: piga cannot know how the instruments are mounted",
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
     report = None

@@ -280,7 +280,8 @@ def add(
     wanted = None if terms is None else [name.strip() for name in terms.split(",") if name.strip()]
     if results is not None and any(option is not None for option in (wanted, method, phase, phase_source)):
         raise PigaError(
-            "--results keeps a result as it is", remedy="leave out --terms, --method and --phase..."
+            "--results keeps the result of an earlier piga calibrate unchanged; options of the calibration do not apply",
+            remedy="leave out --terms, --method and --phase...",
         )
     _check_usable(store)
     with progress("calibrating"):

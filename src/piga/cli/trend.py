@@ -158,7 +158,7 @@ def _common(given: list[str]) -> Common:
             ) from None
     if "" in parts and len(parts) > 1:
         raise PigaError(
-            "--common: one part for all sources, or parts by source", remedy="drop the plain number"
+            "--common: give either one part for all sources, or parts by source", remedy="drop the plain number"
         )
     return parts.get("", parts)
 

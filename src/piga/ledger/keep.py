@@ -200,7 +200,8 @@ def prepare_results(
     settle(results)
     if read_whole(path, MAX_BYTES, "a calibration.json", CalibrationError) != raw:
         raise CalibrationError(
-            f"{path}: changed while the results were read", remedy="wait for what writes it, then try again"
+            f"{path}: changed while the results were read",
+            remedy="wait until the other program has written it, then try again",
         )
     software = {"piga": calibration.provenance.software.removeprefix("piga ")}
     draft = Draft(

@@ -135,7 +135,7 @@ def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:
         weights /= weights.sum()
     if derivatives.max() - 1.0 > 1e3 * GAP:
         raise CalibrationError(
-            f"the allocation of time did not converge (directional derivative {derivatives.max() - 1.0:.2g} too large)",
+            f"the search for the best times did not converge (directional derivative {derivatives.max() - 1.0:.2g} too large)",
             remedy="use fewer candidates, or criterion 'D'",
         )
     full = np.zeros(matrices.shape[0])

@@ -82,7 +82,8 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
     tangent = abs(instrument.tan_beta)
     if tangent == 0.0:
         raise CalibrationError(
-            "[mounting] needs [truth] beta: without it there is no lock zone", remedy="add it"
+            "[mounting] needs [truth] beta: without it there is no lock zone",
+            remedy="add the expected size, e.g. beta = '20 arcsec'",
         )
     stand = table.profile.build(request.path.parent)
     segments = stand.segments()
@@ -113,7 +114,7 @@ def _angles(text: str, what: str) -> Array:
     numbers, _, unit = text.strip().partition(" ")
     parts = numbers.split(":")
     if len(parts) != 3:
-        raise ArgumentError(f"[mounting] {what}: '{text}' is no range", remedy="write e.g. '0:91:1 deg'")
+        raise ArgumentError(f"[mounting] {what}: '{text}' is not a range", remedy="write e.g. '0:91:1 deg'")
     first, last, step = (to_si(f"{part} {unit}", "rad", what=f"[mounting] {what}") for part in parts)
     return np.array(position_range(first, last, step))
 

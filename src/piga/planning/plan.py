@@ -164,7 +164,8 @@ def plan_test(request: PlanRequest) -> Plan:
     )
     if not standard:
         raise CalibrationError(
-            "[plan] duration is too short for every standard plan", remedy="give it more time"
+            f"[plan] duration = {request.duration:g} s is too short: no usual test fits into it",
+            remedy="lengthen [plan] duration, or shorten minimum_dwell or the moves",
         )
     best, value = _best(search, criterion, begin, standard)
     shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
@@ -210,12 +211,12 @@ def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest
     interval, step = request.scenario.electronics.interval, request.dwell_step
     if abs(step / interval - round(step / interval)) > 1e-6:
         raise CalibrationError(
-            f"[plan] dwell_step {step:g} s is no multiple of the sample interval {interval:g} s",
+            f"[plan] dwell_step {step:g} s is not a multiple of the sample interval {interval:g} s",
             remedy="change dwell_step or sample_rate",
         )
     if abs(request.move / interval - round(request.move / interval)) > 1e-6:
         raise CalibrationError(
-            f"the move time {request.move:g} s is no multiple of the sample interval {interval:g} s",
+            f"the move time {request.move:g} s is not a multiple of the sample interval {interval:g} s",
             remedy="change move or sample_rate",
         )
     longest = math.floor(min(request.longest_dwell, request.duration) / step + 1e-9) * step

@@ -130,7 +130,9 @@ def _converted(table: dict[str, Any], kind: type[T], name: str) -> T:
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise RunFileError(f"[{name}]: {str(error).lower()}", remedy="as in a run file") from None
+        raise RunFileError(
+            f"[{name}]: {str(error).lower()}", remedy="write the table as in a run file"
+        ) from None
 
 
 def _check(table: PlanTable, model: ModelTable) -> None:
@@ -192,9 +194,11 @@ def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: Uncer
     times["move"] = _move(table)
     for key, seconds in times.items():
         if not seconds > 0.0:
-            raise RunFileError(f"[plan] {key}: {seconds:g} s is not positive", remedy="correct it")
+            raise RunFileError(f"[plan] {key}: {seconds:g} s is not positive", remedy="give a time above 0 s")
     if times["longest_dwell"] < times["minimum_dwell"]:
-        raise RunFileError("[plan] longest_dwell is below minimum_dwell", remedy="correct one of them")
+        raise RunFileError(
+            "[plan] longest_dwell is below minimum_dwell", remedy="make longest_dwell at least as long"
+        )
     wanted = {}
     for name, value in plan.wanted.items():
         unit = unit_of(name)

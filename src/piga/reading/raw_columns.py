@@ -78,7 +78,7 @@ def open_stream(
         return ContainerStream(path, kind, numeric, data.segment, data.sheet, CHUNK_ROWS)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
-        f"{path}: files of kind '{kind}' are not read",
+        f"{path}: piga does not read files of kind '{kind}'",
         remedy="open it in the spreadsheet program and save it as .xlsx or .csv"
         if spreadsheet
         else f"give .csv, .csv.gz, .parquet or one of {', '.join(SUFFIXES)}",

@@ -405,7 +405,8 @@ def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
             )
         if kind != SCHEMA:
             raise CalibrationError(
-                f"{path}: no calibration record (no schema '{SCHEMA}')", remedy="name a calibration.json"
+                f"{path}: is not a calibration record (it lacks the schema '{SCHEMA}')",
+                remedy="name a calibration.json",
             )
         return read()
     except (JsonError, msgspec.MsgspecError, ValueError) as error:

@@ -129,7 +129,7 @@ def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.
     items = _listed(value, what)
     if len(items) != size:
         raise ArgumentError(
-            f"{what}: {len(items)} values found, {size} needed", remedy=f"give a list of {size}"
+            f"{what}: {len(items)} values given, {size} needed", remedy=f"give a list of {size}"
         )
     numbers = np.array([_scalar(item, unit, what) for item in items])
     return tuple(float(v) for v in (numbers if rng is None else numbers * rng.standard_normal(size)))
@@ -146,7 +146,10 @@ def _listed(value: Any, what: str) -> list[Any]:
 def _harmonic(item: Any, what: str, rng: np.random.Generator | None) -> Harmonic:
     parts = _listed(item, what)
     if len(parts) != 3 or isinstance(parts[0], bool) or not isinstance(parts[0], int):
-        raise ArgumentError(f"{what}: {item!r} is not [order, 'amplitude', 'phase']")
+        raise ArgumentError(
+            f"{what}: {item!r} is not a harmonic: order, amplitude and phase are needed",
+            remedy="write e.g. [2, '1 arcsec', '0 deg']",
+        )
     amplitude = to_si(parts[1], "rad", what=what)
     phase = to_si(parts[2], "rad", what=what)
     return int(parts[0]), amplitude if rng is None else amplitude * float(rng.standard_normal()), phase

@@ -149,7 +149,7 @@ def sample_stand(
     errors.require(stand.accepted, stand.kind)
     segments = stand.segments()
     if not segments:
-        raise ArgumentError(f"the {stand.kind} has no segment", remedy="give it a duration")
+        raise ArgumentError(f"the {stand.kind} has no segment: it lasts 0 s", remedy="give it a duration")
     check_step(segments, step)
     end = round((segments[-1].stop - segments[0].start) / step) * oversample
     t = segments[0].start + np.arange(end + extra + 1) * step / oversample

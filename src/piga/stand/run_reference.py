@@ -229,7 +229,10 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
     try:
         built = msgspec.convert(table, SimpleStand | CompositeTable)
     except msgspec.ValidationError as error:
-        raise ArgumentError(f"[stand]: {str(error).lower()}", remedy="see the example scenarios") from None
+        raise ArgumentError(
+            f"[stand]: {str(error).lower()}",
+            remedy="write the table as in a scenario; the reference lists its keys",
+        ) from None
     return built.build(folder), names
 
 

@@ -167,7 +167,7 @@ class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"
         """The stand. With ``down`` the levels are run up and then down."""
         radius, stretch = _si(self.radius, "m", "radius"), _si(self.stretch, "s^2/rad^2", "stretch")
         if radius <= 0.0:
-            raise ArgumentError(f"[stand] radius: {radius:g} m is not positive")
+            raise ArgumentError(f"[stand] radius: {radius:g} m is not positive", remedy="e.g. '2.5 m'")
         if (self.levels is None) == (self.rates is None):
             raise ArgumentError("[stand] needs either levels or rates", remedy='e.g. levels = ["1 g", "2 g"]')
         if self.levels is not None:

@@ -200,7 +200,7 @@ def _oversample(
         noisy = p.pick_off_noise or p.torque_noise or electronics.angle_random_walk
         wanted = min(wanted, 5e-3) if noisy else wanted
     if wanted <= 0.0:
-        raise ArgumentError(f"step: {wanted:g} s is not positive")
+        raise ArgumentError(f"step: {wanted:g} s is not positive", remedy="e.g. '1 ms'")
     return max(1, math.ceil(electronics.interval / wanted - 1e-9))
 
 

@@ -205,7 +205,10 @@ def _check(entries: Sequence[tuple[str, dt.datetime, CalibrationFigures]], commo
         names.add(name)
     for source, part in common.items() if isinstance(common, Mapping) else [("common", common)]:
         if not 0.0 <= part <= 1.0:
-            raise ArgumentError(f"{source}: a shared part of {part!r} is not between 0 and 1")
+            raise ArgumentError(
+                f"{source}: a shared part of {part!r} is not between 0 and 1",
+                remedy="give a share of the variance, e.g. 0.5",
+            )
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ CASES: dict[str, tuple[Callable[[], Draft], str]] = {
         lambda: dataclasses.replace(draft(), software={"piga": "1\n2"}), "software: a text",
     ),
     "two files of one name": (lambda: twice(draft()), "two have the same name"),
-    "no calibration": (lambda: calibrated(data=b"{}"), "no calibration record"),
+    "no calibration": (lambda: calibrated(data=b"{}"), "not a calibration record"),
     "a calibration of another instrument": (lambda: calibrated("T-2"), "is of instrument 'T-1'"),
 }  # fmt: skip
 
@@ -144,7 +144,7 @@ def test_a_store_that_holds_such_a_record_can_still_be_read(
             for made in (draft(measured="yesterday"), calibrated(data=b"{}"), calibrated()):
                 store.append(lambda _place, made=made: made)
         assert len([record.measured for record in store.each()]) == 3
-        with pytest.warns(match="left out: record .*: no calibration record"):
+        with pytest.warns(match="left out: record .*: .*not a calibration record"):
             assert len(list(store.figures("T-1"))) == 1
 
 

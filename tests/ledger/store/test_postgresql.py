@@ -161,7 +161,7 @@ def test_between_the_two_databases(socket: Path, tmp_path: Path) -> None:
         names = [record.id for record in store.records()]
     url = new_database(socket, "restored")
     assert restore(tmp_path / "a.sqlite", url).head == head
-    with pytest.raises(StoreError, match="holds a store already"):
+    with pytest.raises(StoreError, match="there is a store already"):
         restore(tmp_path / "a.sqlite", url)
     with open_store(url) as store:
         assert store.read(names[1], "data") == content("a.sqlite-1", 3_000_000)

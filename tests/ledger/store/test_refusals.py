@@ -387,7 +387,7 @@ def test_what_is_no_export(tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite", 1) as store:
         with pytest.raises(StoreError, match="no such file"):
             import_records(store, tmp_path / "none.zip", "A", "merge")
-        with pytest.raises(StoreError, match="no ZIP file"):
+        with pytest.raises(StoreError, match="not a ZIP file"):
             import_records(store, tmp_path / "a.sqlite", "A", "merge")
         (tmp_path / "b.zip").write_bytes(b"PK\x03\x04 and nothing that a ZIP file needs" + SEAL + bytes(64))
         seal(tmp_path / "b.zip")

@@ -294,7 +294,7 @@ def test_backup_and_restore_give_the_same_head(tmp_path: Path) -> None:
         assert verify(target, [head]).sound
     with pytest.raises(StoreError, match="exists already"):
         restore(tmp_path / "all.zip", tmp_path / "a.sqlite")
-    with pytest.raises(StoreError, match="is not in this export"):
+    with pytest.raises(StoreError, match="the export lacks record"):
         restore(tmp_path / "part.zip", tmp_path / "new.sqlite")
     assert not (tmp_path / "new.sqlite").exists()
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]

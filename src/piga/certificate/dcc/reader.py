@@ -148,7 +148,7 @@ def read_dcc(path: str | Path) -> Calibration:
 def calibration_of(root: etree._Element, path: Path) -> Calibration:
     """The calibration in a certificate. Messages name ``path``. Errors as in :func:`read_dcc`."""
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate":
-        raise DataError(f"{path}: is no Digital Calibration Certificate", remedy="name a certificate in XML")
+        raise DataError(f"{path}: is not a Digital Calibration Certificate", remedy="name a certificate in XML")
     version = root.get("schemaVersion", "")
     if not version.startswith("3."):
         raise DataError(f"{path}: DCC version '{version[:20]}' is not known", remedy="update piga")
@@ -205,7 +205,9 @@ def _joint(root: etree._Element, path: Path) -> tuple[tuple[Coefficient, ...], n
     base = _one(root, f".//dcc:quantity[@refType='{JOINT}']/si:realListXMLList", path, "joint result")
     keys = [unquote(label) for label in base.findtext("si:labelXMLList", "", _NAMES).split()]
     if not 0 < len(keys) <= MOST_COEFFICIENTS or len(set(keys)) != len(keys):
-        raise DataError(f"{path}: {len(keys)} coefficients, some perhaps twice", remedy="get the file again")
+        raise DataError(
+            f"{path}: {len(keys)} coefficients: some may be there twice", remedy="get the file again"
+        )
     parts = [key.removesuffix("]").split("[", 1) if key.endswith("]") else [key] for key in keys]
     for name, *_ in parts:
         if not check_name(name):
@@ -543,7 +545,7 @@ def _compare_declarations(path: Path, root: etree._Element, record: Calibration)
     declared: dict[str, etree._Element] = {}
     for node in root.iterfind("dcc:administrativeData/dcc:statements/dcc:statement", _NAMES):
         if declared.setdefault(_content(node, "dcc:name"), node) is not node:
-            raise _contradiction(path, f"the statement '{_content(node, 'dcc:name')[:60]}' stands twice")
+            raise _contradiction(path, f"the statement '{_content(node, 'dcc:name')[:60]}' is there twice")
     _compare_ranges(path, declared.get("Range"), record)
     _compare_conformity(path, declared.get("Conformity"), _quantities(root, MEASURED))
     adjusted = _content(declared.get("Adjustment"), "dcc:declaration").startswith("The item was adjusted")

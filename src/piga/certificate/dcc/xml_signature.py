@@ -146,7 +146,7 @@ def sign_xml(
     try:
         private: Any = load_pem_private_key(read_whole(key, _MAX_PEM, "a PEM file"), passphrase)
     except (ValueError, TypeError) as error:
-        raise DataError(f"{key}: no private key that can be used: {error}", remedy="give a PEM file") from None
+        raise DataError(f"{key}: is not a usable private key: {error}", remedy="give a PEM file") from None
     if not isinstance(private, rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey):
         raise DataError(f"{key}: neither an RSA nor an elliptic-curve key", remedy="use one of these")
     public = load_certificate(certificate)
@@ -365,7 +365,9 @@ def load_certificate(path: Path) -> Any:
         certificate = x509.load_pem_x509_certificate(read_whole(path, _MAX_PEM, "a PEM file"))
         key = certificate.public_key()
     except (ValueError, UnsupportedAlgorithm) as error:
-        raise DataError(f"{path}: no X.509 certificate in PEM: {error}", remedy="check the file") from None
+        raise DataError(
+            f"{path}: is not an X.509 certificate in PEM: {error}", remedy="check the file"
+        ) from None
     if not isinstance(key, rsa.RSAPublicKey | ec.EllipticCurvePublicKey):
         raise DataError(f"{path}: its key is neither RSA nor on an elliptic curve", remedy="use one of these")
     kind = "RSA" if isinstance(key, rsa.RSAPublicKey) else "EC"

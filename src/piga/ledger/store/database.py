@@ -162,14 +162,17 @@ def _check_file(path: Path) -> None:
     """Check that the file is a SQLite database with piga's application id."""
     try:
         if not path.is_file():
-            raise StoreError(f"{path}: no such store", remedy="check --store; piga records add makes a new one")
+            raise StoreError(
+                f"{path}: there is no such store", remedy="check --store; piga records add makes a new store"
+            )
         with open_regular(path, error=StoreError) as stream:
             header = stream.read(100)
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
     if header[:16] != _MAGIC or len(header) < 100:
         raise StoreError(
-            f"{path}: no store of records (no SQLite database)", remedy="check --store, or restore a backup"
+            f"{path}: is not a store of records (not an SQLite database)",
+            remedy="check --store, or restore a backup",
         )
     if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
         raise _foreign(path)
@@ -312,7 +315,7 @@ def _open_postgresql(where: str, create: bool, identity: bytes | None) -> Databa
         version = schema_version(connection)
     if version == 0 and not create:
         raise StoreError(
-            f"{database.name}: holds no store yet", remedy="piga records add makes one in an empty database"
+            f"{database.name}: holds no store yet", remedy="piga records add makes a store in an empty database"
         )
     if version == 0:
         with database.writing() as connection:

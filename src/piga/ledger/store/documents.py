@@ -302,14 +302,16 @@ def check_record(document: RecordDocument) -> None:
     for name, value in (("request", document.request), ("software", document.software)):
         _check_plain(name, value)
     if len(document.files) > MAX_FILES:
-        raise ArgumentError(f"files: {len(document.files)}, more than {MAX_FILES}", remedy="pack them")
+        raise ArgumentError(
+            f"files: {len(document.files)}, more than {MAX_FILES}", remedy="pack them into one archive"
+        )
     for file in document.files:
         safe_name(file.name)
         check_label(file.role, "the role of a file")
         if not is_digest(file.sha256) or file.size < 0:
             raise ArgumentError(f"file '{file.name}': its SHA-256 or size is not valid")
     if len({file.name for file in document.files}) != len(document.files):
-        raise ArgumentError("files: two have the same name", remedy="give each its name")
+        raise ArgumentError("files: two have the same name", remedy="give each file a name of its own")
 
 
 def _check_plain(name: str, value: Any, depth: int = 8) -> None:

@@ -188,7 +188,9 @@ class Export:
             raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
         try:
             if self._stream.read(4) != b"PK\x03\x04":
-                raise StoreError(f"{path}: no export of records (no ZIP file)", remedy="check the name")
+                raise StoreError(
+                    f"{path}: is not an export of records (not a ZIP file)", remedy="check the name"
+                )
             self._check_seal()
             try:
                 self.zip = zipfile.ZipFile(

@@ -306,7 +306,8 @@ class Store:
                 continue
             if file.size > MAX_BYTES:
                 raise StoreError(
-                    f"{file.name}: larger than {MAX_BYTES} bytes", remedy="it is not a calibration"
+                    f"{file.name}: larger than {MAX_BYTES} bytes",
+                    remedy="a calibration is never so large; check the file",
                 )
             raw = b"".join(read_blob(connection, file.sha256))
             serial = calibration_from_bytes(raw, Path(file.name)).serial

@@ -184,7 +184,7 @@ def restore(source: Path, target: str | Path) -> Verification:
     restored = verify(target)
     _refuse_unsound(restored, restored.name)
     if restored.head != result.head:
-        raise StoreError(f"{target}: its head is not that of {source}", remedy="restore again")
+        raise StoreError(f"{target}: it ended with another head than {source}", remedy="restore again")
     return restored
 
 
@@ -197,7 +197,7 @@ def _restore_sqlite(origin: VerifiedSource, part: Path) -> None:
 def _restore_postgresql(origin: VerifiedSource, url: str) -> None:
     with Store(postgresql_database(url)) as store, store.database.writing() as connection:
         if schema_version(connection) != 0:
-            raise StoreError(f"{store.name}: holds a store already", remedy="restore into an empty database")
+            raise StoreError(f"{store.name}: there is a store already", remedy="restore into an empty database")
         migrate(connection)
         first_rows(connection, origin.identity())
         _copy_chain(store, connection, origin)
@@ -213,7 +213,7 @@ def _copy_chain(store: Store, connection: sa.Connection, origin: VerifiedSource)
 def _whole(entry: Entry) -> bytes:
     if entry.document is None:
         raise StoreError(
-            f"record {entry.number} is not in this export",
+            f"the export lacks record {entry.number}",
             remedy="restore from a backup, or import what is there",
         )
     return entry.document
@@ -234,8 +234,8 @@ def _has(connection: sa.Connection, raw: bytes) -> bool:
     ).scalar_one_or_none()
     if there is not None and sha256(bytes(there)) != sha256(raw):
         raise StoreError(
-            f"record {document.id} is in the store with other content",
-            remedy="one of the two was forged: verify both",
+            f"record {document.id} is in the store already, with other content",
+            remedy="one of the two was changed: run piga records verify on both",
         )
     return there is not None
 

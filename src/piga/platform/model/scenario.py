@@ -324,7 +324,9 @@ class _Reader:
     def positive(self, value: Quantity, unit: str, key: str) -> float:
         number = self.si(value, unit, key)
         if number <= 0.0:
-            raise RunFileError(f"{self.path}: {key} = {value!r} must be positive")
+            raise RunFileError(
+                f"{self.path}: {key} = {value!r} must be positive", remedy="give a value above 0"
+            )
         return number
 
     def scenario(self, f: ScenarioFile) -> PlatformScenario:
@@ -352,13 +354,19 @@ class _Reader:
 
     def check(self, s: PlatformScenario) -> None:
         if s.steps < 8:
-            raise RunFileError(f"{self.path}: [run] duration holds {s.steps} steps; at least 8 are needed")
+            raise RunFileError(
+                f"{self.path}: [run] duration holds {s.steps} steps; at least 8 are needed",
+                remedy="lengthen the duration or shorten the step",
+            )
         if abs(s.steps * s.step - s.duration) > 1e-6 * s.step * s.steps:
-            raise RunFileError(f"{self.path}: [run] duration is not a whole number of steps of {s.step:g} s")
+            raise RunFileError(
+                f"{self.path}: [run] duration is not a whole number of steps of {s.step:g} s",
+                remedy=f"write e.g. '{s.steps * s.step:g} s'",
+            )
         if abs(s.place.latitude) > 1.5:
             raise RunFileError(
                 f"{self.path}: [site] latitude is within 4 deg of a pole, where the gimbals lock",
-                remedy="the azimuth and polar gimbal axes become parallel there; choose a lower latitude",
+                remedy="choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel",
             )
         fastest = max(s.polar_rotation.rate, s.equatorial_rotation.rate)
         if fastest * s.step > 0.8:
@@ -424,7 +432,9 @@ class _Reader:
             key = f"[motion] {name}"
             sway.append(Oscillation(self.si(amplitude, unit, key), self.positive(period, "s", key)))
         if m.kind == "track" and not m.file:
-            raise RunFileError(f"{self.path}: [motion] kind = 'track' needs file = '...csv'")
+            raise RunFileError(
+                f"{self.path}: [motion] kind = 'track' needs a file", remedy="add file = 'track.csv'"
+            )
         return MotionPlan(
             kind=m.kind,
             roll=self.si(m.roll, "rad", "[motion] roll"),

@@ -130,7 +130,7 @@ def capstone(scenario: PlatformScenario) -> Capstone:
     """
     sensors = scenario.sensors.piga
     if sensors is None:
-        raise ArgumentError("the capstone needs [sensors] accelerometers = 'piga'")
+        raise ArgumentError("this page needs [sensors] accelerometers = 'piga'")
     ideal = simulate(replace(scenario, sensors=replace(scenario.sensors, piga=None)))
     preparation = prepare(ideal)
     outcomes = {}

@@ -40,7 +40,7 @@ class LoggedProfile:
 
     def __post_init__(self) -> None:
         if self.t.ndim != 1 or self.t.size < 2 or not self.fastest > 0.0:
-            raise ArgumentError("profile: needs at least two times, increasing")
+            raise ArgumentError("profile: needs at least two times, each later than the one before")
         for name, array in (("force", self.force), ("base rate", self.base_rate)):
             right = array.shape == (self.t.size, 3)
             if not (right and all(np.isfinite(array[part]).all() for part in spans(self.t.size))):

@@ -127,7 +127,9 @@ class DividingHead:
         if not self.positions:
             raise ArgumentError("dividing-head positions: none given", remedy="e.g. '0:360:15 deg'")
         if self.dwell <= 0.0 or self.move <= 0.0 or self.settling_time <= 0.0:
-            raise ArgumentError("dividing-head dwell, move and settling_time must be positive")
+            raise ArgumentError(
+                "dividing-head dwell, move and settling_time must be positive", remedy="give times above 0 s"
+            )
 
     @property
     def fastest(self) -> float:
@@ -199,7 +201,7 @@ class SpinPlan:
         if not self.rates:
             raise ArgumentError("rates: none given", remedy="give a list of angular rates")
         if self.dwell <= 0.0 or self.ramp <= 0.0:
-            raise ArgumentError("dwell and ramp must be positive")
+            raise ArgumentError("dwell and ramp must be positive", remedy="give times above 0 s")
 
     @property
     def resolution(self) -> float:
@@ -276,7 +278,7 @@ class Centrifuge:
 
     def __post_init__(self) -> None:
         if self.radius <= 0.0:
-            raise ArgumentError(f"centrifuge radius: {self.radius:g} m is not positive")
+            raise ArgumentError(f"centrifuge radius: {self.radius:g} m is not positive", remedy="e.g. '2.5 m'")
 
     @property
     def fastest(self) -> float:
@@ -317,7 +319,8 @@ def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 
     for level in levels:
         if level < 0.0:
             raise ArgumentError(
-                f"centrifuge levels: {level:g} m/s^2 is negative", remedy="turn the instrument outward"
+                f"centrifuge levels: {level:g} m/s^2 is negative",
+                remedy="give its size, and outward = true for the other direction",
             )
         ratio = level / radius
         root = math.sqrt(1.0 + 4.0 * stretch * ratio)
