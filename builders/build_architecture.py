@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 TARGET = ROOT / "docs" / "figures" / "architecture.svg"
 SENTENCES = {
     "cli": "the command line",
+    "campaign": "thousands of tests, one machine or many",
     "studies": "the publications reproduced",
     "certificate": "ISO/IEC 17025, DCC",
     "ledger": "calibrations kept and recomputed",

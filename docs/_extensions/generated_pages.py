@@ -16,6 +16,7 @@ import typer
 from sphinx.application import Sphinx
 
 import piga
+from piga.campaign.campaign_file import CampaignFile
 from piga.cli.main import app as command_line
 from piga.compensation.sets.set_files import TriadFile
 from piga.planning.plan_file import PlanTable
@@ -136,6 +137,7 @@ def file_pages() -> dict[str, str]:
         "scenario-file": ("The scenario file", ScenarioTable, "A synthetic test: `piga simulate`."),
         "plan-file": ("The plan file", PlanTable, "A test to be planned: `piga plan`."),
         "platform-file": ("The platform scenario", ScenarioFile, "A platform run: `piga platform ...`."),
+        "campaign-file": ("The campaign file", CampaignFile, "Thousands of tests: `piga campaign`."),
         "triad-file": ("The triad file", TriadFile, "Instruments solved together: `piga compensate`."),
     }
     return {name: file_page(*head) for name, head in heads.items()}

@@ -82,6 +82,7 @@ EXTRAS = {
     "lxml": "certificate",
     "signxml": "certificate",
     "cryptography": "certificate",
+    "distributed": "campaign",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 

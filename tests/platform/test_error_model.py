@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from piga.platform import error_budget, linear_errors, monte_carlo, simulate, standard_sources
+from piga.platform import error_budget, linear_errors, simulate, standard_sources
 from piga.platform.model.scenario import Place
 from piga.platform.navigation.navigator import Perturbation
 from piga.platform.runs.budget import perturbed_errors
 
-from .conftest import DEG, INTERPRETED, only_compiled, published, wobbling
+from .conftest import DEG, INTERPRETED, published
 
 pytestmark = pytest.mark.compiled
 
@@ -64,11 +64,3 @@ def test_the_budget_lists_every_source_and_their_sum():
     for row in rows:
         assert row.position_linear == pytest.approx(row.position_full, rel=0.01)
         assert row.difference < 0.01 * row.position_full
-
-
-@only_compiled
-def test_monte_carlo_scatters_with_the_noise():
-    found = monte_carlo(wobbling(duration=14400.0), 4)
-    assert found.seeds == (1, 2, 3, 4)
-    assert len(set(found.position["B"].tolist())) == 4
-    assert found.east_line["C"].max() < found.east_line["B"].min()

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 from piga._version import __version__
-from piga.cli import certificate, platform, records, trend
+from piga.cli import campaign, certificate, platform, records, trend
 from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert
 from piga.cli.common import CommandGroup, note, prepare_output
@@ -66,6 +66,7 @@ def _options(
 for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce):
     app.command()(command)
 app.add_typer(platform.app)
+app.add_typer(campaign.app)
 trend.register(records.app)
 app.add_typer(records.app)
 app.add_typer(certificate.app)

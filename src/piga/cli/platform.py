@@ -154,35 +154,31 @@ def compare(
     force: ForceOption = False,
     json: Json = False,
     budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
-    seeds: Annotated[int, typer.Option(help="Repeat the chain with this many seeds (Monte Carlo).", min=0)] = 0,
 ) -> None:
     """Compare the compensation models, and each with theory.
 
     Writes comparison.json and a page, day by day.
     """
-    from piga.platform.runs.budget import error_budget, line_budget, monte_carlo, standard_sources
-    from piga.platform.runs.output import budget_document, line_budget_document, scatter_document
+    from piga.platform.runs.budget import error_budget, line_budget, standard_sources
+    from piga.platform.runs.output import budget_document, line_budget_document
 
     comparison = _compared(scenario)
     s = comparison.run.scenario
-    with progress("budget and scatter"):
+    with progress("budget"):
         rows = error_budget(s, standard_sources(comparison.preparation.alignment)) if budget else ()
         lines = line_budget(s, comparison.preparation.identification) if budget else ()
-        scatter = monte_carlo(s, seeds) if seeds else None
     document = comparison.document()
     if rows:
         document["budget"] = budget_document(rows)
     if lines:
         document["line_budget"] = line_budget_document(lines)
-    if scatter is not None:
-        document["scatter"] = scatter_document(scatter)
     if out is not None:
         from piga.platform.runs.capstone import capstone
         from piga.reports.platform.page import capstone_page, comparison_page
 
         with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder:
             _write_json(folder / "comparison.json", document)
-            _page(folder, comparison_page(comparison, rows, lines, scatter))
+            _page(folder, comparison_page(comparison, rows, lines))
             if s.sensors.piga is not None:
                 with progress("gyro accelerometers"):
                     _page(folder, capstone_page(capstone(s)), "capstone.html")

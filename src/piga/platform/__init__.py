@@ -20,7 +20,7 @@ from piga.platform.navigation.navigator import (
     linear_errors,
     navigate,
 )
-from piga.platform.runs.budget import error_budget, monte_carlo, standard_sources
+from piga.platform.runs.budget import error_budget, standard_sources
 from piga.platform.runs.capstone import Capstone, capstone
 from piga.platform.runs.chain import ModelComparisonRun, compare, prepare, run_model
 
@@ -50,7 +50,6 @@ __all__ = [
     "line_amplitudes",
     "linear_errors",
     "load_scenario",
-    "monte_carlo",
     "navigate",
     "nulled_attitude",
     "observability",

@@ -156,7 +156,17 @@ def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
         If the file is missing, is not TOML (the message names the line), has an unknown or missing key, or a value of
         the wrong type.
     """
-    document = toml_document(path, raw)
+    return convert_toml(path, toml_document(path, raw), kind)
+
+
+def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
+    """Convert the tables of a TOML file into ``kind``. ``path`` is named in messages.
+
+    Raises
+    ------
+    RunFileError
+        For an unknown or missing key, or a value of the wrong type.
+    """
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 from msgspec import field as table_field
 
 from piga.errors import RunFileError
-from piga.records.text_files import read_toml
+from piga.records.text_files import convert_toml, read_toml
 from piga.units import to_si
 
 Quantity = str | float
@@ -310,6 +310,17 @@ def load_scenario(path: Path) -> PlatformScenario:
         If a quantity lacks its unit or has one of another kind.
     """
     return _Reader(path).scenario(read_toml(path, ScenarioFile))
+
+
+def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenario:
+    """The scenario of a document that was read from ``path``, and perhaps changed since.
+
+    Raises
+    ------
+    RunFileError, UnitError
+        As :func:`load_scenario`.
+    """
+    return _Reader(path).scenario(convert_toml(path, document, ScenarioFile))
 
 
 class _Reader:

@@ -1,4 +1,4 @@
-"""Error budget by source, and Monte Carlo over seeds: linear model against full perturbed runs."""
+"""Error budget by source: linear model against full perturbed runs."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from piga.platform.identification.alignment import Alignment
 from piga.platform.identification.identify import Identification
 from piga.platform.model.geometry import local_axes
 from piga.platform.model.models import compensator, true_knowledge
-from piga.platform.model.scenario import Gyro, Model, MotionPlan, PlatformScenario
+from piga.platform.model.scenario import Gyro, MotionPlan, PlatformScenario
 from piga.platform.model.simulate import PlatformRun, simulate
-from piga.platform.navigation.analysis import Lines, case_rates, daily_lines, day_slices, theory_lines
+from piga.platform.navigation.analysis import case_rates, daily_lines, day_slices, theory_lines
 from piga.platform.navigation.navigator import (
     Errors,
     Perturbation,
@@ -27,7 +27,6 @@ from piga.platform.navigation.navigator import (
     navigate,
     true_start,
 )
-from piga.platform.runs.chain import compare
 from piga.units import ARCSEC
 
 Array = NDArray[np.float64]
@@ -80,7 +79,7 @@ def error_budget(scenario: PlatformScenario, sources: Mapping[str, Perturbation]
     total = Perturbation()
     for perturbation in sources.values():
         total = total.plus(perturbation)
-    with ThreadPoolExecutor(_cores()) as pool:
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         named = {**sources, "all together": total}
         return tuple(pool.map(lambda item: _row(run, quiet, *item), named.items()))
 
@@ -189,45 +188,3 @@ def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
                 source, 2.0 * np.pi / rate, {name: float(v[-1]) for name, v in expected.items()},
                 {name: float(v[-1]) for name, v in seen.items()},
             )  # fmt: skip
-
-
-def _cores() -> int:
-    return os.cpu_count() or 1
-
-
-@dataclass(frozen=True)
-class MonteCarloScatter:
-    """Monte Carlo over seeds: largest horizontal error [m] and last day's lines [m/s] per model, (seeds,).
-
-    ``equatorial_line`` is empty where both cases turn at one speed.
-    """
-
-    seeds: tuple[int, ...]
-    position: Mapping[Model, Array]
-    east_line: Mapping[Model, Array]
-    equatorial_line: Mapping[Model, Array]
-
-
-def monte_carlo(scenario: PlatformScenario, seeds: int, *, workers: int | None = None) -> MonteCarloScatter:
-    """Repeat the whole chain with ``seeds`` seeds on all cores (threads over kernels that free the lock)."""
-    numbers = tuple(scenario.seed + k for k in range(seeds))
-
-    def once(seed: int) -> dict[Model, list[float]]:
-        models = compare(replace(scenario, seed=seed)).models
-        return {m: [float(r.lines.position.max()), *last_east_lines(r.lines)] for m, r in models.items()}
-
-    with ThreadPoolExecutor(workers or _cores()) as pool:
-        results = list(pool.map(once, numbers))
-    drawn = {m: np.array([r[m] for r in results]).T for m in scenario.compensation.models}
-    return MonteCarloScatter(
-        numbers,
-        {m: rows[0] for m, rows in drawn.items()},
-        {m: rows[1] for m, rows in drawn.items()},
-        {m: rows[2] for m, rows in drawn.items() if len(rows) > 2},
-    )
-
-
-def last_east_lines(lines: Lines) -> list[float]:
-    """East velocity lines [m/s] of the last day: at the polar case's rate and, at another speed, the equatorial one's."""
-    each = (lines.amplitude, lines.equatorial)
-    return [float(amplitude["east_velocity"][-1]) for amplitude in each if amplitude]

@@ -141,6 +141,12 @@ def compare(scenario: PlatformScenario) -> ModelComparisonRun:
     return ModelComparisonRun(run, preparation, models)
 
 
+def last_east_lines(lines: Lines) -> list[float]:
+    """East velocity lines [m/s] of the last day: at the polar case's rate and, at another speed, the equatorial one's."""
+    each = (lines.amplitude, lines.equatorial)
+    return [float(amplitude["east_velocity"][-1]) for amplitude in each if amplitude]
+
+
 def _lines_document(lines: Lines) -> dict[str, Any]:
     document: dict[str, Any] = {"day": [int(day) for day in lines.day]}
     for amplitude, label in ((lines.amplitude, "line"), (lines.equatorial, "equatorial_line")):

@@ -13,7 +13,7 @@ from piga.platform.identification.alignment import UNKNOWNS, Alignment
 from piga.platform.identification.identify import UNKNOWNS as MISALIGNMENTS
 from piga.platform.identification.identify import Identification, Observability
 from piga.platform.model.simulate import PlatformRun, Readouts
-from piga.platform.runs.budget import BudgetRow, LineRow, MonteCarloScatter
+from piga.platform.runs.budget import BudgetRow, LineRow
 from piga.platform.runs.chain import ModelRun, finite
 from piga.units import ARCMIN
 
@@ -157,16 +157,3 @@ def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
             entry |= {f"{name}_line_linear_{unit}": linear, f"{name}_line_full_{unit}": full}
         document.append(entry)
     return document
-
-
-def scatter_document(scatter: MonteCarloScatter) -> dict[str, Any]:
-    """Monte Carlo as JSON. A missing line is null."""
-    models: dict[str, dict[str, Any]] = {}
-    for m, position in scatter.position.items():
-        models[m] = {
-            "position_error_m": position.tolist(),
-            "east_velocity_line_m_s": finite(scatter.east_line[m]),
-        }
-        if m in scatter.equatorial_line:
-            models[m]["east_velocity_equatorial_line_m_s"] = finite(scatter.equatorial_line[m])
-    return {"seeds": list(scatter.seeds), "models": models}

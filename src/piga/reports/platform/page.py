@@ -18,9 +18,9 @@ from piga.platform.model.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.model.scenario import Gyro, PlatformScenario
 from piga.platform.model.simulate import PlatformRun
 from piga.platform.navigation.analysis import case_rates
-from piga.platform.runs.budget import BudgetRow, LineRow, MonteCarloScatter, last_east_lines
+from piga.platform.runs.budget import BudgetRow, LineRow
 from piga.platform.runs.capstone import Capstone
-from piga.platform.runs.chain import ModelComparisonRun, Preparation
+from piga.platform.runs.chain import ModelComparisonRun, Preparation, last_east_lines
 from piga.reports.platform.figures import (
     REFERENCE_MODEL,
     Case,
@@ -323,7 +323,6 @@ def comparison_page(
     comparison: ModelComparisonRun,
     budget: Sequence[BudgetRow] = (),
     lines: Sequence[LineRow] = (),
-    scatter: MonteCarloScatter | None = None,
 ) -> Page:
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario
@@ -344,8 +343,6 @@ def comparison_page(
     if budget:
         tables = (_budget_table(budget), *((_line_budget_table(lines),) if lines else ()))
         sections.append(Section("Error budget by source", "budget", tables))
-    if scatter is not None:
-        sections.append(Section("Scatter over seeds", "scatter", (_scatter_table(scatter),)))
     return page("Compensation models compared", s, _comparison_tiles(comparison), tuple(sections))
 
 
@@ -483,30 +480,6 @@ def _line_budget_table(budget: Sequence[LineRow]) -> Table:
         caption="Lines at the case-rotation periods by misalignment",
         notes=(
             "Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
-        ),
-    )
-
-
-def _scatter_table(scatter: MonteCarloScatter) -> Table:
-    lines = [("east line", scatter.east_line)]
-    if scatter.equatorial_line:
-        lines.append(("east line, equatorial case", scatter.equatorial_line))
-    columns = [
-        TableColumn("model", align="text"),
-        TableColumn("position, median", "m"),
-        TableColumn("position, largest", "m"),
-    ]
-    for name, _ in lines:
-        columns += [TableColumn(f"{name}, {what}", "mm/s") for what in ("mean", "scatter")]
-    rows = []
-    for m, p in scatter.position.items():
-        numbers = [f(1e3 * drawn[m]) for _, drawn in lines for f in (np.mean, np.std)]
-        rows.append((model_name(m), *(short(float(v)) for v in (np.median(p), p.max(), *numbers))))
-    return Table(
-        tuple(columns),
-        tuple(rows),
-        notes=(
-            f"{len(scatter.seeds)} runs of the whole chain, seeds {scatter.seeds[0]} to {scatter.seeds[-1]}.",
         ),
     )
 

@@ -1,0 +1,456 @@
+"""Campaign files (TOML): scenarios, grids, drawn values and repeats, or an archive of run files; and the list of records.
+
+The list of records is a function of the campaign file and of the files that it names. It does not depend on the machine.
+Every record has a case and a repeat, and its random numbers start at ``SeedSequence(seed, spawn_key=(case, repeat))``.
+"""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import math
+import re
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from piga.errors import RunFileError
+from piga.records.run_file import Quantity, TomlTable
+from piga.records.text_files import read_toml, toml_document
+
+Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
+Subject = Literal["constant-force", "stand", "platform", "archive"]
+MOST_CASES = 1_000_000
+"""Most cases of a campaign."""
+
+
+class CampaignTable(TomlTable, frozen=True):
+    """``[campaign]``: what holds for the whole campaign.
+
+    ``designs`` is the number of cases that are drawn for each point of the grid (with ``[draw]``). ``bounds`` is the
+    number of records per case for which the Cramer-Rao bound is computed. ``records_per_shard``: how many records are
+    computed together; if it is not given, it is measured when the campaign is planned.
+    """
+
+    title: str = ""
+    seed: Annotated[int, Meta(ge=0)] = 1
+    repeats: Count = 1
+    designs: Count = 1
+    bounds: Annotated[int, Meta(ge=0)] = 50
+    records_per_shard: Count | None = None
+
+
+class CaseTable(TomlTable, frozen=True):
+    """``[[case]]``: one scenario by name, with values of its own.
+
+    ``scenario`` names a scenario file. ``set`` replaces values of it. ``constant_force`` describes a test in the campaign
+    file itself; several of them in ``joint`` are calibrated together.
+    """
+
+    name: str
+    scenario: str | None = None
+    set: dict[str, Any] = msgspec.field(default_factory=dict)
+    repeats: Count | None = None
+    bounds: Annotated[int, Meta(ge=0)] | None = None
+    constant_force: dict[str, Any] | None = None
+    joint: tuple[dict[str, Any], ...] = ()
+
+
+class DrawTable(TomlTable, frozen=True):
+    """An entry of ``[draw]``: how a value is drawn for each design."""
+
+    distribution: Literal["uniform", "log-uniform", "normal", "choice"]
+    low: Quantity | None = None
+    high: Quantity | None = None
+    mean: Quantity | None = None
+    std: Quantity | None = None
+    values: tuple[Any, ...] = ()
+
+
+class ArchiveTable(TomlTable, frozen=True):
+    """``[archive]``: run files to calibrate again, and the store that holds their calibrations.
+
+    ``runs`` are patterns relative to the campaign file. ``terms`` and ``method`` replace those of the run files.
+    """
+
+    runs: str | tuple[str, ...]
+    store: str | None = None
+    terms: tuple[str, ...] | None = None
+    method: str | None = None
+
+
+class CampaignFile(TomlTable, frozen=True):
+    """The whole file."""
+
+    campaign: CampaignTable = CampaignTable()
+    scenario: str | None = None
+    case: tuple[CaseTable, ...] = ()
+    grid: dict[str, tuple[Any, ...]] = msgspec.field(default_factory=dict)
+    draw: dict[str, DrawTable] = msgspec.field(default_factory=dict)
+    archive: ArchiveTable | None = None
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cases whose records are judged together: one scenario at one point of the grid.
+
+    ``first`` is the number of its first case, ``start`` the number of its first record.
+    """
+
+    name: str
+    subject: Subject
+    scenario: str
+    set: dict[str, Any]
+    designs: int
+    repeats: int
+    bounds: int
+    first: int
+    start: int
+
+    @property
+    def records(self) -> int:
+        """Number of records."""
+        return self.designs * self.repeats
+
+    @property
+    def label(self) -> str:
+        """Name and point of the grid in words."""
+        point = ", ".join(f"{key} = {shown(value)}" for key, value in self.set.items())
+        return f"{self.name}: {point}" if self.name and point else self.name or point or "all records"
+
+
+def shown(value: Any) -> str:
+    """A value of a grid as it is read."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(shown(part) for part in value)}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True)
+class RecordName:
+    """The place of a record: its number, group, case, design inside the group, and repeat."""
+
+    number: int
+    group: Group
+    case: int
+    repeat: int
+
+    @property
+    def design(self) -> int:
+        """Number of the design inside the group."""
+        return self.case - self.group.first
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All records of a campaign, in order. ``texts`` holds the bytes of the campaign file and of the scenario files by name."""
+
+    path: Path
+    file: CampaignFile
+    texts: Mapping[str, bytes]
+    groups: tuple[Group, ...]
+    documents: Mapping[str, dict[str, Any]] = field(repr=False)
+
+    @property
+    def seed(self) -> int:
+        """Seed of the campaign."""
+        return self.file.campaign.seed
+
+    @cached_property
+    def records(self) -> int:
+        """Number of records."""
+        return sum(group.records for group in self.groups)
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return [group.start for group in self.groups]
+
+    def record(self, number: int) -> RecordName:
+        """A record by its number."""
+        group = self.groups[bisect.bisect_right(self._starts, number) - 1]
+        design, repeat = divmod(number - group.start, group.repeats)
+        return RecordName(number, group, group.first + design, repeat)
+
+    def find(self, case: int, repeat: int) -> RecordName:
+        """A record by case and repeat.
+
+        Raises
+        ------
+        RunFileError
+            If there is no such record.
+        """
+        for group in self.groups:
+            if group.first <= case < group.first + group.designs and 0 <= repeat < group.repeats:
+                return self.record(group.start + (case - group.first) * group.repeats + repeat)
+        raise RunFileError(
+            f"{self.path}: there is no record of case {case}, repeat {repeat}",
+            remedy=f"the campaign has {sum(g.designs for g in self.groups)} cases; repeats count from 0",
+        )
+
+    def document(self, record: RecordName) -> dict[str, Any]:
+        """The scenario of a record: the file with the values of the case, of the grid and of the draw."""
+        document = deepcopy(self.documents[record.group.scenario])
+        case = next((c for c in self.file.case if c.name == record.group.name), None)
+        for key, value in (case.set if case else {}).items():
+            replace_value(document, key, value)
+        for key, value in record.group.set.items():
+            replace_value(document, key, value)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(record.case,)))
+        for key, table in self.file.draw.items():
+            replace_value(document, key, _drawn(table, rng))
+        return document
+
+    def sequence(self, record: RecordName) -> np.random.SeedSequence:
+        """Random numbers of a record: the same on every machine, in every order."""
+        return np.random.SeedSequence(self.seed, spawn_key=(record.case, record.repeat))
+
+
+def replace_value(document: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value of a TOML document by its dotted key. Tables on the way are made; a number picks an entry of a list.
+
+    Raises
+    ------
+    KeyError
+        If the way leads through a value that is no table.
+    """
+    *tables, last = key.split(".")
+    at: Any = document
+    for name in tables:
+        at = at[int(name)] if isinstance(at, list) else at.setdefault(name, {})
+        if not isinstance(at, (dict, list)):
+            raise KeyError(name)
+    if isinstance(at, list):
+        at[int(last)] = value
+    else:
+        at[last] = value
+
+
+# --- drawing -----------------------------------------------------------------------------------------
+
+
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
+_NEEDED = {
+    "uniform": ("low", "high"),
+    "log-uniform": ("low", "high"),
+    "normal": ("mean", "std"),
+    "choice": ("values",),
+}
+
+
+def _number(value: Quantity) -> tuple[float, str]:
+    """Number and unit of a quantity."""
+    if not isinstance(value, str):
+        return float(value), ""
+    match = _NUMBER.fullmatch(value)
+    if match is None:
+        raise ValueError(f"'{value}' does not begin with a number")
+    return float(match[1]), match[2].strip()
+
+
+def _ends(table: DrawTable) -> tuple[float, float, str]:
+    """Two numbers of a distribution and their unit."""
+    first, second = (getattr(table, name) for name in _NEEDED[table.distribution])
+    (a, unit), (b, other) = _number(first), _number(second)
+    if unit != other:
+        raise ValueError(f"units differ: '{unit}' and '{other}'")
+    return a, b, unit
+
+
+def _check_draw(table: DrawTable) -> None:
+    """Refuse a distribution that cannot be drawn from.
+
+    Raises
+    ------
+    ValueError
+        Saying what is wrong.
+    """
+    needed = _NEEDED[table.distribution]
+    missing = [name for name in needed if not getattr(table, name) and getattr(table, name) != 0]
+    if missing:
+        raise ValueError(f"a distribution '{table.distribution}' needs {' and '.join(needed)}")
+    if table.distribution == "choice":
+        return
+    a, b, _ = _ends(table)
+    if table.distribution == "normal" and b < 0.0:
+        raise ValueError("std is negative")
+    if table.distribution != "normal" and not a < b:
+        raise ValueError("low is not below high")
+    if table.distribution == "log-uniform" and a <= 0.0:
+        raise ValueError("low must be positive for 'log-uniform'")
+
+
+def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
+    """One value."""
+    if table.distribution == "choice":
+        return table.values[int(rng.integers(len(table.values)))]
+    a, b, unit = _ends(table)
+    if table.distribution == "uniform":
+        value = float(rng.uniform(a, b))
+    elif table.distribution == "log-uniform":
+        value = math.exp(float(rng.uniform(math.log(a), math.log(b))))
+    else:
+        value = a + b * float(rng.standard_normal())
+    return f"{value!r} {unit}" if unit else value
+
+
+# --- reading -----------------------------------------------------------------------------------------
+
+
+def read_campaign(path: str | Path) -> Plan:
+    """Read a campaign file and the scenario files that it names.
+
+    Raises
+    ------
+    RunFileError
+        If a file cannot be read, a key is unknown, or a key of ``[grid]``, ``[draw]`` or ``set`` does not exist in the
+        scenario. The message names file and key.
+    """
+    path = Path(path)
+    texts = {"": _bytes(path)}
+    file = read_toml(path, CampaignFile, texts[""])
+    for name in dict.fromkeys(n for n in (file.scenario, *(case.scenario for case in file.case)) if n):
+        texts[name] = _bytes(path.parent / name)
+    return plan_of(path, texts)
+
+
+def _bytes(path: Path) -> bytes:
+    from piga.records.text_files import toml_bytes
+
+    return toml_bytes(path)
+
+
+def plan_of(path: Path, texts: Mapping[str, bytes], archive: int | None = None) -> Plan:
+    """The plan of a campaign whose files were read before. ``archive``: number of run files of an archive.
+
+    Raises
+    ------
+    RunFileError
+        As :func:`read_campaign`.
+    """
+    file = read_toml(path, CampaignFile, texts[""])
+    documents = {n: toml_document(path.parent / n, raw) for n, raw in texts.items() if n}
+    documents |= {f"case {case.name}": _inline(case) for case in file.case if case.constant_force or case.joint}
+    if file.archive is not None:
+        return Plan(path, file, texts, _archive_groups(path, file, archive or 0), documents)
+    plan = Plan(path, file, texts, tuple(_groups(path, file, documents)), documents)
+    _check(plan)
+    return plan
+
+
+def _inline(case: CaseTable) -> dict[str, Any]:
+    """The document of a test that stands in the campaign file."""
+    if case.joint:
+        return {"joint": [dict(table) for table in case.joint]}
+    return {"constant_force": dict(case.constant_force or {})}
+
+
+def _archive_groups(path: Path, file: CampaignFile, count: int) -> tuple[Group, ...]:
+    if file.case or file.grid or file.draw or file.scenario:
+        raise RunFileError(
+            f"{path}: [archive] stands beside a scenario, a case, a grid or a draw",
+            remedy="write two campaign files",
+        )
+    return (Group("archive", "archive", "", {}, count, 1, 0, 0, 0),)
+
+
+def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[Group]:
+    """One group for each scenario and each point of the grid."""
+    if file.scenario is None and not file.case:
+        raise RunFileError(
+            f"{path}: there is nothing to compute", remedy="give scenario, [[case]] or [archive]"
+        )
+    names = [case.name for case in file.case]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise RunFileError(f"{path}: two cases have the name '{twice}'", remedy="rename one")
+    points = [dict(zip(file.grid, values, strict=True)) for values in itertools.product(*file.grid.values())]
+    designs = file.campaign.designs if file.draw else 1
+    if file.campaign.designs > 1 and not file.draw:
+        raise RunFileError(f"{path}: [campaign] designs needs [draw]", remedy="ask for repeats instead")
+    if max(1, len(file.case)) * len(points) * designs > MOST_CASES:
+        raise RunFileError(f"{path}: more than {MOST_CASES} cases", remedy="make the grid coarser")
+    first = start = 0
+    for case in file.case or (CaseTable(""),):
+        name = f"case {case.name}"
+        scenario = name if name in documents else case.scenario or file.scenario
+        if scenario is None or (name in documents and case.scenario):
+            raise RunFileError(
+                f"{path}: case '{case.name}' needs one of scenario, constant_force and joint",
+                remedy="give one of them",
+            )
+        subject = _subject(path, scenario, documents[scenario])
+        for point in points:
+            group = Group(
+                case.name,
+                subject,
+                scenario,
+                point,
+                designs,
+                case.repeats or file.campaign.repeats,
+                file.campaign.bounds if case.bounds is None else case.bounds,
+                first,
+                start,
+            )
+            first, start = first + designs, start + group.records
+            yield group
+
+
+def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
+    """Kind of a scenario, by its tables."""
+    if scenario.startswith("case ") and ("constant_force" in document or "joint" in document):
+        return "constant-force"
+    if "stand" in document and "electronics" in document:
+        return "stand"
+    if "site" in document and "run" in document:
+        return "platform"
+    raise RunFileError(
+        f"{path.parent / scenario}: is no scenario of 'piga simulate' or 'piga platform'",
+        remedy="name a scenario file; run files belong into [archive]",
+    )
+
+
+def _check(plan: Plan) -> None:
+    """Build the first case of each scenario, and each value of the grid once, so that wrong keys are refused now."""
+    from piga.campaign.subjects import built
+
+    for key, table in plan.file.draw.items():
+        try:
+            _check_draw(table)
+        except ValueError as error:
+            raise RunFileError(f"{plan.path}: [draw] {key}: {error}", remedy="correct the entry") from None
+    for key, values in plan.file.grid.items():
+        if not values:
+            raise RunFileError(f"{plan.path}: [grid] {key}: the list is empty", remedy="give its values")
+    overlap = sorted(set(plan.file.grid) & set(plan.file.draw))
+    if overlap:
+        raise RunFileError(f"{plan.path}: '{overlap[0]}' is in [grid] and in [draw]", remedy="leave one out")
+    done: set[tuple[str, str, str]] = set()
+    for group in plan.groups:
+        told = {(group.name, key, repr(value)) for key, value in group.set.items()} or {(group.name, "", "")}
+        if told <= done:
+            continue
+        done |= told
+        record = plan.record(group.start)
+        try:
+            document = plan.document(record)
+        except (KeyError, IndexError, ValueError) as error:
+            raise RunFileError(
+                f"{plan.path}: {_where(group)}: a key leads through '{error.args[0]}', which is no table",
+                remedy="write the key as in the scenario file, e.g. 'twin.damping'",
+            ) from None
+        try:
+            built(plan, record, document)
+        except RunFileError as error:
+            text = error.message.removeprefix(f"{plan.path}: ")
+            raise RunFileError(f"{plan.path}: {_where(group)}: {text}", remedy=error.remedy) from None
+
+
+def _where(group: Group) -> str:
+    return group.label if group.name or group.set else "scenario"

@@ -1,0 +1,365 @@
+"""Simulated tests with constant force in each segment, and the Cramer-Rao bound of their coefficients.
+
+One step of the motion is a closed form (:mod:`piga._kernels.motion.constant_steps`). It shares no code with the estimator.
+A random walk is part of the motion; white noise and counting belong to the reading. The gimbal starts anywhere in every
+segment. A record is made in milliseconds, so these tests serve for campaigns of many thousands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+import piga
+from piga._kernels.motion.constant_steps import constant_steps
+from piga.errors import ArgumentError
+from piga.records.run_file import Quantity, TomlTable
+from piga.units import G0, to_si
+
+Array = NDArray[np.float64]
+
+SCALE = 0.8884
+"""Scale factor if the test does not say another one [(rad/s)/g]."""
+PHI = 0.48
+"""Phase of the output zero if the test does not say another one [rad]."""
+PAUSE = 5.0
+"""Time between two segments [s]."""
+
+
+class TumbleTable(TomlTable, frozen=True):
+    """``tumble``: positions of a dividing head, evenly spaced from ``start``, once at each of the ``levels`` [g]."""
+
+    positions: int
+    levels: tuple[float, ...] = (1.0,)
+    start: Quantity = "0.13 rad"
+    side: float = 0.02
+
+
+class CentrifugeLevels(TomlTable, frozen=True):
+    """``centrifuge``: levels [g] of an arm that turns about Z0, with 1 g along Z0."""
+
+    levels: tuple[float, ...]
+    radius: Quantity = "1 m"
+
+
+class ConstantForceTable(TomlTable, frozen=True):
+    """``constant_force``: one test.
+
+    Segments are given by ``forces`` [g], ``tumble`` or ``centrifuge``; several of these are joined in this order.
+    ``truth`` has the units of calibration.json. ``walk`` is the random walk of the angle, ``white`` the white noise of
+    the reading, ``count`` the step of the counter, ``drift`` the random walk of the rate (zero in the middle of the test),
+    ``scatter`` an offset of the rate that is new in each segment.
+    """
+
+    terms: tuple[str, ...]
+    forces: tuple[tuple[float, float, float], ...] = ()
+    tumble: TumbleTable | None = None
+    centrifuge: CentrifugeLevels | None = None
+    truth: dict[str, float] = msgspec.field(default_factory=dict)
+    seconds: Quantity = "20 s"
+    rate: Quantity = "10 Hz"
+    white: Quantity = 0.0
+    walk: Quantity = 0.0
+    count: Quantity = 0.0
+    drift: Quantity = 0.0
+    scatter: Quantity = 0.0
+
+    def build(self, name: str) -> ConstantForce:
+        """The test.
+
+        Raises
+        ------
+        ArgumentError
+            If it has no segments, or a value is not possible.
+        """
+        forces, turning = self._segments()
+
+        def si(key: str, unit: str) -> float:
+            value = to_si(getattr(self, key), unit, what=f"[constant_force] {key}")
+            if value < 0.0:
+                raise ArgumentError(f"[constant_force] {key}: {value:g} {unit} is negative")
+            return value
+
+        seconds, rate = si("seconds", "s"), si("rate", "Hz")
+        if seconds * rate < 4.0:
+            raise ArgumentError(
+                f"[constant_force]: {seconds * rate:g} samples in a segment", remedy="ask for at least 4"
+            )
+        known = ("scale_factor", "tan_beta", "phi", *PRODUCTS)
+        for key in (*self.truth, *self.terms):
+            if key not in known:
+                raise ArgumentError(
+                    f"[constant_force]: '{key}' is not a term of these tests",
+                    remedy=f"known: {', '.join(known)}",
+                )
+        truth = dict(self.truth)
+        return ConstantForce(
+            name,
+            forces,
+            seconds=seconds,
+            rate=rate,
+            scale_factor=truth.pop("scale_factor", SCALE),
+            tan_beta=truth.pop("tan_beta", 3.6e-4),
+            phi=truth.pop("phi", PHI),
+            truth=truth,
+            terms=self.terms,
+            turning=turning,
+            white=si("white", "rad"),
+            walk=si("walk", "rad/sqrt(s)"),
+            count=si("count", "rad"),
+            drift=si("drift", "rad/s/sqrt(s)"),
+            scatter=si("scatter", "rad/s"),
+        )
+
+    def _segments(self) -> tuple[Array, Array | None]:
+        """Forces [g] and, on a centrifuge, base rates [rad/s]."""
+        parts: list[Array] = [np.array(self.forces)] if self.forces else []
+        turning = None
+        if self.tumble is not None:
+            t = self.tumble
+            start = to_si(t.start, "rad", what="[constant_force.tumble] start")
+            parts.append(tumble(t.positions, t.levels, start, t.side))
+        if self.centrifuge is not None:
+            if parts:
+                raise ArgumentError("[constant_force] centrifuge: cannot be joined with forces or tumble")
+            radius = to_si(self.centrifuge.radius, "m", what="[constant_force.centrifuge] radius")
+            forces, turning = centrifuge(self.centrifuge.levels, radius)
+            parts.append(forces)
+        if not parts:
+            raise ArgumentError("[constant_force] has no segments", remedy="give forces, tumble or centrifuge")
+        return np.vstack(parts), turning
+
+
+def products(a: Array, y: Array, z: Array) -> dict[str, Array]:
+    """What each coefficient multiplies [g^n], by name."""
+    return {name: product(a, y, z) for name, product in PRODUCTS.items()}
+
+
+PRODUCTS: dict[str, Callable[[Array, Array, Array], Array]] = {
+    "k0": lambda a, _y, _z: a * 0.0 + 1.0,
+    "k1": lambda a, _y, _z: a,
+    "k2": lambda a, _y, _z: a**2,
+    "k3": lambda a, _y, _z: a**3,
+    "k2o": lambda a, _y, _z: a * np.abs(a),
+    "m_Y": lambda _a, y, _z: y,
+    "m_Z": lambda _a, _y, z: z,
+    "k_XY": lambda a, y, _z: a * y,
+    "k_XZ": lambda a, _y, z: a * z,
+    "k_YY": lambda _a, y, _z: y**2,
+    "k_ZZ": lambda _a, _y, z: z**2,
+    "k_YZ": lambda _a, y, z: y * z,
+}
+
+
+def tumble(count: int, levels: tuple[float, ...] = (1.0,), start: float = 0.13, side: float = 0.02) -> Array:
+    """Forces of a tumble in one plane [g], ``start`` [rad], ``side`` [g] along Z0."""
+    angle = start + 2.0 * np.pi * np.arange(count) / count
+    one = np.stack([np.cos(angle), -np.sin(angle), np.full(count, side)], axis=1)
+    return np.vstack([level * one for level in levels])
+
+
+def centrifuge(levels: Sequence[float], radius: float = 1.0) -> tuple[Array, Array]:
+    """Forces [g] and base rates [rad/s] at the levels of an arm that turns about Z0."""
+    along = np.asarray(levels, dtype=float)
+    rate = np.sqrt(np.abs(along) * G0 / radius)
+    none = np.zeros(along.size)
+    return np.stack([along, none, none + 1.0], axis=1), np.stack([none, none, rate], axis=1)
+
+
+@dataclass(frozen=True)
+class ConstantForce:
+    """A test: forces [g] of its segments, sampling, noise (SI), terms and truth (file units)."""
+
+    name: str
+    forces: Array
+    seconds: float = 20.0
+    rate: float = 10.0
+    white: float = 0.0
+    walk: float = 0.0
+    count: float = 0.0
+    tan_beta: float = 3.6e-4
+    truth: dict[str, float] = field(default_factory=lambda: {"k0": 1.6e-3})
+    terms: tuple[str, ...] = ("scale_factor", "tan_beta", "k0")
+    turning: Array | None = None
+    phi: float = PHI
+    drift: float = 0.0
+    scatter: float = 0.0
+    scale_factor: float = SCALE
+
+    def true_value(self, name: str) -> float:
+        """Truth in file units."""
+        fixed = {"scale_factor": self.scale_factor, "tan_beta": self.tan_beta, "phi": self.phi}
+        return fixed[name] if name in fixed else self.truth.get(name, 0.0)
+
+    def indicated(self) -> Array:
+        """Indicated specific force along X0 less the coupling, per segment [g]."""
+        a, y, z = self.forces.T
+        effects = products(a, y, z)
+        return a + sum(value * effects[name] for name, value in self.truth.items())
+
+    def record(self, rng: np.random.Generator) -> piga.Run:
+        """One simulated test."""
+        steps, h = round(self.seconds * self.rate), 1.0 / self.rate
+        count = len(self.forces)
+        psi = np.empty((count, steps + 1))
+        omega = np.zeros((count, 3)) if self.turning is None else self.turning
+        a = self.scale_factor * self.indicated() - omega[:, 0]
+        y = self.tan_beta * (self.scale_factor * self.forces[:, 1] - omega[:, 1])
+        z = self.tan_beta * (self.scale_factor * self.forces[:, 2] - omega[:, 2])
+        noise = self.walk * math.sqrt(h) * rng.standard_normal((count, steps))
+        starts = rng.uniform(-math.pi, math.pi, count)
+        if self.drift:
+            noise += h * self._wandering(rng)
+        if self.scatter:
+            noise += h * self.scatter * rng.standard_normal((count, 1))
+        for s in range(count):
+            constant_steps(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
+        output = psi.ravel() - self.phi
+        if self.white:
+            output = output + self.white * rng.standard_normal(output.size)
+        if self.count:
+            output = np.round(output / self.count) * self.count
+        t = (np.arange(count)[:, None] * (self.seconds + PAUSE) + h * np.arange(steps + 1)).ravel()
+        base = None if self.turning is None else np.repeat(self.turning, steps + 1, axis=0)
+        return piga.Run.from_arrays(
+            t,
+            output,
+            np.repeat(self.forces * G0, steps + 1, axis=0),
+            scale_factor=to_si(f"{self.scale_factor!r} rad/s/g", "rad/s/g"),
+            base_rate=base,
+            segment=np.repeat(np.arange(count, dtype=np.int32), steps + 1),
+            resolution=self.count,
+            serial="synthetic",
+        )
+
+    def _times(self) -> Array:
+        """Middle of every step, from the middle of the test, (segments, steps) [s]."""
+        steps, count = round(self.seconds * self.rate), len(self.forces)
+        whole = count * (self.seconds + PAUSE) - PAUSE
+        starts = (self.seconds + PAUSE) * np.arange(count)[:, None]
+        times: Array = starts + (np.arange(steps) + 0.5) / self.rate - 0.5 * whole
+        return times
+
+    def _wandering(self, rng: np.random.Generator) -> Array:
+        """A random walk of the rate at ``_times``, zero in the middle of the test [rad/s]."""
+        t = self._times().ravel()
+        steps = np.sqrt(np.diff(np.append(t[0], t)))
+        walk = self.drift * np.cumsum(steps * rng.standard_normal(t.size))
+        return (walk - np.interp(0.0, t, walk)).reshape(self._times().shape)
+
+    def calibrate(self, run: piga.Run) -> piga.Calibration:
+        """The estimate that is put to the test."""
+        return piga.calibrate(run, self.terms)
+
+    def errors(self, calibration: piga.Calibration) -> Array:
+        """Error of every coefficient in file units, in the order of the result."""
+        return errors(calibration, self.truths(calibration))
+
+    def truths(self, calibration: piga.Calibration) -> Array:
+        """True values in the order of the result, file units."""
+        return np.array([self.true_value(c.name) for c in calibration.coefficients])
+
+    def bound(self, run: piga.Run) -> Array:
+        """Cramer-Rao covariance (file units) for the true noise levels, computed densely, white reading noise."""
+        return np.asarray(np.linalg.inv(self.information(run)), dtype=np.float64)
+
+    def information(self, run: piga.Run) -> Array:
+        """Fisher information of the coefficients (file units).
+
+        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted. With a drift
+        the segments are not independent; a scatter moves all increments of a segment alike.
+        """
+        steps, h = round(self.seconds * self.rate), 1.0 / self.rate
+        r = self.white**2 + self.count**2 / 12.0
+        V = np.diag(np.full(steps, self.walk**2 * h + 2.0 * r)) - r * (
+            np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
+        )
+        V += (self.scatter * h) ** 2
+        parts = [
+            self._derivatives(run.output[run.segment == s] + self.phi, s, h) for s in range(len(self.forces))
+        ]
+        if self.drift:
+            t = self._times().ravel()
+            together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
+            whole = np.kron(np.eye(len(parts)), V) + (self.drift * h) ** 2 * together
+            columns = np.concatenate(parts)
+            information: Array = columns.T @ np.linalg.solve(whole, columns)
+            return information
+        return sum((part.T @ np.linalg.solve(V, part) for part in parts), np.zeros((len(self.names),) * 2))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coefficients in the order of a result: phi behind tan_beta."""
+        return tuple(n for term in self.terms for n in ((term, "phi") if term == "tan_beta" else (term,)))
+
+    def _derivatives(self, alpha: Array, segment: int, h: float) -> Array:
+        """Derivative of the increments by the coefficients (file units), trapezoid."""
+        a, y, z = self.forces[segment]
+        w = np.zeros(3) if self.turning is None else self.turning[segment]
+        sine, cosine = np.sin(alpha), np.cos(alpha)
+        u_y, u_z = self.scale_factor * y - w[1], self.scale_factor * z - w[2]
+        known = {
+            "scale_factor": self.indicated()[segment] + self.tan_beta * (y * sine - z * cosine),
+            "tan_beta": u_y * sine - u_z * cosine,
+            "phi": self.tan_beta * (u_y * cosine + u_z * sine),
+        }
+        effects = products(a, y, z)
+        rows = [known[n] if n in known else self.scale_factor * effects[n] + 0.0 * sine for n in self.names]
+        return np.array([0.5 * h * (rate[1:] + rate[:-1]) for rate in rows]).T
+
+
+def errors(calibration: piga.Calibration, truth: Array) -> Array:
+    """Errors in file units; those of phases to the nearest whole turn."""
+    off = np.array([c.value for c in calibration.coefficients]) - truth
+    angles = np.array([c.name == "phi" for c in calibration.coefficients])
+    return np.where(angles, np.angle(np.exp(1j * off)), off)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Several tests of one instrument calibrated together, each with its own noise and phase."""
+
+    name: str
+    runs: tuple[ConstantForce, ...]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Terms of the first test; all have the same."""
+        return self.runs[0].terms
+
+    def record(self, rng: np.random.Generator) -> list[piga.Run]:
+        """One simulated test of each kind."""
+        return [run.record(rng) for run in self.runs]
+
+    def calibrate(self, runs: list[piga.Run]) -> piga.Calibration:
+        """The estimate that is put to the test."""
+        return piga.calibrate(runs, self.terms)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coefficients in the order of a result: the phases of all runs behind tan_beta."""
+        phases = tuple(f"phi[run {i + 1}]" for i in range(len(self.runs)))
+        return tuple(n for name in self.runs[0].names for n in (phases if name == "phi" else (name,)))
+
+    def errors(self, calibration: piga.Calibration) -> Array:
+        """Error of every coefficient in file units, in the order of the result."""
+        return errors(calibration, self.truths(calibration))
+
+    def truths(self, calibration: piga.Calibration) -> Array:
+        """True values in the order of the result, file units."""
+        phases = {f"phi[run {i + 1}]": run.phi for i, run in enumerate(self.runs)}
+        return np.array([phases.get(c.key, self.runs[0].true_value(c.name)) for c in calibration.coefficients])
+
+    def bound(self, records: list[piga.Run]) -> Array:
+        """Cramer-Rao covariance (file units): the information of the tests adds."""
+        total = np.zeros((len(self.names), len(self.names)))
+        for index, (test, record) in enumerate(zip(self.runs, records, strict=True)):
+            own = [f"phi[run {index + 1}]" if name == "phi" else name for name in test.names]
+            at = [self.names.index(name) for name in own]
+            total[np.ix_(at, at)] += test.information(record)
+        return np.asarray(np.linalg.inv(total), dtype=np.float64)

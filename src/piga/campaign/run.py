@@ -1,0 +1,339 @@
+"""Run the shards of a campaign on an executor: the processes of this machine, or a cluster of Dask.
+
+All that must survive is in the folder. Any of the processes may be killed at any time; the next run computes the shards that
+have no part. The code is written against :class:`concurrent.futures.Executor`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from piga.campaign.manifest import LOCK, Campaign, compile_kernels
+from piga.campaign.shard import THREADS, ShardReport, run_shard, start_worker
+from piga.errors import ArgumentError, PigaError
+from piga.output import hold
+
+TASKS_PER_CHILD = 32
+"""Shards after which a process of the local pool is replaced: memory that a library loses does not add up."""
+POLL = 0.5
+"""Time between two looks at the workers [s]."""
+
+
+class Engine(Protocol):
+    """Where shards are computed."""
+
+    workers: int
+
+    def submit(self, folder: str, shard: int) -> Future[ShardReport]:
+        """Begin a shard."""
+
+    def renew(self) -> None:
+        """Begin anew after a worker died."""
+
+    def check(self) -> None:
+        """Raise PigaError if no worker is left."""
+
+    def close(self, *, drop: bool) -> None:
+        """Let the workers go. ``drop``: do not wait for what they compute."""
+
+
+class LocalEngine:
+    """Processes of this machine. They are spawned, have one thread, ignore Ctrl-C, and end with the parent."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._variables = {name: os.environ.get(name) for name in THREADS}
+        os.environ.update(dict.fromkeys(THREADS, "1"))
+        self._pool = self._new()
+
+    def _new(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(
+            self.workers, context, initializer=start_worker, max_tasks_per_child=TASKS_PER_CHILD
+        )
+
+    def submit(self, folder: str, shard: int) -> Future[ShardReport]:
+        """Begin a shard. No more than ``workers`` may be under way: what waits in a pool is lost when it breaks."""
+        return self._pool.submit(run_shard, folder, shard)
+
+    def renew(self) -> None:
+        """A new pool; the old one is broken."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool = self._new()
+
+    def check(self) -> None:
+        """The pool replaces its workers."""
+
+    def close(self, *, drop: bool) -> None:
+        """End the processes."""
+        if drop:
+            for process in multiprocessing.active_children():
+                process.kill()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in self._variables.items():
+            os.environ.pop(name, None)
+            os.environ.update({} if value is None else {name: value})
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands: shards done and in all, records computed and failed in this run, what is under way.
+
+    ``running`` has the time that each shard under way has taken [s]. ``left`` is the estimated time to the end [s]; None before
+    the first shard is done.
+    """
+
+    done: int
+    shards: int
+    records: int
+    failed: int
+    running: dict[int, float]
+    left: float | None
+    finishing: bool = False
+
+    def line(self) -> str:
+        """One line for people."""
+        text = f"{self.done} of {self.shards} shards, {self.records} records"
+        text += f", {self.failed} failed" if self.failed else ""
+        text += "" if self.left is None or self.finishing else f"; about {duration(self.left)} to go"
+        at = ", ".join(f"{shard} ({duration(seconds)})" for shard, seconds in sorted(self.running.items())[:6])
+        more = f" and {len(self.running) - 6} more" if len(self.running) > 6 else ""
+        return f"{text}; under way: {at}{more}" if at else text
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5940.0 else f"{seconds / 3600:.1f} h"
+
+
+@dataclass
+class RunReport:
+    """What a run did: shards done in all, shards set aside with their reasons, reports of this run, and whether it was stopped."""
+
+    shards: int
+    done: int = 0
+    set_aside: dict[int, str] = field(default_factory=dict)
+    reports: list[ShardReport] = field(default_factory=list)
+    stopped: bool = False
+
+
+def run_campaign(
+    campaign: Campaign,
+    *,
+    workers: int | None = None,
+    executor: str | None = None,
+    show: Callable[[Progress], None] = lambda _progress: None,
+) -> RunReport:
+    """Compute all shards that have no part.
+
+    Parameters
+    ----------
+    campaign:
+        From :func:`piga.campaign.plan_campaign`.
+    workers:
+        Processes on this machine. None: one for each core.
+    executor:
+        ``dask://HOST:PORT`` of a Dask scheduler, instead of processes of this machine.
+    show:
+        Called with the progress several times a second.
+
+    Raises
+    ------
+    PigaError
+        If another run works in the folder, the executor cannot be used, or parts cannot be written.
+    """
+    release = _lock(campaign.folder)
+    try:
+        missing = campaign.missing()
+        report = RunReport(campaign.shards, campaign.shards - len(missing))
+        if not missing:
+            return report
+        if executor is None:
+            compile_kernels(campaign)
+        engine = engine_of(executor, workers)
+        drop = True
+        try:
+            _Loop(campaign, engine, deque(missing), report, show).run()
+            drop = False
+        finally:
+            engine.close(drop=drop)
+        return report
+    finally:
+        release()
+
+
+def _lock(folder: Path) -> Callable[[], None]:
+    try:
+        return hold(folder / LOCK)
+    except BlockingIOError:
+        raise PigaError(
+            f"{folder}: another 'piga campaign run' works there", remedy="wait for it, or stop it"
+        ) from None
+    except OSError as error:
+        raise PigaError(
+            f"{folder}: cannot be written ({error.strerror or error})",
+            remedy="use a folder you may write to, on a file system with locks",
+        ) from None
+
+
+def engine_of(executor: str | None, workers: int | None) -> Engine:
+    """The engine that the options name.
+
+    Raises
+    ------
+    PigaError
+        If the options do not fit, or the cluster cannot be used.
+    """
+    if executor is None:
+        count = (os.cpu_count() or 1) if workers is None else workers
+        if count < 1:
+            raise ArgumentError(f"--workers {count}: at least one is needed")
+        return LocalEngine(count)
+    if workers is not None:
+        raise ArgumentError(
+            "--workers goes with the local pool; with --executor the cluster says how many workers there are",
+            remedy="leave --workers out",
+        )
+    from piga.campaign.dask_engine import DaskEngine
+
+    return DaskEngine(executor)
+
+
+class _Loop:
+    """The loop of a run: keep every worker busy with one shard, and answer what happens."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        engine: Engine,
+        waiting: deque[int],
+        report: RunReport,
+        show: Callable[[Progress], None],
+    ) -> None:
+        self.campaign, self.engine, self.waiting = campaign, engine, waiting
+        self.report, self.show = report, show
+        self.suspects: deque[int] = deque()
+        """Shards whose worker died. Each is tried again alone, so that no other shard is blamed."""
+        self.running: dict[Future[ShardReport], tuple[int, float, bool]] = {}
+        self.began = time.monotonic()
+
+    def run(self) -> None:
+        """Run until all is done. The first Ctrl-C finishes the shards under way, the second drops them."""
+        folder = str(self.campaign.folder.resolve())
+        while True:
+            try:
+                while self.running or self.suspects or self.waiting:
+                    self._submit(folder)
+                    done, _ = wait(self.running, timeout=POLL, return_when=FIRST_COMPLETED)
+                    self._answer(done)
+                    self.show(self._progress())
+                    self.engine.check()
+                return
+            except KeyboardInterrupt:
+                if self.report.stopped:
+                    raise
+                self.report.stopped = True
+                self.waiting.clear()
+                self.suspects.clear()
+
+    def _submit(self, folder: str) -> None:
+        alone = bool(self.suspects) or any(alone for _, _, alone in self.running.values())
+        queue = self.suspects if alone else self.waiting
+        while queue and len(self.running) < (1 if alone else self.engine.workers):
+            shard = queue.popleft()
+            try:
+                future = self.engine.submit(folder, shard)
+            except BrokenExecutor:  # a worker died while it was idle
+                queue.appendleft(shard)
+                self.engine.renew()
+                return
+            self.running[future] = (shard, time.monotonic(), alone)
+
+    def _answer(self, done: set[Future[ShardReport]]) -> None:
+        died: list[tuple[int, bool, BaseException]] = []
+        for future in done:
+            shard, _, alone = self.running.pop(future)
+            try:
+                report = future.result()
+            except PigaError:
+                raise
+            except CancelledError:  # the scheduler is gone, or lost the shard
+                self.waiting.appendleft(shard)
+            except Exception as error:
+                died.append((shard, alone, error))
+            else:
+                self.report.reports.append(report)
+                self.report.done += 1
+                with suppress(OSError):
+                    self.campaign.aside(shard).unlink(missing_ok=True)
+        if died:
+            self._after_death(died)
+
+    def _after_death(self, died: list[tuple[int, bool, BaseException]]) -> None:
+        """A worker died: all that the pool was computing is lost with it, and is tried again one by one."""
+        if any(isinstance(error, BrokenExecutor) for _, _, error in died):
+            lost, _ = wait(self.running, timeout=10.0)
+            for future in lost:
+                shard, _, alone = self.running.pop(future)
+                error = future.exception()
+                if error is None:
+                    self.report.reports.append(future.result())
+                    self.report.done += 1
+                else:
+                    died.append((shard, alone, error))
+            self.engine.renew()
+        for shard, alone, error in died:
+            if self.campaign.part(shard).exists():  # it died after its work
+                self.report.done += 1
+            elif alone:
+                self._set_aside(shard, error)
+            elif not self.report.stopped:
+                self.suspects.append(shard)
+
+    def _set_aside(self, shard: int, error: BaseException) -> None:
+        numbers = self.campaign.records_of(shard)
+        text = f"records {numbers[0]} to {numbers[-1]}: the worker died twice ({type(error).__name__}: {error})"
+        self.report.set_aside[shard] = text
+        path = self.campaign.aside(shard)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text + "\n", encoding="utf-8")
+        except OSError as problem:
+            raise PigaError(f"{path}: cannot be written ({problem.strerror or problem})") from None
+
+    def _progress(self) -> Progress:
+        now = time.monotonic()
+        reports = self.report.reports
+        records = sum(report.records for report in reports)
+        left = None
+        if records:
+            open_ = sum(len(self.campaign.records_of(shard)) for shard in (*self.waiting, *self.suspects))
+            under_way = sum(len(self.campaign.records_of(shard)) for shard, _, _ in self.running.values())
+            left = (now - self.began) / records * (open_ + 0.5 * under_way)
+        return Progress(
+            self.report.done,
+            self.campaign.shards,
+            records,
+            sum(report.failed for report in reports),
+            {shard: now - since for shard, since, _ in self.running.values()},
+            left,
+            self.report.stopped,
+        )

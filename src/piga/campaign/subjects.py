@@ -1,0 +1,355 @@
+"""What one record of a campaign does: simulate and calibrate a test, run a platform, or calibrate a run file again."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tempfile
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.campaign.campaign_file import Plan, RecordName
+from piga.campaign.constant_force import ConstantForce, ConstantForceTable, Joint, errors
+from piga.errors import ArgumentError, DataError, PigaError, PigaWarning, RunFileError, UnitError
+from piga.records.run_file import EstimationTable, ModelTable, TomlTable, UncertaintyTable
+from piga.records.text_files import convert_toml
+from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_of
+
+if TYPE_CHECKING:
+    from piga.ledger.store import Store
+    from piga.platform.model.scenario import PlatformScenario
+    from piga.records import Calibration, Run
+    from piga.stand.simulate import SimulatedTest
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Numbers of one record, one entry per coefficient or quantity, in the units of calibration.json.
+
+    ``low`` and ``high`` are the ends of the 95 % interval. ``truth`` is the true value, or the stored one for an archive.
+    ``error`` is value minus truth; for a phase it is taken to the nearest turn. ``bound`` is the standard deviation of
+    Cramer and Rao. What is not known is nan. ``nees`` is the mean square of all errors in their covariance, ``nees_expected`` what
+    Student's t lets expect.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Array
+    u: Array
+    low: Array
+    high: Array
+    degrees_of_freedom: Array
+    truth: Array
+    error: Array
+    bound: Array
+    nees: float = math.nan
+    nees_expected: float = math.nan
+    notes: tuple[str, ...] = ()
+    stored: str | None = None
+    verdict: str | None = None
+
+
+@dataclass(frozen=True)
+class Archive:
+    """Run files of an archive: path as written, size, time, SHA-256, and the stored record (None: not in the store)."""
+
+    folder: Path
+    files: tuple[tuple[str, int, int, str, str | None], ...] = field(repr=False)
+    store: str | None
+
+
+def built(plan: Plan, record: RecordName, document: dict[str, Any]) -> Any:
+    """The scenario of a record, ready to run.
+
+    Raises
+    ------
+    RunFileError
+        If a key is unknown or a value not possible. The message names it.
+    """
+    try:
+        return _BUILDERS[record.group.subject](plan, record, document)
+    except (ArgumentError, UnitError) as error:
+        raise RunFileError(error.message, remedy=error.remedy) from None
+
+
+class ConstantForceDocument(TomlTable, frozen=True):
+    """A test, or several tests to calibrate together."""
+
+    constant_force: ConstantForceTable | None = None
+    joint: tuple[ConstantForceTable, ...] = ()
+
+
+def _constant_force(plan: Plan, record: RecordName, document: dict[str, Any]) -> ConstantForce | Joint:
+    name = record.group.name
+    read = convert_toml(plan.path, document, ConstantForceDocument)
+    if read.constant_force is not None:
+        return read.constant_force.build(name)
+    runs = tuple(table.build(f"{name}-{index}") for index, table in enumerate(read.joint, start=1))
+    if len(runs) < 2 or len({run.terms for run in runs}) > 1:
+        raise ArgumentError("joint needs two tests or more with the same terms")
+    return Joint(name, runs)
+
+
+def _stand(plan: Plan, record: RecordName, document: dict[str, Any]) -> Scenario:
+    path = plan.path.parent / record.group.scenario
+    table = convert_toml(path, document, ScenarioTable)
+    for part, kind in (
+        ("model", ModelTable),
+        ("estimation", EstimationTable),
+        ("uncertainty", UncertaintyTable),
+    ):
+        try:
+            msgspec.convert(getattr(table, part), kind)
+        except msgspec.ValidationError as error:
+            raise RunFileError(f"{path}: [{part}]: {error}", remedy="correct the key or the value") from None
+    if table.truth.get("k1"):
+        raise RunFileError(
+            f"{path}: [truth] k1: a calibration cannot tell it from the scale factor",
+            remedy="leave it out, or change scale_factor",
+        )
+    return scenario_of(path, table)
+
+
+def _platform(plan: Plan, record: RecordName, document: dict[str, Any]) -> PlatformScenario:
+    from piga.platform.model.scenario import scenario_of_document
+
+    return scenario_of_document(plan.path.parent / record.group.scenario, document)
+
+
+_BUILDERS: dict[str, Callable[[Plan, RecordName, dict[str, Any]], Any]] = {
+    "constant-force": _constant_force,
+    "stand": _stand,
+    "platform": _platform,
+}
+
+
+def compute(plan: Plan, record: RecordName, archive: Archive | None = None) -> Outcome:
+    """Compute a record.
+
+    Raises
+    ------
+    PigaError
+        If it cannot be computed. Other errors of the computation pass, too.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PigaWarning)
+        if record.group.subject == "archive":
+            if archive is None:
+                raise ArgumentError("the campaign has an archive, and no list of its files is given")
+            return _recalibrated(plan, archive, record.number)
+        made = built(plan, record, plan.document(record))
+        with_bound = record.repeat < record.group.bounds
+        if isinstance(made, Scenario):
+            return _simulated(plan, record, made, with_bound=with_bound)
+        if isinstance(made, (ConstantForce, Joint)):
+            return _synthetic(plan, record, made, with_bound=with_bound)
+        return _platform_run(plan, record, made)
+
+
+def seed_of(plan: Plan, record: RecordName) -> int:
+    """Seed of a simulated scenario, as ``piga simulate --seed`` takes it."""
+    return int(plan.sequence(record).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+# --- tests with known truth --------------------------------------------------------------------------
+
+
+def _synthetic(plan: Plan, record: RecordName, test: ConstantForce | Joint, *, with_bound: bool) -> Outcome:
+    run: Any = test.record(np.random.default_rng(plan.sequence(record)))
+    calibration = test.calibrate(run)
+    bound = np.sqrt(np.diag(test.bound(run))) if with_bound else None
+    return of_calibration(calibration, test.truths(calibration), bound)
+
+
+def of_calibration(calibration: Calibration, truth: Array, bound: Array | None = None) -> Outcome:
+    """The outcome of a calibration with its truth (nan where it is not known)."""
+    coefficients = calibration.coefficients
+    value, u = np.array([(c.value, c.std) for c in coefficients]).reshape(-1, 2).T
+    low, high = np.array([c.limits for c in coefficients]).reshape(-1, 2).T
+    degrees = np.array([c.degrees_of_freedom or math.inf for c in coefficients])
+    error = errors(calibration, truth)
+    nees = expected = math.nan
+    if np.isfinite(error).all() and error.size:
+        with np.errstate(all="ignore"):
+            try:
+                nees = float(error @ np.linalg.solve(calibration.covariance, error)) / error.size
+            except np.linalg.LinAlgError:
+                nees = math.nan
+        expected = float(np.mean(1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))))
+    none = np.full(value.size, math.nan)
+    return Outcome(
+        names=tuple(c.key for c in coefficients),
+        units=tuple(c.unit for c in coefficients),
+        value=value,
+        u=u,
+        low=low,
+        high=high,
+        degrees_of_freedom=degrees,
+        truth=truth,
+        error=error,
+        bound=none if bound is None else bound,
+        nees=nees,
+        nees_expected=expected,
+        notes=tuple(calibration.notes),
+    )
+
+
+def _simulated(plan: Plan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:
+    """Simulate, write the files of a lab, read them and calibrate: what a user does by hand."""
+    from piga.calibration.calibrate import calibrate
+    from piga.stand import read_run
+
+    with tempfile.TemporaryDirectory(prefix="piga-campaign-") as folder:
+        test = run_scenario(scenario, seed=seed_of(plan, record))
+        run = read_run(write_lab_files(scenario, test, Path(folder)))
+        calibration = calibrate(run)
+        bound = _bound(test, run) if with_bound else None
+    return of_calibration(calibration, _truth(test, calibration), bound)
+
+
+def write_lab_files(scenario: Scenario, test: SimulatedTest, folder: Path) -> Path:
+    """Write the log, the run file and the truth of a simulated test into ``folder``. Returns the run file."""
+    from piga.stand.write_run import run_file_text, truth_text, write_data
+
+    data = f"run.{scenario.table.run.format}"
+    write_data(test, folder / data)
+    run = folder / "run.toml"
+    run.write_text(run_file_text(scenario, test, data), encoding="utf-8", newline="\n")
+    (folder / "truth.json").write_text(truth_text(scenario, test), encoding="utf-8", newline="\n")
+    return run
+
+
+def _truth(test: SimulatedTest, calibration: Calibration) -> Array:
+    """True values by coefficient. A term that the simulation lacks has the truth 0."""
+    from piga.stand.write_run import coefficients
+
+    known = {(value.name, value.segment): value.value for value in coefficients(test)}
+
+    def one(name: str, segment: str | None) -> float:
+        return known.get((name, segment), known.get((name, None), math.nan if name == "phi" else 0.0))
+
+    return np.array([one(c.name, c.segment) for c in calibration.coefficients])
+
+
+def _bound(test: SimulatedTest, run: Run) -> Array | None:
+    """Standard deviations of Cramer and Rao: those of the estimate that is told the true noise levels.
+
+    None where the noise is more than white noise, counting and a random walk of the angle, or where Type B is stated.
+    """
+    from piga.calibration.calibrate import calibrate
+
+    e = test.electronics
+    stated = any(value is not None for value in msgspec.structs.astuple(run.uncertainty))
+    if (
+        e.bias_random_walk
+        or e.clock_jitter
+        or e.clock_offset
+        or test.model == "twin"
+        or stated
+        or e.kind == "rate"
+    ):
+        return None
+    step = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 0.0
+    white = math.sqrt(e.angle_noise**2 + step**2 / 12.0)
+    told = EstimationTable(
+        method="information",
+        angle_rms=f"{white!r} rad",
+        angle_random_walk=f"{e.angle_random_walk!r} rad/sqrt(s)",
+        uncertainty="gum",
+    )
+    best = calibrate(replace(run, estimation=told))
+    return np.array([c.std for c in best.coefficients])
+
+
+# --- platform ----------------------------------------------------------------------------------------
+
+
+def _platform_run(plan: Plan, record: RecordName, scenario: PlatformScenario) -> Outcome:
+    from piga.platform.runs.chain import compare, last_east_lines
+
+    models = compare(replace(scenario, seed=seed_of(plan, record))).models
+    rows: list[tuple[str, str, float]] = []
+    for model, run in models.items():
+        rows.append((f"position_error[{model}]", "m", float(run.lines.position.max())))
+        labels = ("east_velocity_line", "east_velocity_equatorial_line")
+        rows += [
+            (f"{label}[{model}]", "m/s", value)
+            for label, value in zip(labels, last_east_lines(run.lines), strict=False)
+        ]
+    none = np.full(len(rows), math.nan)
+    values = np.array([value for _, _, value in rows])
+    names, units = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
+    return Outcome(names, units, values, none, none, none, none, none, none, none)
+
+
+# --- archive -----------------------------------------------------------------------------------------
+
+
+def _recalibrated(plan: Plan, archive: Archive, number: int) -> Outcome:
+    """Calibrate a run file again, as its stored record was if there is one, and compare with that record."""
+    from piga.calibration.calibrate import calibrate
+    from piga.stand import read_run
+
+    name, _, _, digest, stored = archive.files[number]
+    path = archive.folder / name
+    _check_unchanged(path, digest)
+    wish: Mapping[str, Any] = {}
+    old: Calibration | None = None
+    if stored is not None and archive.store is not None:
+        store = _store(archive.store)
+        wish, old = store.record(stored).document.request, store.calibration(stored)
+    table = plan.file.archive
+    asked = table.terms if table is not None else None
+    calibration = calibrate(
+        read_run(path),
+        list(asked) if asked else wish.get("terms"),
+        (table.method if table else None) or wish.get("method"),
+        phase=wish.get("phase"),
+        phase_source=wish.get("phase_source"),
+    )
+    known = {} if old is None else {c.key: c.value for c in old.coefficients}
+    truth = np.array([known.get(c.key, math.nan) for c in calibration.coefficients])
+    outcome = replace(of_calibration(calibration, truth), nees=math.nan, nees_expected=math.nan)
+    return replace(outcome, stored=stored, verdict=None if old is None else _verdict(old, calibration))
+
+
+def _check_unchanged(path: Path, digest: str) -> None:
+    try:
+        now = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if now != digest:
+        raise DataError(f"{path}: changed since the campaign was planned", remedy="plan the campaign again")
+
+
+def _verdict(old: Calibration, new: Calibration) -> str:
+    """How the new calibration compares with the stored one; inputs that changed are named as such."""
+    from piga.ledger.compare import compare_calibrations
+
+    if old.provenance.input_sha256 != new.provenance.input_sha256:
+        return "other inputs"
+    comparison = compare_calibrations(old, new)
+    return "identical" if comparison.identical else "within tolerance" if comparison.agrees else "different"
+
+
+@lru_cache(maxsize=2)
+def _store(where: str) -> Store:
+    from piga.ledger.store import open_store
+
+    return open_store(where)
+
+
+def reason(error: Exception) -> tuple[str, str]:
+    """Class and message of an error, for the row of a record that failed."""
+    text = str(error) if isinstance(error, PigaError) else f"{error}" or repr(error)
+    return type(error).__name__, text[:2000]

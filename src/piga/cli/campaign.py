@@ -1,0 +1,340 @@
+"""``piga campaign``: thousands of tests, planned, run, watched and collected."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from piga.cli.common import CommandGroup, ForceOption, JsonOption, note, print_json, say, write_text
+from piga.output import results
+
+if TYPE_CHECKING:
+    from piga.campaign.manifest import Campaign
+    from piga.campaign.run import Progress, RunReport
+
+app = typer.Typer(
+    name="campaign",
+    cls=CommandGroup,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Run thousands of tests, on one machine or many.",
+)
+
+File = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.", show_default=False)]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the campaign.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the campaign.", show_default=False)]
+SET_ASIDE = 1
+"""Exit code if shards were set aside, or the run was stopped."""
+EVERY = 10.0
+"""Time between two lines of progress where there is no terminal [s]."""
+
+
+@app.command()
+def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
+    """Check a campaign, list its records and cut them into shards. Nothing is computed but a few records for the time."""
+    from piga.campaign.manifest import plan_campaign
+
+    planned = plan_campaign(campaign, out)
+    document = _plan_document(planned)
+    if as_json:
+        print_json(document)
+        return
+    say("\n".join(_plan_lines(planned)))
+    say(f"wrote {out}/manifest.json; go on with: {_command('run', campaign, out)}")
+
+
+@app.command()
+def run(
+    campaign: File,
+    out: Out,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", metavar="N", help="Processes on this machine [default: one per core]."),
+    ] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option("--executor", metavar="dask://HOST:PORT", help="Scheduler of a Dask cluster."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute all records that are not computed yet.
+
+    Give the same command again after any interruption: it goes on where it stopped. Ctrl-C finishes the shards under way;
+    a second Ctrl-C drops them. Exit code 1 if shards were set aside or the run was stopped.
+    """
+    from piga.campaign.manifest import plan_campaign
+    from piga.campaign.run import run_campaign
+
+    planned = plan_campaign(campaign, out)
+    again = _command("run", campaign, out, *_engine(workers, executor))
+    try:
+        with_progress = _Shown()
+        report = run_campaign(planned, workers=workers, executor=executor, show=with_progress)
+    except KeyboardInterrupt:
+        with_progress.end()
+        note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
+        raise SystemExit(SET_ASIDE) from None
+    with_progress.end()
+    if as_json:
+        print_json(_run_document(planned, report))
+    else:
+        say("\n".join(_run_lines(report)))
+    if report.stopped and report.done < report.shards:
+        note(f"piga: stopped\n  remedy: go on with: {again}")
+        raise SystemExit(SET_ASIDE)
+    if report.set_aside:
+        for shard, text in sorted(report.set_aside.items()):
+            note(f"piga: shard {shard} was set aside: {text}")
+        note(f"  remedy: find out why the worker dies (memory?), then try these shards again with: {again}")
+        raise SystemExit(SET_ASIDE)
+    if not as_json:
+        say(f"collect with: piga campaign collect {shlex.quote(str(out))}")
+
+
+@app.command()
+def status(folder: Folder, as_json: JsonOption = False) -> None:
+    """Show how far a campaign is, and what it costs."""
+    from piga.campaign.manifest import open_campaign
+
+    campaign = open_campaign(folder)
+    document = _status(campaign)
+    if as_json:
+        print_json(document)
+        return
+    say(
+        f"{document['shards_done']} of {document['shards']} shards, "
+        f"{document['records_done']} of {document['records']} records, {document['failed']} failed"
+    )
+    if document["core_hours_per_1000"] is not None:
+        say(
+            f"cost: {document['core_hours']:.3g} core hours so far, "
+            f"{document['core_hours_per_1000']:.3g} per thousand records"
+        )
+    for entry in document["set_aside"]:
+        say(f"set aside: shard {entry['shard']}: {entry['reason']}")
+
+
+@app.command()
+def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = False) -> None:
+    """Judge the records: coverage, bias, variance, NEES and the worst cases.
+
+    Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards were set aside.
+    """
+    import json
+
+    from piga.campaign.collect import collect as collect_campaign
+    from piga.campaign.collect import document as json_document
+    from piga.campaign.collect import write_table
+    from piga.campaign.manifest import open_campaign
+    from piga.campaign.page import collected_text, write_campaign_report
+
+    campaign = open_campaign(folder)
+    collected = collect_campaign(campaign)
+    document = json_document(collected)
+    names = ("collect.json", "coefficients.csv", "report.html")
+    inputs = [folder / "manifest.json"]
+    with results(folder / "collected", "campaign-collect", names, inputs, force=force, option="DIR") as stage:
+        write_text(stage / names[0], json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+        write_table(collected, stage / names[1])
+        write_campaign_report(collected, stage / names[2])
+    if as_json:
+        print_json(document)
+    else:
+        say(collected_text(collected))
+        say(f"wrote {folder}/collected/{', '.join(names)}")
+    if collected.missing and not collected.set_aside:
+        note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
+    if collected.set_aside:
+        note(
+            f"piga: {len(collected.set_aside)} shards were set aside: {', '.join(map(str, collected.set_aside))}"
+        )
+        raise SystemExit(SET_ASIDE)
+
+
+@app.command()
+def repeat(
+    campaign: File,
+    case: Annotated[int, typer.Option("--case", metavar="N", help="Number of the case, from 0.", min=0)],
+    repeat: Annotated[int, typer.Option("--repeat", metavar="N", help="Number of the repeat, from 0.", min=0)],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the files of the record.")
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute one record of a campaign again, and write its files.
+
+    Writes the run file, the data and the truth of a simulated test, and the scenario that makes them.
+    """
+    from piga.campaign.campaign_file import read_campaign
+    from piga.campaign.repeat import FILES, outcome_document, outcome_lines, write_record
+    from piga.campaign.subjects import compute
+    from piga.cli.common import files_named_in
+
+    planned = read_campaign(campaign)
+    record = planned.find(case, repeat)
+    outcome = compute(planned, record)
+    if out is not None:
+        with results(out, "campaign-repeat", FILES, files_named_in(campaign), force=force) as folder:
+            written = write_record(planned, record, folder)
+    if as_json:
+        print_json(outcome_document(record, outcome))
+        return
+    say("\n".join(outcome_lines(record, outcome)))
+    if out is not None:
+        say(f"wrote {out}/{', '.join(written)}")
+
+
+# --- words -------------------------------------------------------------------------------------------
+
+
+def _command(name: str, campaign: Path, out: Path, *more: str) -> str:
+    parts = ["piga", "campaign", name, str(campaign), "--out", str(out), *more]
+    return " ".join(shlex.quote(part) for part in parts)
+
+
+def _engine(workers: int | None, executor: str | None) -> list[str]:
+    given = [] if workers is None else ["--workers", str(workers)]
+    return given if executor is None else ["--executor", executor]
+
+
+def _plan_document(campaign: Campaign) -> dict[str, Any]:
+    manifest = campaign.manifest
+    seconds = manifest.seconds_per_record
+    return {
+        "campaign": str(campaign.plan.path),
+        "groups": len(campaign.plan.groups),
+        "cases": sum(group.designs for group in campaign.plan.groups),
+        "records": manifest.records,
+        "shards": campaign.shards,
+        "records_per_shard": manifest.records_per_shard,
+        "seconds_per_record": seconds,
+        "core_hours": None if seconds is None else seconds * manifest.records / 3600.0,
+    }
+
+
+def _plan_lines(campaign: Campaign) -> list[str]:
+    from piga.campaign.run import duration
+
+    document, groups = _plan_document(campaign), campaign.plan.groups
+    lines = [f"{campaign.plan.file.campaign.title or campaign.plan.path.name}"]
+    lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
+    lines += [f"  and {len(groups) - 30} more"] if len(groups) > 30 else []
+    size = document["records_per_shard"]
+    lines.append(f"{document['records']} records in {document['shards']} shards of {size}")
+    seconds = document["seconds_per_record"]
+    if seconds is not None:
+        lines.append(
+            f"about {seconds:.2g} s a record, {duration(seconds * size)} a shard, "
+            f"{document['core_hours']:.2g} core hours in all"
+        )
+    return lines
+
+
+def _run_document(campaign: Campaign, report: RunReport) -> dict[str, Any]:
+    return {
+        "shards": report.shards,
+        "shards_done": report.done,
+        "records": campaign.manifest.records,
+        "records_of_this_run": sum(r.records for r in report.reports),
+        "failed_in_this_run": sum(r.failed for r in report.reports),
+        "stopped": report.stopped,
+        "set_aside": [{"shard": k, "reason": text} for k, text in sorted(report.set_aside.items())],
+        "workers": _workers(report),
+    }
+
+
+def _workers(report: RunReport) -> list[dict[str, Any]]:
+    names = sorted({r.worker for r in report.reports})
+    return [
+        {
+            "worker": name,
+            "shards": sum(r.worker == name for r in report.reports),
+            "records": sum(r.records for r in report.reports if r.worker == name),
+            "seconds": sum(r.seconds for r in report.reports if r.worker == name),
+        }
+        for name in names
+    ]
+
+
+def _run_lines(report: RunReport) -> list[str]:
+    from piga.campaign.run import duration
+
+    records, failed = (sum(getattr(r, name) for r in report.reports) for name in ("records", "failed"))
+    lines = [f"{report.done} of {report.shards} shards done; {records} records in this run, {failed} failed"]
+    workers = _workers(report)
+    lines += [
+        f"  worker {w['worker']}: {w['shards']} shards, {w['records']} records, {duration(w['seconds'])} of processor time"
+        for w in workers[:16]
+    ]
+    lines += [f"  and {len(workers) - 16} more workers"] if len(workers) > 16 else []
+    return lines
+
+
+def _status(campaign: Campaign) -> dict[str, Any]:
+    """Shards, records, failures and cost, from the parts."""
+    from pyarrow import parquet
+
+    from piga.campaign.collect import check_part
+
+    done = campaign.done()
+    failed, seconds, records = 0, 0.0, 0
+    for shard in done:
+        check_part(campaign, shard)
+        table = parquet.read_table(campaign.part(shard), columns=["error_class", "seconds"])
+        records += table.num_rows
+        failed += table.num_rows - table.column("error_class").null_count
+        seconds += sum(table.column("seconds").to_pylist())
+    aside = campaign.set_aside()
+    return {
+        "campaign": str(campaign.plan.path),
+        "shards": campaign.shards,
+        "shards_done": len(done),
+        "records": campaign.manifest.records,
+        "records_done": records,
+        "failed": failed,
+        "core_hours": seconds / 3600.0,
+        "core_hours_per_1000": seconds / 3.6 / records if records else None,
+        "set_aside": [{"shard": shard, "reason": text} for shard, text in sorted(aside.items())],
+    }
+
+
+class _Shown:
+    """Progress on stderr: one line that is written over on a terminal, else a line every ten seconds."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr is not None and sys.stderr.isatty()
+        self._last, self._begun = (0.0 if self._terminal else time.monotonic()), False
+        self._finishing = False
+
+    def __call__(self, progress: Progress) -> None:
+        now = time.monotonic()
+        said = progress.finishing and not self._finishing
+        if said:
+            self._finishing = True
+            self.end()
+            note("stopping: the shards under way are finished; press Ctrl-C again to drop them")
+        elif now - self._last < (0.5 if self._terminal else EVERY):
+            return
+        self._last = now
+        if not self._terminal:
+            note(progress.line())
+            return
+        width = os.get_terminal_size(sys.stderr.fileno()).columns - 1
+        sys.stderr.write(f"\r\x1b[2K{progress.line()[:width]}")
+        sys.stderr.flush()
+        self._begun = True
+
+    def end(self) -> None:
+        """Leave a clean line."""
+        if self._begun:
+            sys.stderr.write("\r\x1b[2K")
+            sys.stderr.flush()
+            self._begun = False

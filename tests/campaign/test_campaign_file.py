@@ -1,0 +1,181 @@
+"""Campaign files: the list of records, what is drawn, and what is refused."""
+
+import numpy as np
+import pytest
+
+from piga.campaign import plan_campaign, read_campaign
+from piga.campaign.manifest import shard_size
+from piga.campaign.subjects import seed_of
+from piga.errors import PigaError, RunFileError
+from tests.campaign.small import ROOT, SMALL, written
+
+HEAD = (ROOT / "examples" / "dividing-head.toml").read_text(encoding="utf-8")
+STAND = """
+scenario = "head.toml"
+[campaign]
+repeats = 2
+"""
+
+
+def stand(folder, text):
+    """A campaign of the shipped dividing head."""
+    written(folder, HEAD, "head.toml")
+    return written(folder, text)
+
+
+def test_records_have_case_and_repeat(tmp_path):
+    plan = read_campaign(written(tmp_path))
+    assert plan.records == 17
+    names = [(plan.record(n).case, plan.record(n).repeat, plan.record(n).group.name) for n in range(17)]
+    assert names[:2] == [(0, 0, "white"), (0, 1, "white")]
+    assert names[10:12] == [(1, 0, "walk"), (1, 1, "walk")]
+    assert len(set(names)) == 17
+    assert all(plan.find(case, repeat).number == n for n, (case, repeat, _) in enumerate(names))
+
+
+def test_grid_times_designs_times_repeats(tmp_path):
+    text = (
+        STAND
+        + 'designs = 3\n[grid]\n"stand.latitude" = ["10 deg", "20 deg"]\n"run.step" = ["0.1 s", "0.05 s"]\n'
+    )
+    text += '[draw]\n"truth.k0" = { distribution = "normal", mean = "0 g", std = "1e-3 g" }\n'
+    plan = read_campaign(stand(tmp_path, text))
+    assert (len(plan.groups), plan.records) == (4, 24)
+    assert [group.first for group in plan.groups] == [0, 3, 6, 9]
+    document = plan.document(plan.record(plan.groups[3].start))
+    assert document["stand"]["latitude"] == "20 deg"
+    assert document["run"]["step"] == "0.05 s"
+    drawn = [plan.document(plan.find(case, 0))["truth"]["k0"] for case in range(12)]
+    assert len(set(drawn)) == 12
+    assert plan.document(plan.find(5, 1))["truth"]["k0"] == drawn[5], "repeats of a design share what was drawn"
+    assert plan.document(plan.record(0))["truth"]["beta"] == "74 arcsec", "the rest is that of the file"
+
+
+@pytest.mark.parametrize(
+    ("entry", "low", "high"),
+    [
+        ('{ distribution = "uniform", low = "1 g", high = "2 g" }', 1.0, 2.0),
+        ('{ distribution = "log-uniform", low = "1e-6 g", high = "1e-2 g" }', 1e-6, 1e-2),
+        ('{ distribution = "normal", mean = "3 g", std = "0 g" }', 3.0, 3.0),
+        ('{ distribution = "choice", values = ["1 g", "4 g"] }', 1.0, 4.0),
+    ],
+)
+def test_distributions(tmp_path, entry, low, high):
+    plan = read_campaign(stand(tmp_path, STAND + f'designs = 50\n[draw]\n"truth.k0" = {entry}\n'))
+    values = [float(plan.document(plan.find(case, 0))["truth"]["k0"].removesuffix(" g")) for case in range(50)]
+    assert low <= min(values) <= max(values) <= high
+    assert len(set(values)) == (1 if "normal" in entry else 2 if "choice" in entry else 50)
+    if "log" in entry:
+        assert 5e-5 < float(np.median(values)) < 2e-4, "the middle of the logarithms"
+
+
+def test_seeds_are_those_of_the_seed_sequence(tmp_path):
+    plan = read_campaign(written(tmp_path))
+    record = plan.find(1, 3)
+    expected = np.random.SeedSequence(7, spawn_key=(1, 3)).generate_state(8)
+    assert np.array_equal(plan.sequence(record).generate_state(8), expected)
+    seeds = {seed_of(plan, plan.record(n)) for n in range(17)}
+    assert len(seeds) == 17
+    assert all(0 <= seed < 2**63 for seed in seeds)
+
+
+def test_manifest_is_a_function_of_the_file(tmp_path):
+    path = written(tmp_path)
+    first, second = (plan_campaign(path, tmp_path / name) for name in ("a", "b"))
+    texts = [(c.folder / "manifest.json").read_bytes() for c in (first, second)]
+    assert texts[0] == texts[1]
+    assert first.key == second.key
+    other = plan_campaign(
+        written(tmp_path, SMALL.replace("seed = 7", "seed = 8"), "other.toml"), tmp_path / "c"
+    )
+    assert other.key != first.key
+
+
+def test_cut_is_measured_once_and_kept(tmp_path):
+    path = written(tmp_path, SMALL.replace("records_per_shard = 4\n", ""))
+    first = plan_campaign(path, tmp_path / "a")
+    assert first.manifest.seconds_per_record > 0.0
+    assert plan_campaign(path, tmp_path / "a").manifest == first.manifest
+
+
+@pytest.mark.parametrize(
+    ("records", "seconds", "size"),
+    [(10_000, 0.05, 500), (1_000_000, 0.05, 2000), (10, 30.0, 1), (5, 500.0, 1), (64, 1.0, 2), (1, 1e-3, 1)],
+)
+def test_shards_last_two_minutes_and_are_not_fewer_than_sixteen(records, seconds, size):
+    assert shard_size(records, seconds) == size
+
+
+REFUSED = {
+    "unknown table": (SMALL + "\n[grids]\n", "has the unknown key 'grids'"),
+    "unknown key": (SMALL.replace("repeats = 7", "repeat = 7"), "has the unknown key 'repeat'"),
+    "unknown key of a test": (
+        SMALL.replace("white =", "wite =", 1),
+        "white: [constant_force] has the unknown key 'wite'",
+    ),
+    "unit": (SMALL.replace("2.5e-5 rad", "2.5e-5 m", 1), "white"),
+    "term": (SMALL.replace('"k0"]', '"k9"]', 1), "'k9' is not a term"),
+    "no repeats": (SMALL.replace("repeats = 10", "repeats = 0"), "repeats"),
+    "two of a name": (SMALL.replace('"walk"', '"white"'), "two cases have the name 'white'"),
+    "nothing": ("[campaign]\n", "there is nothing to compute"),
+    "no TOML": ("[campaign", "not valid TOML"),
+    "archive and cases": (SMALL + '\n[archive]\nruns = "*.toml"\n', "[archive] stands beside"),
+    "archive of nothing": ('[archive]\nruns = "no/*.toml"\n', "no file matches no/*.toml"),
+    "no segments": (SMALL.replace("tumble = { positions = 6 }\n", "", 1), "has no segments"),
+}
+
+
+@pytest.mark.parametrize("name", list(REFUSED))
+def test_refused(tmp_path, name):
+    text, words = REFUSED[name]
+    with pytest.raises(PigaError, match=r"small\.toml") as caught:
+        plan_campaign(written(tmp_path, text), tmp_path / "out")
+    assert words in str(caught.value)
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+OF_A_STAND = {
+    "grid key": ('[grid]\n"stand.lattitude" = ["1 deg"]\n', "unknown key 'lattitude'"),
+    "grid key through a value": ('[grid]\n"stand.latitude.x" = ["1 deg"]\n', "a key leads through 'latitude'"),
+    "grid table": ('[grid]\n"stnd.latitude" = ["1 deg"]\n', "unknown key 'stnd'"),
+    "grid value": ('[grid]\n"stand.latitude" = ["10 deg", "1 m"]\n', "latitude"),
+    "truth": ('[grid]\n"truth.k9" = ["1 g"]\n', "unknown key 'k9'"),
+    "twin": ('[grid]\n"twin.gain" = [1.0]\n', "gain"),
+    "model": ('[grid]\n"model.phas" = ["shared"]\n', "phas"),
+    "k1": ('[grid]\n"truth.k1" = [1e-4]\n', "cannot tell it from the scale factor"),
+    "empty grid": ('[grid]\n"stand.latitude" = []\n', "the list is empty"),
+    "draw key": ('[draw]\n"stand.foo" = { distribution = "uniform", low = 0, high = 1 }\n', "unknown key 'foo'"),
+    "draw ends": ('[draw]\n"truth.k0" = { distribution = "uniform", low = "2 g", high = "1 g" }\n', "not below"),
+    "draw units": ('[draw]\n"truth.k0" = { distribution = "uniform", low = "2 g", high = "3 m" }\n', "units differ"),
+    "draw lacks": ('[draw]\n"truth.k0" = { distribution = "normal", mean = "0 g" }\n', "needs mean and std"),
+    "draw what": ('[draw]\n"truth.k0" = { distribution = "cauchy" }\n', "cauchy"),
+    "both": ('[grid]\n"truth.k0" = ["0 g"]\n[draw]\n"truth.k0" = { distribution = "choice", values = ["0 g"] }\n',
+             "is in [grid] and in [draw]"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(OF_A_STAND))
+def test_keys_of_a_scenario_that_do_not_exist(tmp_path, name):
+    text, words = OF_A_STAND[name]
+    with pytest.raises(RunFileError) as caught:
+        read_campaign(stand(tmp_path, STAND + text))
+    assert "small.toml" in str(caught.value)
+    assert words.lower() in str(caught.value).lower()
+
+
+def test_scenario_that_is_missing_or_none(tmp_path):
+    with pytest.raises(RunFileError, match=r"gone\.toml"):
+        read_campaign(written(tmp_path, 'scenario = "gone.toml"\n'))
+    written(tmp_path, "[instrument]\nserial = 'x'\n", "run.toml")
+    with pytest.raises(RunFileError, match="is no scenario"):
+        read_campaign(written(tmp_path, 'scenario = "run.toml"\n'))
+
+
+def test_folder_of_another_campaign(tmp_path):
+    plan_campaign(written(tmp_path), tmp_path / "out")
+    changed = written(tmp_path, SMALL.replace("repeats = 7", "repeats = 8"))
+    with pytest.raises(PigaError, match="holds another campaign"):
+        plan_campaign(changed, tmp_path / "out")
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(PigaError, match="is a file"):
+        plan_campaign(changed, tmp_path / "file")

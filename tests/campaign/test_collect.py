@@ -1,0 +1,146 @@
+"""Figures of a collected campaign, against direct arithmetic on its rows; parts that cannot be trusted."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from piga.campaign import collect, document, open_campaign, plan_campaign
+from piga.campaign.shard import run_shard
+from piga.cli.main import app
+from piga.errors import DataError, PigaError
+from tests.campaign.small import SMALL, collected, rows, written
+
+
+def computed(folder, text=SMALL, name="out", shards=None):
+    """A campaign computed in this process."""
+    campaign = plan_campaign(written(folder, text), folder / name)
+    for shard in range(campaign.shards) if shards is None else shards:
+        run_shard(str(folder / name), shard)
+    return folder / name
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The small campaign, computed once; tests only read it."""
+    return computed(tmp_path_factory.mktemp("small"))
+
+
+def test_figures_are_those_of_the_rows(small):
+    found = document(collect(open_campaign(small)))
+    every = rows(small)
+    assert (found["records"], found["computed"], found["failed"], found["complete"]) == (17, 17, 0, True)
+    for index, group in enumerate(found["groups"]):
+        own = [row for row in every if row["case"] == index]
+        assert group["records"] == len(own) == (10, 7)[index]
+        assert group["nees"] == pytest.approx(np.mean([row["nees"] for row in own]), rel=1e-12)
+        for k, c in enumerate(group["coefficients"]):
+            value, u, low, high, truth, off = (
+                np.array([row[name][k] for row in own])
+                for name in ("value", "u", "low", "high", "truth", "deviation")
+            )
+            assert c["name"] == own[0]["name"][k]
+            assert c["tests"] == len(own)
+            assert np.array_equal(off, value - truth)
+            share = np.mean((low <= truth) & (truth <= high))
+            assert c["coverage"] == share
+            within = min(max(share, 0.5 / len(own)), 1.0 - 0.5 / len(own))
+            assert c["coverage_std_error"] == pytest.approx(
+                math.sqrt(within * (1 - within) / len(own)), rel=1e-12
+            )
+            assert c["bias"] == pytest.approx(np.mean(off), rel=1e-9)
+            assert c["spread"] == pytest.approx(np.std(off, ddof=1), rel=1e-9)
+            assert c["mean"] == pytest.approx(np.mean(value), rel=1e-12)
+            assert c["std"] == pytest.approx(np.std(value, ddof=1), rel=1e-6)
+            assert c["nees"] == pytest.approx(np.mean((off / u) ** 2), rel=1e-9)
+            bound = np.array([row["bound"][k] for row in own])
+            assert np.isfinite(bound).tolist() == [row["repeat"] < 3 for row in own]
+            ratio = np.var(off, ddof=1) / np.mean(bound[:3] ** 2)
+            assert c["variance_over_bound"] == pytest.approx(ratio, rel=1e-9)
+
+
+def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
+    found = collect(open_campaign(small))
+    every = rows(small)
+    largest = max(abs(z) for row in every for z in row["z"])
+    worst = found.worst[0]
+    assert abs(worst.z) == largest
+    assert [abs(w.z) for w in found.worst] == sorted((abs(w.z) for w in found.worst), reverse=True)
+    words = worst.command.replace("small.toml", str(small.parent / "small.toml")).replace(
+        "DIR", str(tmp_path / "r")
+    )
+    app([*words.split()[1:], "--json"], standalone_mode=False)
+    again = json.loads(capsys.readouterr().out)
+    assert next(c["z"] for c in again["coefficients"] if c["name"] == worst.coefficient) == worst.z
+    import piga
+
+    calibration = piga.calibrate(piga.read_run(tmp_path / "r" / "run.toml"))
+    row = every[worst.record]
+    assert [c.value for c in calibration.coefficients] == pytest.approx(row["value"], rel=1e-12)
+
+
+def test_collect_does_not_depend_on_the_cut(small, tmp_path):
+    other = computed(tmp_path, SMALL.replace("records_per_shard = 4", "records_per_shard = 7"))
+    first, second = collected(small), collected(other)
+    assert first["json"] == second["json"]
+    assert first["csv"] == second["csv"]
+
+
+def test_a_record_that_fails_is_a_row(tmp_path):
+    same = "forces = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]"
+    text = SMALL.replace("tumble = { positions = 6 }", same, 1)
+    folder = computed(tmp_path, text)
+    found = collect(open_campaign(folder))
+    assert found.failed == 10
+    assert found.groups[0].failed == {"IdentifiabilityError": 10}
+    assert found.groups[0].coefficients == ()
+    assert found.groups[1].coefficients[0].tests == 7
+    failure = found.failures[0]
+    assert (failure.error_class, failure.records, failure.first) == ("IdentifiabilityError", 10, 0)
+    assert "--case 0 --repeat 0" in failure.command
+    assert all(row["error"] for row in rows(folder)[:10])
+    assert "10 of 17 records failed" in collected(folder)["page"].decode()
+
+
+def test_incomplete(tmp_path):
+    folder = computed(tmp_path, shards=(0, 2))
+    found = collect(open_campaign(folder))
+    assert found.missing == (1, 3, 4)
+    assert found.computed == 8
+    assert not found.complete
+    with pytest.raises(PigaError, match="holds no results yet"):
+        collect(plan_campaign(tmp_path / "small.toml", tmp_path / "empty"))
+
+
+def test_damaged_parts_are_named(tmp_path):
+    folder = computed(tmp_path, shards=(0, 1))
+    part = folder / "parts" / "part-00001.parquet"
+    whole = part.read_bytes()
+    table = parquet.read_table(part)
+    foreign = table.replace_schema_metadata({b"piga.campaign": b"another"})
+    for damage, words in (
+        (lambda: part.write_bytes(whole[: len(whole) // 2]), "is damaged"),
+        (lambda: part.write_bytes(b""), "is damaged"),
+        (lambda: part.write_bytes(b"\0" * len(whole)), "is damaged"),
+        (lambda: parquet.write_table(foreign, part), "belongs to another campaign"),
+        (lambda: parquet.write_table(table.slice(1), part), "holds 3 records, not 4"),
+    ):
+        damage()
+        with pytest.raises(DataError, match=r"part-00001\.parquet") as caught:
+            collect(open_campaign(folder))
+        assert words in str(caught.value)
+        assert "delete it" in str(caught.value)
+    part.unlink()
+    run_shard(str(folder), 1)
+    again = parquet.read_table(part).drop_columns(["seconds"])
+    assert repr(again.to_pylist()) == repr(table.drop_columns(["seconds"]).to_pylist())
+
+
+def test_no_campaign_there(tmp_path):
+    with pytest.raises(PigaError, match="holds no campaign"):
+        open_campaign(tmp_path)
+    (tmp_path / "manifest.json").write_text('{"schema": "piga.camp')
+    with pytest.raises(PigaError, match=r"manifest\.json: is damaged"):
+        open_campaign(tmp_path)
