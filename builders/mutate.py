@@ -70,13 +70,13 @@ COMPENSATED = tests_of(
     "compensation",
     "compensate",
     "record_facts",
-    "set_corners",
+    "set_compensator_corners",
     "term_uncertainty",
-    "near",
-    "stream",
+    "indication",
+    "compensator",
     "refusals",
 )
-SETS = tests_of("compensation", "triad", "set_corners", "published_case", "large_record")
+SETS = tests_of("compensation", "triad", "set_compensator_corners", "published_case", "large_record")
 PHASES = tests_of("compensation", "phase_and_resample")
 GEOMETRY = tests_of("platform", "geometry", "simulate")
 PLATFORM = [*GEOMETRY, *tests_of("platform", "scenario", "navigator")]
@@ -131,7 +131,7 @@ COMPENSATION = {
     "compensation/phase compensation/result compensation/phase": [
         *PHASES,
         *COMPENSATED,
-        *tests_of("compensation", "files"),
+        *tests_of("compensation", "file_to_file"),
     ],
     "compensation/sets/set_compensator compensation/sets/set_compensator "
     "compensation/sets/triad compensation/sets/set_compensator": SETS,
@@ -166,7 +166,7 @@ KERNELS = {
     ],
     "_kernels/platform/navigation _kernels/platform/motion _kernels/platform/navigation": [*PLATFORM, *ERRORS],
     "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS, *TRIADS],
-    "_kernels/arithmetic/interpolation": [*PHASES, *tests_of("compensation", "files")],
+    "_kernels/arithmetic/interpolation": [*PHASES, *tests_of("compensation", "file_to_file")],
     "_kernels/motion/servo": TWIN,
     "_kernels/estimation/trend": TREND,
 }
@@ -180,7 +180,7 @@ TESTS = {
     "earth.py": GROUND,
     "units.py": [
         "tests/foundations/test_unit_table.py",
-        "tests/records/test_units.py",
+        "tests/foundations/test_units.py",
         "tests/instrument/test_parameters.py",
     ],
 }

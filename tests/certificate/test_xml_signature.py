@@ -10,7 +10,7 @@ import re
 import pytest
 
 from piga.errors import DataError, PigaError
-from tests.reports.certificate_data import complete, key_pair
+from tests.certificate.certificate_data import complete, key_pair
 
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")

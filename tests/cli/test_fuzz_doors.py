@@ -21,10 +21,10 @@ from piga.compensation.files.live import compensate_arrow, compensate_lines
 from piga.compensation.model import make_model
 from piga.records.calibration_json import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import read_run_file
+from tests.certificate.certificate_data import budgeted, complete
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
+from tests.formats.test_fuzz import SCALE, mutated, outcome, seeded
 from tests.records.files import write_run
-from tests.records.test_fuzz import SCALE, mutated, outcome, seeded
-from tests.reports.certificate_data import budgeted, complete
 from tests.reports.example import calibration
 
 CASES = 200 * SCALE

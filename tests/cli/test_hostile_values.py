@@ -18,10 +18,10 @@ from piga.formats.containers import container
 from piga.ledger.store.documents import write_new
 from piga.records.limits import FULL
 from piga.units import parse_unit, to_si
+from tests.certificate.certificate_data import budgeted, changed, complete
 from tests.cli.runner import exit_code
 from tests.records.containers import WRITERS, columns
 from tests.records.files import lines, write_log, write_run
-from tests.reports.certificate_data import budgeted, changed, complete
 from tests.reports.example import calibration
 
 FILE = 'file = "run.csv"'

@@ -116,7 +116,7 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
         assert TYPE_A_ONLY in text, name
         assert "expanded" not in text.lower(), name
     from piga.certificate.certificate_file import missing_items
-    from tests.reports.certificate_data import complete
+    from tests.certificate.certificate_data import complete
 
     assert any("no source of Type B" in item for item in missing_items(complete("G-1"), alone))
 

@@ -26,7 +26,7 @@ from piga.certificate.certificate_file import (
 from piga.certificate.page import certificate_html
 from piga.certificate.statements import verdicts
 from piga.errors import CalibrationError, PigaError, RunFileError
-from tests.reports.certificate_data import EXAMPLE, budgeted, changed, complete
+from tests.certificate.certificate_data import EXAMPLE, budgeted, changed, complete
 from tests.reports.example import calibration
 
 

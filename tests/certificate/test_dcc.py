@@ -22,7 +22,7 @@ from piga.records.calibration import Coefficient, Diagnostics
 from piga.records.calibration_json import to_document
 from piga.records.coverage import joint_factor
 from piga.records.terms import UNITS, si_factor, unit_of
-from tests.reports.certificate_data import SCHEMAS, budgeted, changed, complete
+from tests.certificate.certificate_data import SCHEMAS, budgeted, changed, complete
 from tests.reports.example import calibration
 
 etree = pytest.importorskip("lxml.etree")
@@ -88,7 +88,7 @@ def problems(raw):
 )
 def test_valid_by_schema_and_schematron(cal, per_segment, kind):
     pytest.importorskip("saxonche")
-    from tests.reports.schematron import findings
+    from tests.certificate.schematron import findings
 
     data, used, before = complete(), cal, None
     if kind == "per-segment":
@@ -131,7 +131,7 @@ def test_valid_by_schema_and_schematron(cal, per_segment, kind):
 @needs_schemas
 def test_the_checks_can_fail():
     pytest.importorskip("saxonche")
-    from tests.reports.schematron import findings
+    from tests.certificate.schematron import findings
 
     rules = SCHEMAS / "schematron" / "dcc.sch"
     assert problems((SCHEMAS / "example-valid.xml").read_bytes()) == []

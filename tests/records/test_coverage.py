@@ -31,7 +31,7 @@ from piga.reports.render.page import page_html
 from piga.reports.trend import trend_document, trend_page
 from piga.trend.history import find_trend
 from piga.units import G0
-from tests.reports.certificate_data import changed, complete
+from tests.certificate.certificate_data import changed, complete
 
 TERMS = ["scale_factor", "k0", "k2"]
 K = 0.8884 / G0
