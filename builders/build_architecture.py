@@ -36,6 +36,7 @@ SENTENCES = {
     "records": "plain data: runs, terms, calibrations",
     "_kernels": "compiled arithmetic",
     "output": "files whole or not there",
+    "results": "what every result does in a notebook",
     "frames": "rotations",
     "earth": "gravity, Earth rate",
     "units": "units at the edges",

@@ -7,12 +7,19 @@ The pooling of the stretches is our own derivation.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.results import Result, plotted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -47,8 +54,8 @@ ONE_SIGMA = 0.682689492137
 """Probability of the bands."""
 
 
-@dataclass(frozen=True)
-class AllanDeviation:
+@dataclass(frozen=True, eq=False, repr=False)
+class AllanDeviation(Result):
     """Overlapping Allan deviation of a rate: one entry per averaging time.
 
     Attributes
@@ -69,6 +76,10 @@ class AllanDeviation:
     upper: Array
     degrees_of_freedom: Array
     stretches: NDArray[np.int64]
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """The deviation with its 68 % band. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
 
 def allan_deviation(

@@ -346,6 +346,9 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
         exact = c.std == 0.0 and c.name in SERVO_TERMS  # given by [instrument] servo without an uncertainty
         if not exact and not (c.std > 0.0 and math.isfinite(c.std)):
             yield f"calibration (7.8.4.1 a): {c.key} has no uncertainty"
+    if calibration.given:
+        yield "calibration (7.8.4.1 a): the coefficients were given, not estimated; calibrate a record"
+        return
     if calibration.type_a_only:
         yield "calibration (7.8.4.1 a, 7.6): no source of Type B in the budget; state [uncertainty] in the run file"
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -19,9 +19,6 @@ from piga.cli.common import (
 )
 from piga.errors import PigaError
 from piga.output import check_outputs, results
-
-if TYPE_CHECKING:
-    from piga.records import Run
 
 
 def check(
@@ -46,11 +43,12 @@ def check(
         if fix_suggestions:
             print_suggestions(run)
         raise
-    document = _quality_document(record)
+    from piga.reports.check import check_document, check_text
+
     if as_json:
-        print_json(document)
+        print_json(check_document(record))
     else:
-        _print_check(run, record, document)
+        say(check_text(record, str(run)))
     if fix_suggestions and not as_json:
         print_suggestions(run)
     if out is not None:
@@ -85,23 +83,6 @@ def convert(
     say(data_table(record, out.name))
 
 
-def _print_check(run: Path, record: Run, document: dict[str, Any]) -> None:
-    say(f"{run}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used")
-    say(
-        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz"
-    )
-    say(f"  reference  |f| {document['force_g'][0]:.6g} to {document['force_g'][1]:.6g} g")
-    say(
-        f"  phase      {'kept through the whole record' if document['phase_kept'] else 'lost between segments'}"
-    )
-    say(f"  calibrate  {document['calibration']}")
-    if not record.quality.events:
-        say("  findings   none")
-    for event in record.quality.events:
-        row = "" if event.first_row is None else f", first at row {event.first_row}"
-        say(f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}")
-
-
 def print_suggestions(run: Path) -> None:
     """Print the lines that were tried in run-file syntax, with the reason as a comment."""
     from piga.describe import suggestions
@@ -113,28 +94,3 @@ def print_suggestions(run: Path) -> None:
     for item in tried:
         say(f"# {' '.join(item.reason.split())}")
         say(f"{item.line}    # in [{item.table}]")
-
-
-def _quality_document(record: Run) -> dict[str, Any]:
-    import msgspec
-    import numpy as np
-
-    from piga.records.spool import spans
-    from piga.reports.check import calibration_words
-    from piga.units import G0
-
-    low, high = np.inf, 0.0
-    for part in spans(record.size):
-        size = np.linalg.norm(record.f[part], axis=1)
-        low, high = min(low, float(size.min())), max(high, float(size.max()))
-    return {
-        "serial": record.serial,
-        "quality": msgspec.to_builtins(record.quality),
-        "segments": list(record.labels),
-        "duration_s": record.duration,
-        "rate_hz": 1.0 / step if (step := record.median_step) > 0.0 else 0.0,
-        "force_g": [low / G0, high / G0],
-        "phase_kept": len(set(record.phase_group)) == 1,
-        "calibration": calibration_words(record),
-        "input_sha256": record.input_sha256,
-    }

@@ -85,7 +85,8 @@ def compensate(
     for _ in plan.run(lambda rows, _: _part(result, rows)):
         pass
     return Compensated(
-        record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration)
+        record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration),
+        (record, calibration),
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,8 @@ NO_MARKS = np.zeros(0, dtype=np.bool_)
 NO_FLAGS = np.zeros(0, dtype=np.int32)
 
 
-@dataclass(frozen=True)
-class Chunk:
+@dataclass(frozen=True, eq=False, repr=False)
+class Chunk(Result):
     """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
 
     ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s] and ``temperature`` [K] may
@@ -46,8 +47,8 @@ class Chunk:
     angle: Array
 
 
-@dataclass(frozen=True)
-class Step:
+@dataclass(frozen=True, eq=False, repr=False)
+class Step(Result):
     """Result of one chunk: ``ax`` [m/s^2], ``dv`` [m/s], ``u_ax`` [m/s^2] and ``flags`` (empty if unwanted)."""
 
     ax: Array

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,12 +16,18 @@ from piga.compensation.model import FLAGS
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
+from piga.records.run import Run
+from piga.results import Column, Reported, Result, Tabular, plotted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Compensated:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensated(Result, Reported, Tabular):
     """Specific force and velocity increments of one instrument; arrays share their length.
 
     Attributes
@@ -40,6 +47,8 @@ class Compensated:
         Serial number of the instrument, and ``"exact"`` or ``"published"``.
     notes:
         Notes that every display of ``u_ax`` must show, from :func:`notes_on`; files hold them too.
+    made_from:
+        The record and the calibration, for :meth:`plot` and :meth:`report`. A pickle leaves them out.
     """
 
     t: Array
@@ -50,6 +59,28 @@ class Compensated:
     serial: str = ""
     method: str = "exact"
     notes: tuple[str, ...] = field(default=())
+    made_from: tuple[Run, Calibration] | None = field(default=None, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"made_from": None}
+
+    def __copy__(self) -> Compensated:
+        return replace(self)
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """What a notebook shows of the compensation."""
+        facts = [
+            ("instrument", self.serial or "not named"),
+            ("method", self.method),
+            ("rows", str(self.size)),
+            ("velocity", f"{float(self.dv.sum()):.6g} m/s"),
+        ]
+        if self.u_ax.size:
+            facts.append(("u_ax, median", f"{float(np.nanmedian(self.u_ax)):.3g} m/s^2"))
+        if self.flags.size:
+            raised = {name: int(np.count_nonzero(self.flagged(name))) for name in FLAGS}
+            facts.append(("flags", ", ".join(f"{n} {name}" for name, n in raised.items() if n) or "none"))
+        return facts + [("note", note) for note in self.notes]
 
     @property
     def size(self) -> int:
@@ -64,12 +95,24 @@ class Compensated:
         """Running sum of ``dv`` [m/s]; it does not include the time between stretches."""
         return np.cumsum(self.dv)
 
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Specific force, correction and uncertainty against time. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
+
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
         columns = {"t": self.t, "ax": self.ax, "dv": self.dv}
         if self.u_ax.size:
             columns["u_ax"] = self.u_ax
         return columns | ({"flags": self.flags} if self.flags.size == self.size else {})
+
+    def table_columns(self) -> dict[str, Column]:
+        """The columns of the written file with their units."""
+        return with_units(self.columns())
+
+    def table_notes(self) -> tuple[str, ...]:
+        """The notes on ``u_ax``."""
+        return self.notes
 
     def to_parquet(self, path: str | Path) -> None:
         """Write a Parquet file; its metadata hold units, flag names and notes."""
@@ -92,8 +135,8 @@ def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
     return (TYPE_A_ONLY if len(calibrations) == 1 else f"{', '.join(alone)}: {TYPE_A_ONLY}",)
 
 
-@dataclass(frozen=True)
-class CompensatedSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedSet(Result, Tabular):
     """Specific force and velocity increments in the common frame; arrays share their length n.
 
     ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)). ``residual``
@@ -109,6 +152,10 @@ class CompensatedSet:
     flags: NDArray[np.int32]
     misfit: Array = field(default_factory=lambda: np.zeros((0, 0)))
     each: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Specific force in the common frame, and its uncertainty. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
     @property
     def size(self) -> int:
@@ -126,6 +173,17 @@ class CompensatedSet:
             if values.shape[0]:
                 columns |= {prefix + axis: np.ascontiguousarray(values[:, i]) for i, axis in enumerate("xyz")}
         return columns | {"residual": self.residual, "flags": self.flags}
+
+    def table_columns(self) -> dict[str, Column]:
+        """The columns of the written file with their units."""
+        return with_units(self.columns())
+
+
+def with_units(columns: dict[str, NDArray]) -> dict[str, Column]:
+    """Columns with the units of the written files."""
+    from piga.compensation.writers import unit_of_column
+
+    return {name: Column(values, unit_of_column(name)) for name, values in columns.items()}
 
 
 class Resampler:

@@ -15,6 +15,7 @@ from piga.errors import CalibrationError
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.spool import trim
+from piga.results import Column
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -76,26 +77,18 @@ def write_run_parquet(run: Run, path: Path) -> None:
             out.write_table(pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema))
 
 
+def arrow_array(column: Column) -> pa.Array:
+    """A column as an Arrow array; numbers share their memory."""
+    if column.labels is not None:
+        return label_column(column.values.astype(np.int32), column.labels)
+    if column.values.dtype.kind in "OU":
+        return text_column([str(value) for value in column.values])
+    return number_column(column.values)
+
+
 def _columns(run: Run, part: slice) -> dict[str, tuple[Any, str]]:
     """Arrow arrays of a slice of rows with their units, by name."""
-    columns: dict[str, tuple[Any, str]] = {
-        "t": (number_column(run.t[part]), "s"),
-        "output": (number_column(run.output[part]), output_unit(run)),
-    }
-    columns |= {f"f{axis}": (number_column(run.f[part, i]), "m/s^2") for i, axis in enumerate("xyz")}
-    if run.base_rate is not None:
-        columns |= {
-            f"w{axis}": (number_column(run.base_rate[part, i]), "rad/s") for i, axis in enumerate("xyz")
-        }
-    if run.temperature is not None:
-        columns["temperature"] = (number_column(run.temperature[part]), "K")
-    columns["segment"] = (label_column(run.segment[part].astype(np.int32), run.labels), "1")
-    return columns | {"row": (number_column(run.row[part]), "1")}
-
-
-def output_unit(run: Run) -> str:
-    """Unit of the output column: rad, or rad/s for a rate log."""
-    return "rad/s" if run.kind == "rate" else "rad"
+    return {name: (arrow_array(column), column.unit) for name, column in run.table_columns(part).items()}
 
 
 def data_table(run: Run, file: str) -> str:
@@ -104,7 +97,7 @@ def data_table(run: Run, file: str) -> str:
         "[data]",
         f"file = {json.dumps(file, ensure_ascii=False)}",
         'time = { column = "t", unit = "s" }',
-        f'output = {{ column = "output", kind = "{run.kind}", unit = "{output_unit(run)}" }}',
+        f'output = {{ column = "output", kind = "{run.kind}", unit = "{run.output_unit}" }}',
         'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }',
     ]
     if run.base_rate is not None:

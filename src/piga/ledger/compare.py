@@ -18,6 +18,7 @@ import numpy as np
 from piga.ledger.store.documents import Record
 from piga.ledger.store.store import Store
 from piga.records import Calibration
+from piga.results import Result
 
 TOLERANCE = 1e-12
 """Relative difference allowed on another platform, per unit of the condition number."""
@@ -183,8 +184,8 @@ class Change:
         return self.difference / self.std if self.difference is not None and self.std else None
 
 
-@dataclass(frozen=True)
-class Difference:
+@dataclass(frozen=True, eq=False, repr=False)
+class Difference(Result):
     """Comparison of two records: coefficients, and other differences as ``name: (first, second)``.
 
     ``type_a_only`` names the records whose uncertainties are of Type A only.

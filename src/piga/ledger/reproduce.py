@@ -17,12 +17,13 @@ from piga.errors import StoreError
 from piga.ledger.compare import Comparison, compare_calibrations
 from piga.ledger.store import Record, Store
 from piga.records import Calibration
+from piga.results import Result
 
 Verdict = Literal["identical", "within tolerance", "different"]
 
 
-@dataclass(frozen=True)
-class Reproduced:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reproduced(Result):
     """A recomputed record: verdict, comparison, and changes of software or platform."""
 
     record: Record

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, CalibrationError
 from piga.planning.plan_file import PlanRequest
+from piga.results import Result
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import position_range
 from piga.units import to_si
@@ -26,8 +27,8 @@ CHUNK = 20000
 """Profile rows compared at a time."""
 
 
-@dataclass(frozen=True)
-class Mounting:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mounting(Result):
     """Margins of all mountings: ``margins`` (skews, clocks), and ``inside``, the share of time below ``limit``.
 
     ``best`` is the index of the best one. ``margin_history`` (n,) is its ``|u_x|/(u_t tan(beta))`` at times ``t`` [s];

@@ -9,8 +9,9 @@ noiseless record of the exported test. The export is a scenario for ``piga simul
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -39,8 +40,13 @@ from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
 from piga.planning.prediction import Prediction, Visit, predict, stand_table
 from piga.records.terms import unit_of
+from piga.results import Reported, Result, plotted
 from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values, toml_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -73,8 +79,8 @@ class Cheapest:
     refusal: str = ""
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Result, Reported):
     """A planned test and its comparison plans.
 
     ``shares`` are the time shares of the usable candidates in the best mixture. ``largest_derivative`` is its
@@ -100,6 +106,21 @@ class Plan:
     def reference(self) -> Prediction:
         """The standard plan with the most positions."""
         return self.standard[-1]
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Chosen positions and the time in each: two panels. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """What a notebook shows of the plan."""
+        best = self.best
+        return [
+            ("visits", ", ".join(f"{v.candidate.label}: {v.dwell:.4g} s" for v in best.visits)),
+            ("duration", f"{best.duration:.6g} s, {best.recorded:.6g} s recorded"),
+            ("efficiency", f"{100.0 * self.efficiency:.1f} % of the bound"),
+            ("left out", f"{len(self.excluded)} of {len(self.candidates)} candidates"),
+            *((f"u({name})", f"{best.std(name):.3g} {unit_of(name)}") for name in self.names),
+        ]
 
 
 @dataclass(frozen=True)

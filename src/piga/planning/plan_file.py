@@ -17,6 +17,7 @@ from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, TomlTable, UncertaintyTable
 from piga.records.terms import check_terms, si_factor, unit_of
 from piga.records.text_files import read_toml
+from piga.results import Result
 from piga.stand.scenario import (
     CentrifugeTable,
     CompositeTable,
@@ -76,8 +77,8 @@ class PlanTable(ScenarioTable, frozen=True, kw_only=True):
     mounting: MountingTable | None = None
 
 
-@dataclass(frozen=True)
-class PlanRequest:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanRequest(Result):
     """A plan file in SI; times in s, ``wanted`` by coefficient key in file units."""
 
     path: Path

@@ -20,6 +20,7 @@ from piga.planning.candidates import Candidate, model_request, noise_of, run_of
 from piga.planning.plan_file import PlanRequest
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
+from piga.results import Result
 from piga.stand import Composite, simulate_test
 from piga.stand.write_run import given_values
 
@@ -34,8 +35,8 @@ class Visit:
     dwell: float
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Result):
     """Predicted result of a test.
 
     ``coefficients`` have standard uncertainties of Type A with ``covariance``. ``type_b`` (n,) is the standard

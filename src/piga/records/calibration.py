@@ -6,21 +6,44 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from piga.records.coverage import Coverage, coverage, is_of_reference
+from piga.records.coverage import TYPE_A_ONLY, Coverage, coverage, is_of_reference
 from piga.records.verdict import Verdict, verdict
+from piga.results import (
+    MOST_LINES,
+    ByValue,
+    Column,
+    Plots,
+    Reported,
+    Result,
+    Tabular,
+    above,
+    first_lines,
+    html_of,
+    plotted,
+    shortened,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from piga.instrument.parameters import ErrorModel, Instrument
 
 Array = NDArray[np.float64]
 
-_SHOWN = 20
-"""Coefficients that ``repr`` shows."""
+_SHOWN, _DOUBTS = 5, 3
+"""Lines of ``repr`` for coefficients and for doubts. With heading and verdict it has ten lines at most."""
+
 Count = Annotated[int, Meta(ge=0)]
 """A number of rows or events. This limit and the next two are checked when a record is read."""
 Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
@@ -33,9 +56,77 @@ LOOSE_PHASE = 0.5
 """A phase with a standard uncertainty [rad] above this counts as not determined."""
 
 
-@dataclass(frozen=True)
-class Coefficient:
-    """One coefficient: value and standard uncertainty in ``unit`` (the unit of calibration.json).
+class SIValue(float):
+    """A coefficient in SI. It is a plain number to compute with, and carries its uncertainty.
+
+    >>> bias = Coefficient("k0", 3e-4, 1e-6, "g").si
+    >>> f"{bias:.7f} {bias.unit}, u = {bias.std:.2g}"
+    '0.0029420 m/s^2, u = 9.8e-06'
+
+    Attributes
+    ----------
+    std, expanded, limits, unit:
+        Standard uncertainty, half-width and ends of the 95 % interval, and the SI unit.
+    """
+
+    __slots__ = ("_coefficient",)
+    _coefficient: Coefficient
+
+    def __new__(cls, coefficient: Coefficient) -> SIValue:
+        """The value of the coefficient in SI."""
+        from piga.records.terms import si_factor
+
+        number = super().__new__(cls, coefficient.value * si_factor(coefficient.name))
+        number._coefficient = coefficient
+        return number
+
+    def __getnewargs__(self) -> tuple[Coefficient]:  # type: ignore[override]
+        return (self._coefficient,)
+
+    def __repr__(self) -> str:
+        return f"{float(self)!r} +- {self.std:.2g} {self.unit}"
+
+    @property
+    def _factor(self) -> float:
+        from piga.records.terms import si_factor
+
+        return si_factor(self._coefficient.name)
+
+    @property
+    def value(self) -> float:
+        """The plain number."""
+        return float(self)
+
+    @property
+    def std(self) -> float:
+        """Standard uncertainty."""
+        return self._coefficient.std * self._factor
+
+    @property
+    def expanded(self) -> float:
+        """Half-width of the 95 % interval."""
+        return self._coefficient.expanded * self._factor
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Ends of the 95 % interval."""
+        low, high = self._coefficient.limits
+        return low * self._factor, high * self._factor
+
+    @property
+    def unit(self) -> str:
+        """The SI unit."""
+        from piga.records.terms import si_unit_of
+
+        return si_unit_of(self._coefficient.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficient(ByValue):
+    """One coefficient: value and standard uncertainty in ``unit``, the unit of calibration.json. ``si`` gives it in SI.
+
+    ``value``, ``std``, ``expanded`` and ``limits`` are in ``unit``. Everything else in piga is SI: arrays, ``Run``,
+    :class:`piga.Instrument`, and ``si``.
 
     ``segment`` and ``run`` name the segment and the run it belongs to; None: it belongs to all of them.
     ``degrees_of_freedom`` are the effective degrees of freedom of the standard uncertainty (JCGM 100, G.4).
@@ -63,11 +154,17 @@ class Coefficient:
         return self.name if self.owner is None else f"{self.name}[{self.owner}]"
 
     @property
-    def value_si(self) -> float:
-        """Value in SI: ``cal["scale_factor"].value_si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)]."""
-        from piga.records.terms import si_factor
+    def si(self) -> SIValue:
+        """The coefficient in SI: a number with ``std``, ``expanded``, ``limits`` and ``unit``.
 
-        return self.value * si_factor(self.name)
+        ``cal["scale_factor"].si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)].
+        """
+        return SIValue(self)
+
+    @property
+    def value_si(self) -> float:
+        """The value of ``si`` as a plain number."""
+        return float(self.si)
 
     @property
     def coverage(self) -> Coverage:
@@ -145,8 +242,8 @@ class SegmentSummary:
     max_after: float
 
 
-@dataclass(frozen=True)
-class Residuals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Residuals(Result, Tabular):
     """Residual angle per used sample (not stored in the JSON; ``residuals.parquet`` holds it).
 
     ``row`` is the 1-based file row, ``t`` [s], ``psi`` [rad] the output angle (for a rate log: its integral),
@@ -154,7 +251,7 @@ class Residuals:
     ``after`` [rad] is the angle minus that of the fitted model. Both have the mean of each stretch removed; for a
     rate log both are rates [rad/s]. ``innovation`` [1] is the whitened residual. It is white with unit variance if
     model and noise levels are right. ``segment`` is the segment index of each sample. ``run`` is its run index in a
-    joint calibration.
+    joint calibration. ``unit`` is that of ``before`` and ``after``.
     """
 
     row: NDArray[np.int64]
@@ -166,10 +263,29 @@ class Residuals:
     innovation: Array
     segment: NDArray[np.int32]
     run: NDArray[np.int32] | None = None
+    unit: str = "rad"
+
+    def table_columns(self) -> dict[str, Column]:
+        """One row for each used sample. ``segment`` and ``run`` are indices."""
+        columns = {
+            "row": Column(self.row),
+            "segment": Column(self.segment),
+            "t": Column(self.t, "s"),
+            "psi": Column(self.psi, "rad"),
+            "a_x": Column(self.a_x, "m/s^2"),
+            "before": Column(self.before, self.unit),
+            "after": Column(self.after, self.unit),
+            "innovation": Column(self.innovation),
+        }
+        return columns if self.run is None else columns | {"run": Column(self.run)}
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Residuals against time, before and after: two panels. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
 
-@dataclass(frozen=True)
-class RunRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class RunRecord(Result):
     """One run of a joint calibration: its identity, noise, residuals, quality and inputs.
 
     ``raw`` is False if only the summary of the run was available. Its residual figures are then those of its own fit.
@@ -193,8 +309,8 @@ class RunRecord:
     input_sha256: dict[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Provenance:
+@dataclass(frozen=True, eq=False, repr=False)
+class Provenance(Result):
     """Origin of the numbers: software, method and inputs."""
 
     input_sha256: dict[str, str]
@@ -211,8 +327,8 @@ class Amount:
     unit: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class BudgetEntry:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class BudgetEntry(Result):
     """One source of the uncertainty budget.
 
     Attributes
@@ -254,8 +370,46 @@ class BudgetEntry:
         return _without(asdict(self), () if self.sensitivities else ("sensitivities",))
 
 
-@dataclass(frozen=True)
-class SegmentLeverage:
+class BudgetTable(tuple[BudgetEntry, ...], Tabular):
+    """The uncertainty budget: its sources in order. As a table it has one row for each source and coefficient."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        rows = [f"{entry.source}, type {entry.type}, {entry.distribution}" for entry in self]
+        lines = ["<BudgetTable", *first_lines(rows, MOST_LINES - 1)]
+        return "\n  ".join(shortened(line) for line in lines) + ">"
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    def table_columns(self) -> dict[str, Column]:
+        """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""
+        from piga.records.terms import unit_of
+
+        rows = [(entry, key, value) for entry in self for key, value in entry.contributions.items()]
+        texts = {
+            "source": [entry.source for entry, _, _ in rows],
+            "type": [entry.type for entry, _, _ in rows],
+            "distribution": [entry.distribution for entry, _, _ in rows],
+            "coefficient": [key for _, key, _ in rows],
+            "unit": [unit_of(key) for _, key, _ in rows],
+        }
+        columns = {name: Column(np.array(values, dtype=object)) for name, values in texts.items()}
+        size = np.array(
+            [math.nan if e.standard_uncertainty is None else e.standard_uncertainty.value for e, _, _ in rows]
+        )
+        units = [e.standard_uncertainty.unit if e.standard_uncertainty else "" for e, _, _ in rows]
+        contribution = np.array([value for _, _, value in rows], dtype=float)
+        return columns | {
+            "contribution": Column(contribution, "as in column unit"),
+            "standard_uncertainty": Column(size, "as in column unit_of_source"),
+            "unit_of_source": Column(np.array(units, dtype=object)),
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SegmentLeverage(Result):
     """Influence of a segment on the coefficients.
 
     ``leverage`` is the trace of its information in the total. ``share`` is the part of each coefficient's information
@@ -285,16 +439,16 @@ class MonteCarloCheck:
     validated: bool
 
 
-@dataclass(frozen=True)
-class MonteCarlo:
+@dataclass(frozen=True, eq=False, repr=False)
+class MonteCarlo(Result):
     """Comparison of first-order and Monte Carlo propagation (JCGM 101, clause 8), by key of the coefficient."""
 
     trials: int
     coefficients: dict[str, MonteCarloCheck]
 
 
-@dataclass(frozen=True)
-class MissingTerm:
+@dataclass(frozen=True, eq=False, repr=False)
+class MissingTerm(Result):
     """A term that is not in the model, but whose signature is in the residuals. It is not applied.
 
     Attributes
@@ -342,8 +496,8 @@ class SegmentScatter:
         return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnostics:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Diagnostics(Result):
     """Diagnostics of model and data. An entry without a result is None or empty.
 
     Attributes
@@ -418,8 +572,8 @@ class TypeB(NamedTuple):
     contributions: dict[str, float]
 
 
-@dataclass(frozen=True)
-class CalibrationFigures:
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationFigures(Result):
     """The part of a calibration that the history of an instrument needs. It is small: thousands fit into memory."""
 
     serial: str
@@ -429,11 +583,57 @@ class CalibrationFigures:
     has_budget: bool
 
 
-@dataclass(frozen=True, repr=False)
-class Calibration:
+class CalibrationPlots(Plots):
+    """Figures of a calibration. See :class:`piga.results.Plots` for ``ax``.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration has no data for the figure, for instance no residuals after reading calibration.json.
+    """
+
+    def residuals(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Residuals against time, before and after calibration: two panels."""
+        return self._draw("residuals", ax)
+
+    def orders(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Ripple that the residuals show, against revolution order."""
+        return self._draw("orders", ax)
+
+    def ripple(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Ripple around the turn of the output: two panels."""
+        return self._draw("ripple", ax)
+
+    def segments(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Residuals of each segment."""
+        return self._draw("segments", ax)
+
+    def budget(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Share of each source in the variance of each coefficient."""
+        return self._draw("budget", ax)
+
+    def allan(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Allan deviation of the residual rate, with the noise of the model."""
+        return self._draw("allan", ax)
+
+    def whiteness(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Tests of the whitened residual."""
+        return self._draw("whiteness", ax)
+
+    def convergence(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Estimates while the record comes in, for method "recursive"."""
+        return self._draw("convergence", ax)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
 
-    Index by coefficient name: ``cal["tan_beta"].value``; per-segment phases by ``cal["phi[3]"]``.
+    It is a mapping of coefficients in their order: ``cal["tan_beta"].value``; per-segment phases are ``cal["phi[3]"]``.
+    ``in``, iteration, ``len``, ``keys``, ``values`` and ``items`` work as those of a dict. Coefficients are in the units
+    of calibration.json; ``cal["k0"].si`` is SI, and so is everything else.
+    Two calibrations are equal if they state the same. ``residuals`` and ``history`` do not count, and a pickle leaves them
+    out: they are as long as the record.
     ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
@@ -464,18 +664,28 @@ class Calibration:
     provenance: Provenance
     temperature_reference: float = 293.15
     time_reference: float = 0.0
-    residuals: Residuals | None = None
-    history: dict[str, Array] | None = None
+    residuals: Residuals | None = field(default=None, compare=False)
+    history: dict[str, Array] | None = field(default=None, compare=False)
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     bias_drift: float = 0.0
     segment_scatter: float = 0.0
     remarks: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "budget", BudgetTable(self.budget))
+
     @property
     def type_a_only(self) -> bool:
         """True if the budget has no Type B source of the reference. The reference then counts as exact."""
-        return not any(row.type == "B" and is_of_reference(row.source) for row in self.budget)
+        return not self.given and not any(
+            row.type == "B" and is_of_reference(row.source) for row in self.budget
+        )
+
+    @property
+    def given(self) -> bool:
+        """True if the coefficients were given (:meth:`from_coefficients`), not estimated from a record."""
+        return self.quality.rows == 0 and not self.segments and not self.runs
 
     @property
     def verdict(self) -> Verdict:
@@ -483,19 +693,172 @@ class Calibration:
         return verdict(self)
 
     def __repr__(self) -> str:
-        rows = [f"  {c.key} = {_rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients[:_SHOWN]]
-        more = len(self.coefficients) - _SHOWN
-        rows += [f"  and {more} more"] if more > 0 else []
-        head = (
+        named = (
             f"<Calibration of {self.serial or 'an instrument'} by method {self.method}, standard uncertainties"
         )
-        return "\n".join([head, *rows, *(f"  {line}" for line in self.verdict.lines())]) + ">"
+        rows = [f"{c.key} = {_rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients]
+        judged = self.verdict
+        doubts = [f"  does not hold: {doubt.words}" for doubt in judged.doubts]
+        lines = [
+            *first_lines(rows, _SHOWN),
+            f"verdict: {judged.headline}",
+            *first_lines(doubts, _DOUBTS, ": summary()"),
+        ]
+        return "\n  ".join([named, *(shortened(line) for line in lines)]) + ">"
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    @property
+    def plot(self) -> CalibrationPlots:
+        """The report's figures, drawn with Matplotlib: ``cal.plot.residuals()``."""
+        return CalibrationPlots(self)
+
+    def table_columns(self) -> dict[str, Column]:
+        """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
+        from piga.records.terms import si_unit_of
+
+        held = self.coefficients
+        texts = {
+            "coefficient": [c.key for c in held],
+            "name": [c.name for c in held],
+            "segment": [c.segment or "" for c in held],
+            "run": [c.run or "" for c in held],
+            "unit": [c.unit for c in held],
+            "unit_si": [si_unit_of(c.name) for c in held],
+        }
+        numbers = {
+            "value": [c.value for c in held],
+            "std": [c.std for c in held],
+            "expanded": [c.expanded for c in held],
+            "low": [c.limits[0] for c in held],
+            "high": [c.limits[1] for c in held],
+            "degrees_of_freedom": [c.degrees_of_freedom for c in held],
+            "value_si": [c.value_si for c in held],
+            "std_si": [c.si.std for c in held],
+        }
+        columns = {name: np.array(values, dtype=object) for name, values in texts.items()}
+        columns |= {name: np.array(values, dtype=float) for name, values in numbers.items()}
+        row_unit = dict.fromkeys(("value", "std", "expanded", "low", "high"), "as in column unit")
+        row_unit |= dict.fromkeys(("value_si", "std_si"), "as in column unit_si")
+        return {name: Column(values, row_unit.get(name, "1")) for name, values in columns.items()}
+
+    def table_notes(self) -> tuple[str, ...]:
+        """The remark that uncertainties are of Type A only, where it holds."""
+        return (TYPE_A_ONLY,) if self.type_a_only else ()
+
+    def correlated(
+        self, library: Literal["uncertainties", "GTC"] | None = None, *, si: bool = False
+    ) -> dict[str, Any]:
+        """The coefficients as numbers that know their covariance, by key, to compute on with.
+
+        Parameters
+        ----------
+        library:
+            ``"uncertainties"`` or ``"GTC"``. None: the one that is installed, ``uncertainties`` first. GTC takes over the
+            fewest effective degrees of freedom of all coefficients: it has one number for correlated quantities.
+        si:
+            In SI; else in the units of calibration.json.
+
+        Examples
+        --------
+        >>> import piga
+        >>> cal = piga.Calibration.from_coefficients({"scale_factor": (0.9, 1e-3), "k0": (1e-4, 1e-6)})
+        >>> c = cal.correlated("uncertainties")
+        >>> f"{c['scale_factor'] * c['k0']:.2u}"
+        '(9.00+/-0.09)e-05'
+
+        Raises
+        ------
+        MissingPackageError
+            If the library is not installed.
+        """
+        made: dict[str, Any] = above("correlated")(self, library, si=si)
+        return made
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:
             if coefficient.key == key:
                 return coefficient
         raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")
+
+    def __iter__(self) -> Iterator[str]:
+        return (coefficient.key for coefficient in self.coefficients)
+
+    def __len__(self) -> int:
+        return len(self.coefficients)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"residuals": None, "history": None}
+
+    def __copy__(self) -> Calibration:
+        return replace(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Calibration:
+        return replace(self, **{f.name: deepcopy(getattr(self, f.name), memo) for f in fields(self)})
+
+    def instrument(self, alpha0: float | str = 0.0) -> Instrument:
+        """The calibrated instrument (SI): its scale factor, and ``beta`` from ``tan_beta``.
+
+        A scale factor that was not estimated is the nominal one. ``alpha0`` [rad] is the gimbal angle at the start. It belongs
+        to a run, so a calibration does not know it.
+        """
+        instrument: Instrument = above("instrument")(self, alpha0)
+        return instrument
+
+    def error_model(self) -> ErrorModel:
+        """The other coefficients as an error model (SI), to propagate or simulate with.
+
+        Warns
+        -----
+        PigaWarning
+            If a coefficient has no place in the exact motion and is left out: a harmonic from the second on, or a term of
+            the servo. The message names it.
+        """
+        model: ErrorModel = above("error_model")(self)
+        return model
+
+    @classmethod
+    def from_coefficients(
+        cls,
+        coefficients: Mapping[str, Given],
+        *,
+        covariance: ArrayLike | None = None,
+        serial: str = "",
+        scale_factor_nominal: float | str | None = None,
+        phase_source: str = "output",
+    ) -> Calibration:
+        """Make a calibration without a run, for instance from a data sheet.
+
+        Parameters
+        ----------
+        coefficients:
+            Value by name. A number is in the unit of calibration.json (``scale_factor`` rad/s/g, ``k0`` g); text carries
+            its unit. A pair is value and standard uncertainty. A :class:`Coefficient` stands for itself.
+            Phases of segments are named ``phi[3]``.
+        covariance:
+            Covariance (n, n) of the coefficients in their order and units. None: uncorrelated.
+        serial, scale_factor_nominal, phase_source:
+            As in a run file; the nominal scale factor is in SI or carries its unit. None: that of ``coefficients``.
+
+        Raises
+        ------
+        ArgumentError
+            If a name or unit is not known, or the covariance contradicts the uncertainties.
+
+        Examples
+        --------
+        >>> import piga
+        >>> cal = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": (4.8e-3, 1e-6), "phi": 0.3})
+        >>> cal["tan_beta"].std, list(cal)
+        (1e-06, ['scale_factor', 'tan_beta', 'phi'])
+        """
+        from piga.records.given_calibration import calibration_of
+
+        return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source)
 
     def figures(self) -> CalibrationFigures:
         """The part that a history of the instrument needs."""
@@ -552,6 +915,10 @@ class Calibration:
         from piga.records.calibration_json import read_calibration
 
         return read_calibration(Path(path))
+
+
+Given = float | str | tuple[float | str, float | str] | Coefficient
+"""A coefficient as :meth:`Calibration.from_coefficients` takes it."""
 
 
 def _rounded(c: Coefficient) -> str:

@@ -6,10 +6,10 @@ jump back or leave a gap are detected and counted. Nothing is interpolated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -20,12 +20,17 @@ from piga.records.calibration import Event, Quality
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import Arrays, exact_median, spans, steps
+from piga.results import Column, Reported, Result, Tabular, plotted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Result, Reported, Tabular):
     """One recorded test. Arrays share their length n; everything is SI.
 
     Attributes
@@ -100,6 +105,49 @@ class Run:
     def median_step(self) -> float:
         """Median interval inside stretches [s]; 0 if there is none."""
         return exact_median(self._steps_inside)
+
+    @property
+    def output_unit(self) -> str:
+        """Unit of ``output``: rad, or rad/s for a rate log."""
+        return "rad/s" if self.kind == "rate" else "rad"
+
+    def table_columns(self, part: slice = slice(None)) -> dict[str, Column]:
+        """The samples as a table in SI; ``part`` takes some rows."""
+        columns = {"t": Column(self.t[part], "s"), "output": Column(self.output[part], self.output_unit)}
+        columns |= {f"f{axis}": Column(self.f[part, i], "m/s^2") for i, axis in enumerate("xyz")}
+        if self.base_rate is not None:
+            columns |= {f"w{axis}": Column(self.base_rate[part, i], "rad/s") for i, axis in enumerate("xyz")}
+        if self.temperature is not None:
+            columns["temperature"] = Column(self.temperature[part], "K")
+        columns["segment"] = Column(self.segment[part].astype(np.int32), "1", self.labels)
+        return columns | {"row": Column(self.row[part])}
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """What a notebook shows of the record."""
+        from piga.units import from_si
+
+        quality = self.quality
+        optional = {"base rate": self.base_rate, "temperature": self.temperature}
+        return [
+            ("instrument", self.serial or "not named"),
+            ("scale_factor", f"{from_si(self.scale_factor, 'rad/s/g'):.6g} rad/s/g, nominal"),
+            ("samples", f"{self.size} of {quality.rows} rows; output is the {self.kind}"),
+            ("time", f"{self.t[0]:.6g} to {self.t[-1]:.6g} s, {self.duration:.6g} s recorded"),
+            (
+                "segments",
+                f"{len(self.labels)}: {', '.join(self.labels[:8])}{', ...' if len(self.labels) > 8 else ''}",
+            ),
+            (
+                "beside force",
+                ", ".join(name for name, held in optional.items() if held is not None) or "nothing",
+            ),
+            ("findings", ", ".join(f"{event.count} {event.kind}" for event in quality.events) or "none"),
+            ("terms", " ".join(self.model.terms)),
+        ]
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Interval, output and reference against time: three panels. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
     def segment_edges(self) -> NDArray[np.int64]:
         """First sample of each segment, then the number of samples."""

@@ -43,6 +43,19 @@ UNITS = {
 }
 """Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
 
+SI_UNITS = {
+    "1": "1",
+    "rad": "rad",
+    "1/K": "1/K",
+    "rad/s/g": "rad/s/(m/s^2)",
+    "g": "m/s^2",
+    "g/g^2": "1/(m/s^2)",
+    "g/g^3": "1/(m/s^2)^2",
+    "g/s": "m/s^2/s",
+    "g/K": "m/s^2/K",
+}
+"""SI unit of each unit in :data:`UNITS`."""
+
 MEANING = {
     "scale_factor": "scale factor K = ml/H",
     "tan_beta": "tangent of the non-orthogonality angle",
@@ -105,6 +118,11 @@ def unit_of(name: str) -> str:
 def si_factor(name: str) -> float:
     """SI value of one file unit of the coefficient: ``value_SI = value_file * si_factor``."""
     return parse_unit(unit_of(name)).factor
+
+
+def si_unit_of(name: str) -> str:
+    """SI unit of a coefficient; ``name`` may carry a segment in brackets."""
+    return SI_UNITS[unit_of(name)]
 
 
 def check_name(name: str) -> bool:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from piga.records.run import Run
-from piga.records.spool import steps
+from piga.records.spool import spans, steps
 from piga.reports.render.decimate import POINTS, envelope_rows
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.page import (
@@ -121,6 +123,46 @@ def check_page(run: Run) -> Page:
         ),
         kicker="piga check",
     )
+
+
+def check_document(record: Run) -> dict[str, Any]:
+    """What is in a record, as plain data for JSON."""
+    low, high = np.inf, 0.0
+    for part in spans(record.size):
+        size = np.linalg.norm(record.f[part], axis=1)
+        low, high = min(low, float(size.min())), max(high, float(size.max()))
+    return {
+        "serial": record.serial,
+        "quality": msgspec.to_builtins(record.quality),
+        "segments": list(record.labels),
+        "duration_s": record.duration,
+        "rate_hz": 1.0 / step if (step := record.median_step) > 0.0 else 0.0,
+        "force_g": [low / G0, high / G0],
+        "phase_kept": len(set(record.phase_group)) == 1,
+        "calibration": calibration_words(record),
+        "input_sha256": record.input_sha256,
+    }
+
+
+def check_text(record: Run, name: str = "") -> str:
+    """What is in a record, as lines for the terminal. ``name`` is the run file."""
+    document, phase = check_document(record), "lost between segments"
+    if document["phase_kept"]:
+        phase = "kept through the whole record"
+    low, high = document["force_g"]
+    lines = [
+        f"{name or 'record'}: instrument {record.serial}, {record.size} of {record.quality.rows} rows used",
+        f"  segments   {len(record.labels)}, {document['duration_s']:.6g} s recorded, {document['rate_hz']:.6g} Hz",
+        f"  reference  |f| {low:.6g} to {high:.6g} g",
+        f"  phase      {phase}",
+        f"  calibrate  {document['calibration']}",
+    ]
+    for event in record.quality.events:
+        row = "" if event.first_row is None else f", first at row {event.first_row}"
+        lines.append(
+            f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}"
+        )
+    return "\n".join(lines if record.quality.events else [*lines, "  findings   none"])
 
 
 def calibration_words(run: Run) -> str:

@@ -235,8 +235,8 @@ def plan_page(plan: Plan, mounting: Mounting | None) -> Page:
     figures = {figure.key: FigureBlock(figure) for figure in planning_figures(plan, mounting)}
     lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
     sections = [
-        Section("The test", "the-test", (Text(lead, lead=True), figures["plan-positions"], _visit_table(plan))),
-        Section("What it will give", "what-it-gives", (_uncertainty_table(plan), figures["plan-uncertainty"])),
+        Section("The test", "the-test", (Text(lead, lead=True), figures["plan-positions"], visit_table(plan))),
+        Section("What it will give", "what-it-gives", (uncertainty_table(plan), figures["plan-uncertainty"])),
         Section("Time", "time", (*_cheapest_blocks(plan), figures["plan-duration"])),
         Section("Lock zone", "lock-zone", (figures["plan-lock"], *_excluded_blocks(plan))),
     ]
@@ -281,7 +281,8 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
     return tuple(tiles)
 
 
-def _visit_table(plan: Plan) -> Table:
+def visit_table(plan: Plan) -> Table:
+    """Visits of the plan in the order of the test."""
     columns = (
         TableColumn("position or level", align="text"),
         TableColumn("dwell", "s"),
@@ -300,7 +301,8 @@ def _visit_table(plan: Plan) -> Table:
     return Table(columns, rows, "Visits in the order of the test.")
 
 
-def _uncertainty_table(plan: Plan) -> Table:
+def uncertainty_table(plan: Plan) -> Table:
+    """Predicted uncertainties, and those of the standard plans as multiples."""
     columns = [
         TableColumn("coefficient", align="text"),
         TableColumn("unit", align="text"),

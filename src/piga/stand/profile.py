@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.results import Result
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.tide import EarthTide
 
@@ -62,8 +63,8 @@ class Stand(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Profile:
+@dataclass(frozen=True, eq=False, repr=False)
+class Profile(Result):
     """A test as a table, one row per sample time.
 
     ``t`` [s] (n,); ``segment`` (n,) index into ``segments``; ``force`` [m/s^2] and ``base_rate`` [rad/s]

@@ -26,6 +26,7 @@ from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, drawn_for
 from piga.records.spool import arrays_like, spans
+from piga.results import Result
 from piga.stand.imperfections import GENERAL, Imperfections, imperfections
 from piga.stand.profile import Segment, Stand, force_change
 from piga.stand.scenario import CompositeTable, SimpleStand
@@ -65,8 +66,8 @@ class FollowedStand:
         return self.stand.motion(self.times(t, segment), Imperfections())
 
 
-@dataclass(frozen=True)
-class StandChange:
+@dataclass(frozen=True, eq=False, repr=False)
+class StandChange(Result):
     """One component of a stand's uncertainty: name and standard uncertainty as written.
 
     ``change`` gives, for a slice of rows, the change of f [m/s^2] there, (n, 3).

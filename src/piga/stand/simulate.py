@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,15 @@ from piga.instrument.twin.electronics import (
 from piga.instrument.twin.linear import analyse_loop, require_stable, servo_force
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import Start, TwinMotion, run_twin
+from piga.results import Reported, Result, plotted
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
 from piga.stand.tide import EarthTide
 from piga.units import G0
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Model = Literal["quasi-steady", "twin"]
@@ -75,8 +80,8 @@ class Specimen:
         return replace(twin, pick_off_null=own.beta, alpha0=own.alpha0)
 
 
-@dataclass(frozen=True)
-class Log:
+@dataclass(frozen=True, eq=False, repr=False)
+class Log(Result):
     """The lab's log, per row.
 
     Time [s], segment index and names, output, reference [m/s^2], base rate [rad/s], temperature [K].
@@ -91,8 +96,8 @@ class Log:
     temperature: Array
 
 
-@dataclass(frozen=True)
-class SimulatedTest:
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedTest(Result, Reported):
     """A simulated test: the log, and the truth on the fine grid of the simulation.
 
     ``alpha`` [rad] and ``rate`` [rad/s] are at ``profile.t``. ``motion`` is that of the twin, else None. ``phases``
@@ -111,6 +116,10 @@ class SimulatedTest:
     motion: TwinMotion | None
     phases: tuple[float, ...]
     log: Log
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Specific force and base rate of the reference: two panels. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
 
 def simulate_test(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.earth import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS, Site
+from piga.results import Result
 from piga.units import ARCSEC, DAY
 
 Array = NDArray[np.float64]
@@ -65,8 +66,8 @@ _DISTANCE = (
 """Moon: km of the cosines in the distance minus 385 000 km."""
 
 
-@dataclass(frozen=True)
-class Body:
+@dataclass(frozen=True, eq=False, repr=False)
+class Body(Result):
     """Position of a body: ecliptic longitude and latitude of date [rad], distance [m], (n,) each."""
 
     longitude: Array

@@ -21,6 +21,7 @@ from piga.instrument import (
 )
 from piga.instrument.motion.closed_form import Case as FormNumber
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
+from piga.results import Result
 from piga.studies.case import INSTRUMENT, TRANSVERSE, Case, Chapter, in_g
 from piga.units import G0
 
@@ -58,8 +59,8 @@ EXAMPLES = (
 )
 
 
-@dataclass(frozen=True)
-class Solved:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solved(Result):
     """One example solved three ways at times ``t`` [s]: angle [rad] and rate [rad/s]."""
 
     t: Array

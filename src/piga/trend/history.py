@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from piga.records.calibration import Calibration, CalibrationFigures, Coefficien
 from piga.records.coverage import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
+from piga.results import Reported, Result, plotted
 from piga.trend.trend_line import (
     LIMIT,
     TREND,
@@ -33,6 +35,10 @@ from piga.trend.trend_line import (
     merge_by_day,
     moving_average,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -70,8 +76,8 @@ class Point:
         return abs(self.score) > LIMIT
 
 
-@dataclass(frozen=True)
-class Chart:
+@dataclass(frozen=True, eq=False, repr=False)
+class Chart(Result):
     """Control chart of the days: score of each day mean, its moving average, and the limit of the average."""
 
     time: Array
@@ -85,8 +91,8 @@ class Chart:
         return np.abs(self.average) > self.limit
 
 
-@dataclass(frozen=True)
-class CoefficientTrend:
+@dataclass(frozen=True, eq=False, repr=False)
+class CoefficientTrend(Result):
     """The trend of one coefficient; times in years since ``Trend.start``, values in ``unit``.
 
     ``last_shared`` (sources,) are the errors common to the last record and other records.
@@ -119,8 +125,8 @@ class CoefficientTrend:
         return self.model.record_at(time, self.points[-1].own, self.last_shared)
 
 
-@dataclass(frozen=True)
-class Trend:
+@dataclass(frozen=True, eq=False, repr=False)
+class Trend(Result, Reported):
     """Trends of all coefficients of one instrument.
 
     ``start`` is the time from which years are counted; ``alarms`` and ``remarks`` are sentences.
@@ -143,6 +149,23 @@ class Trend:
     def years(self, date: dt.datetime) -> float:
         """Years from ``start`` to a date."""
         return (date - self.start).total_seconds() / YEAR
+
+    def plot(self, key: str = "", ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Values of the coefficient ``key`` (the first one) and its control chart. See :class:`piga.results.Plots`."""
+        return plotted(self, ax, key)
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """What a notebook shows of the trend."""
+        drifts = [(c.key, c.drift) for c in self.coefficients]
+        return [
+            ("instrument", self.serial),
+            ("records", f"{len(self.records)}, {self.times[0]:%Y-%m-%d} to {self.times[-1]:%Y-%m-%d}"),
+            ("alarms", "; ".join(self.alarms) or "none"),
+            *(
+                (key, "too few days" if d is None else f"{d.value:.3g} +- {d.std:.2g} a year")
+                for key, d in drifts
+            ),
+        ]
 
 
 def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Trend:

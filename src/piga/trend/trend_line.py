@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.trend import Points, days_so_far, inner_excess, merge_days
 from piga.errors import ArgumentError
 from piga.records.coverage import coverage_factor, welch_satterthwaite
+from piga.results import Result
 
 Array = NDArray[np.float64]
 Values = Any
@@ -53,8 +54,8 @@ class TrendSettings:
 TREND = TrendSettings()
 
 
-@dataclass(frozen=True)
-class Line:
+@dataclass(frozen=True, eq=False, repr=False)
+class Line(Result):
     """A straight line through the day means, about their weighted mean time ``origin``.
 
     Attributes

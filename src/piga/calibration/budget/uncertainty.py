@@ -19,6 +19,7 @@ from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import UNCERTAINTY_UNITS, Draw, drawn_for
 from piga.records.spool import arrays_like, spans
+from piga.results import Result
 from piga.stand import stand_changes
 from piga.units import G0, from_si
 
@@ -41,8 +42,8 @@ class Source:
     draw: Draw = "reference"
 
 
-@dataclass(frozen=True)
-class SharedSource:
+@dataclass(frozen=True, eq=False, repr=False)
+class SharedSource(Result):
     """A source of Type B that runs can share.
 
     ``name`` includes its runs; ``value`` is the standard uncertainty. ``moved`` maps the index of a run to the index

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.records.run import Run
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -44,8 +45,8 @@ class FoldSettings:
 FOLDS = FoldSettings()
 
 
-@dataclass(frozen=True)
-class HeldOutPrediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class HeldOutPrediction(Result):
     """Prediction of parts that were left out.
 
     Attributes

@@ -72,7 +72,9 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     if mode != "samples":
         _stretch_angle(d, run.begins)
         _stretch_angle(before, run.begins)
-    return Residuals(run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, run.segment)
+    return Residuals(
+        run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, run.segment, unit=run.output_unit
+    )
 
 
 def _whitened(d: Array, h: Array, noise: Noise, mode: str) -> Array:

@@ -193,7 +193,8 @@ def _concatenated(pieces: list[Residuals], run_of: list[int]) -> Residuals:
 def _as_angles(rates: Residuals) -> Residuals:
     step = np.diff(rates.t, prepend=rates.t[:1])
     step[np.diff(rates.segment, prepend=rates.segment[:1]) != 0] = 0.0
-    return replace(rates, before=np.cumsum(step * rates.before), after=np.cumsum(step * rates.after))
+    before, after = np.cumsum(step * rates.before), np.cumsum(step * rates.after)
+    return replace(rates, before=before, after=after, unit="rad")
 
 
 def _worst_scatter(parts: list[_LivePart | None]) -> SegmentScatter:

@@ -40,6 +40,7 @@ from piga.records.run_file import Draw
 from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
 from piga.records.text_files import JsonError, decode_json, schema_of
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -73,8 +74,8 @@ class SourceSummary:
     in_fit: bool = False
 
 
-@dataclass(frozen=True)
-class RunSummary:
+@dataclass(frozen=True, eq=False, repr=False)
+class RunSummary(Result):
     """Data of one run for a joint calibration.
 
     Attributes

@@ -27,7 +27,7 @@ SHORT = 128
 """Most rows of a block that is summed in double-double at once."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Reduction:
     """Triangular summary of rows ``[x | y]``, accumulated in double-double.
 

@@ -28,6 +28,7 @@ from piga.records.run import Run
 from piga.records.spool import gathered
 from piga.records.terms import SERVO_TERMS
 from piga.records.verdict import COUNTED
+from piga.results import Result
 from piga.units import G0
 
 Array = NDArray[np.float64]
@@ -76,8 +77,8 @@ _ARRAYS = {"reference": "f (wanted in m/s^2)", "time": "t (wanted in s)"}
 _PLACES = ("first", "second", "third")
 
 
-@dataclass(frozen=True)
-class Factor:
+@dataclass(frozen=True, eq=False, repr=False)
+class Factor(Result):
     """A factor between two units; ``units`` (larger, smaller) by the key of ``[data]`` if units are mixed up."""
 
     value: float

@@ -189,7 +189,7 @@ Watch = Callable[[str, Chunk, Compensated], object]
 """Called with the label of a segment, its samples, and their compensated rows."""
 
 
-@dataclass
+@dataclass(eq=False)
 class FileSummary:
     """Totals of a written file: rows, velocity [m/s], and rows per flag."""
 

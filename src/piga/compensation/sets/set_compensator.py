@@ -17,6 +17,7 @@ from piga.compensation.model import Limits, Model, Phase, age_flag, make_model
 from piga.compensation.result import CompensatedSet
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -24,8 +25,8 @@ ORTHOGONAL = 1e-6
 """Largest deviation from a rotation that an axes matrix may have."""
 
 
-@dataclass(frozen=True)
-class Mounted:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mounted(Result):
     """An instrument in a set: its calibration and its axes.
 
     Attributes

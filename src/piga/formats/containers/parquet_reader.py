@@ -32,9 +32,9 @@ class ParquetStream:
         self._chunk_rows = chunk_rows
         with _open(path) as source:
             schema = source.schema_arrow
-            _check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
+            check_columns(path, schema, [*self._numeric, *([label] if label else [])], numeric)
             self.expected_rows = source.metadata.num_rows
-        self.units = _units(schema, self._numeric)
+        self.units = units_of(schema, self._numeric)
         self.label_names: list[str] = []
         self._missed = MissingCount()
 
@@ -134,7 +134,8 @@ def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
         ) from None
 
 
-def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[str, ...]) -> None:
+def check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[str, ...]) -> None:
+    """Refuse a schema without a wanted column, or with a number column of another type."""
     import pyarrow as pa
 
     for name in wanted:
@@ -152,7 +153,8 @@ def _check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[st
             )
 
 
-def _units(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:
+def units_of(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:
+    """Units that the fields of a schema state."""
     metadata = {name: schema.field(name).metadata or {} for name in numeric}
     return {
         name: entries[b"unit"].decode("utf-8", errors="replace")

@@ -24,6 +24,7 @@ from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_mot
 from piga.errors import ArgumentError
 from piga.instrument.checks import explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
+from piga.results import Result
 
 Array = NDArray[np.float64]
 _EMPTY = float_array("empty", np.empty(0))
@@ -328,8 +329,8 @@ SENSITIVITY_NAMES = ("scale_factor", "beta", "alpha0", "a_x", "a_Y", "a_Z")
 """Parameters of :class:`Sensitivities`, in the order of its columns; the last three are biases [m/s^2]."""
 
 
-@dataclass(frozen=True)
-class Sensitivities:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivities(Result):
     """A motion and how it changes with each parameter.
 
     Attributes

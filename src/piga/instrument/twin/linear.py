@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError, PigaError
 from piga.instrument.twin.parameters import TwinParameters
+from piga.results import Result
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -239,8 +240,8 @@ class ServoParameters:
         return cls(p.K, p.pendulosity, p.integral_gain, p.proportional_gain, p.rate_gain, p.damping)
 
 
-@dataclass(frozen=True)
-class ServoTerms:
+@dataclass(frozen=True, eq=False, repr=False)
+class ServoTerms(Result):
     """Coefficients of the terms ``servo`` and ``servo_damping``, both in 1/(m/s^2)^2.
 
     ``sources`` tells by parameter name what one standard uncertainty of that parameter adds to each:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
 from piga.instrument.twin.parameters import TwinParameters
+from piga.results import Result
 
 Array = NDArray[np.float64]
 Start = Literal["slow-manifold", "transient"]
@@ -20,8 +21,8 @@ ACCURACY = 1e-12
 """Default local error per step in alpha and beta [rad]."""
 
 
-@dataclass(frozen=True)
-class TwinMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class TwinMotion(Result):
     """Motion of the twin at the sample times.
 
     ``alpha`` and ``beta`` [rad], ``rate`` [rad/s], ``tilt_rate`` [rad/s], ``integral`` [rad s],

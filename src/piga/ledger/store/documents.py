@@ -24,6 +24,7 @@ from piga.errors import ArgumentError, StoreError
 from piga.output import write_whole
 from piga.records.limits import check_label, open_regular
 from piga.records.text_files import JsonError, decode_json
+from piga.results import Result
 
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
 
@@ -366,8 +367,8 @@ class DraftFile:
         return iter((self.source,)) if isinstance(self.source, bytes) else parts_of(self.source)
 
 
-@dataclass(frozen=True)
-class Draft:
+@dataclass(frozen=True, eq=False, repr=False)
+class Draft(Result):
     """A record before it is written. ``measured`` is the time of the test, in ISO form."""
 
     serial: str

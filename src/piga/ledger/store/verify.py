@@ -72,7 +72,7 @@ class VerifiedSource(Protocol):
         """What is wrong with each file (name, size), None where it is what it was."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Verification:
     """Result of a verification: numbers of records and files checked, the head, the known heads, and problems in words."""
 

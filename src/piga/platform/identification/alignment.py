@@ -27,6 +27,7 @@ from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Place
 from piga.platform.model.simulate import Readouts
 from piga.platform.navigation.navigator import Start, site_start
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -36,8 +37,8 @@ UNKNOWNS = (
 """Order of the covariance: triad attitude [rad], triad drift [rad/s], base attitude about Earth axes [rad]."""
 
 
-@dataclass(frozen=True)
-class Alignment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Alignment(Result):
     """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
 
     ``covariance`` (9, 9) in the order of :data:`UNKNOWNS`; ``noise`` per source; ``rms`` after the fit.

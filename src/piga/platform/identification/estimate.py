@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import IdentifiabilityError
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ class Reduced:
         return float(left @ left)
 
 
-@dataclass(frozen=True)
-class LeastSquares:
+@dataclass(frozen=True, eq=False, repr=False)
+class LeastSquares(Result):
     """A least-squares step (p,), its covariance (p, p), the condition of the scaled problem, noise levels."""
 
     step: Array

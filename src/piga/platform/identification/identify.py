@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,12 @@ from piga.platform.model.geometry import geodetic_to_earth, specific_force_at_re
 from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Gyro, Place
 from piga.platform.model.simulate import Readouts
+from piga.results import Result, plotted
 from piga.units import ARCSEC
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -53,8 +59,8 @@ class Parameter:
     unit: str
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification(Result):
     """Result: the gyros as identified, redundancy angle, covariance of the unknowns, noise, doubts.
 
     ``names, values, covariance`` are the Cartesian unknowns (misalignments, eta0, eta_rate);
@@ -77,6 +83,10 @@ class Identification:
     parameters: tuple[Parameter, ...]
     notes: tuple[str, ...] = ()
     history: dict[str, Array] = field(default_factory=dict)
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Recursive estimates against time; :func:`identify_recursively` gives them. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
     @property
     def knowledge(self) -> Knowledge:
@@ -297,8 +307,8 @@ _SEPARABLE = 100.0
 """Condition number above which unknowns count as not separable: their uncertainty has grown a hundredfold."""
 
 
-@dataclass(frozen=True)
-class Observability:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observability(Result):
     """One source: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
 
     ``std`` is for white noise of one arc-second on every reading (infinite: not observable). For the specific

@@ -32,6 +32,7 @@ from piga.platform.identification.estimate import UnknownGroup
 from piga.platform.model.geometry import gimbal_attitude, turns_to_gimbals, wrapped
 from piga.platform.model.scenario import Gyro, Harmonic
 from piga.platform.model.simulate import Readouts
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -100,8 +101,8 @@ class Tip:
         return turn * unit * (m + wobble), columns
 
 
-@dataclass(frozen=True)
-class Unknowns:
+@dataclass(frozen=True, eq=False, repr=False)
+class Unknowns(Result):
     """All unknowns of a static record; ``triad`` is ``C_i^G`` at time zero, ``base`` is ``C_b^e``."""
 
     polar: Tip

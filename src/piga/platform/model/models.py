@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from piga._kernels.platform.motion import follow
 from piga.platform.model.scenario import Gyro, Model, PlatformScenario
 from piga.platform.model.simulate import Readouts
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
     return cosines, sines
 
 
-@dataclass(frozen=True)
-class CaseCompensator:
+@dataclass(frozen=True, eq=False, repr=False)
+class CaseCompensator(Result):
     """One model prepared for the navigator: kernel constants, redundancy angle per node (n + 1,) or (1,)."""
 
     model: Model

@@ -6,9 +6,11 @@ The base is at rest, turns, sways or follows a track. The platform may carry thr
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,11 @@ from piga.platform.model.geometry import (
 )
 from piga.platform.model.scenario import MotionPlan, Oscillation, PigaSensors, Place, PlatformScenario, Sensors
 from piga.records.limits import read_whole
+from piga.results import Result, plotted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -45,8 +52,8 @@ _TRACK_COLUMNS = {
 }
 
 
-@dataclass(frozen=True)
-class BaseMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class BaseMotion(Result):
     """True motion of the base on the run's time grid. Arrays of constant quantities have one row.
 
     ``force`` (2n + 1, 3) or (1, 3): specific force in Earth axes at every half step [m/s^2];
@@ -275,8 +282,8 @@ def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:
     return np.abs(along) < across * abs(sensors.tan_beta)
 
 
-@dataclass(frozen=True)
-class Readouts:
+@dataclass(frozen=True, eq=False, repr=False)
+class Readouts(Result):
     """Readouts of the platform. Alignment, identification and navigation use nothing else.
 
     ``times`` (n + 1,) [s]; ``increments`` (n, 3) velocity increments along platform axes [m/s], row k
@@ -338,8 +345,8 @@ def _phasor(angle: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True)
-class Truth:
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(Result):
     """Truth of a run: base motion, redundancy angle (n + 1,) [rad], triad ``C_i^G`` at start and end.
 
     ``force`` (n + 1, 3): specific force in platform axes at the nodes [m/s^2].
@@ -352,13 +359,17 @@ class Truth:
     triad_end: Array
 
 
-@dataclass(frozen=True)
-class PlatformRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlatformRun(Result):
     """A simulated run: scenario, readouts and truth."""
 
     scenario: PlatformScenario
     readouts: Readouts
     truth: Truth
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Readouts against time. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
 
 def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) -> PlatformRun:

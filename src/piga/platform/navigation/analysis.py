@@ -15,6 +15,7 @@ from piga.platform.model.geometry import gravity, misalignment
 from piga.platform.model.models import CaseCompensator, Knowledge
 from piga.platform.model.scenario import Gyro, PlatformScenario
 from piga.platform.navigation.navigator import Errors
+from piga.results import Result
 from piga.units import DAY
 
 Array = NDArray[np.float64]
@@ -114,8 +115,8 @@ def _line_design(
     return weighted, design.T @ weighted, norms
 
 
-@dataclass(frozen=True)
-class Lines:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lines(Result):
     """Amplitudes at the case-rotation periods per day: ``amplitude[channel]`` (days,), SI; position error [m].
 
     ``amplitude`` is that at the polar case's rate; ``equatorial`` that at the equatorial case's where it turns at another

@@ -46,6 +46,7 @@ from piga.platform.model.geometry import (
 from piga.platform.model.models import CaseCompensator, modelled_angles
 from piga.platform.model.scenario import Place
 from piga.platform.model.simulate import Readouts, Truth
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -54,8 +55,8 @@ _LARGEST_TURN = 1e-5
 """Drift [rad] up to which the triad's turn is taken as linear inside one kernel call."""
 
 
-@dataclass(frozen=True)
-class Start:
+@dataclass(frozen=True, eq=False, repr=False)
+class Start(Result):
     """Start: inertial position [m], velocity [m/s], triad ``C_G^i`` (3, 3), drift (3,) [rad/s]."""
 
     position: Array
@@ -150,8 +151,8 @@ def _cut(values: Array, part: slice) -> Array:
     return values[part] if len(values) > 1 else values
 
 
-@dataclass(frozen=True)
-class Navigation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Navigation(Result):
     """What the navigator shows, row k at ``times[k]`` [s].
 
     ``table`` (n, 9): latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll,
@@ -165,8 +166,8 @@ class Navigation:
     velocity: Array
 
 
-@dataclass(frozen=True)
-class Errors:
+@dataclass(frozen=True, eq=False, repr=False)
+class Errors(Result):
     """Navigator less truth, rows at ``times`` (n,) [s].
 
     ``north, east, up`` (n,) [m]; ``velocity`` (n, 3) north, east, down [m/s]; ``attitude`` (n, 3) roll,

@@ -27,6 +27,7 @@ from piga.platform.navigation.navigator import (
     navigate,
     true_start,
 )
+from piga.results import Result
 from piga.units import ARCSEC
 
 Array = NDArray[np.float64]
@@ -129,8 +130,8 @@ def _row(run: PlatformRun, quiet: Errors, source: str, perturbation: Perturbatio
     )
 
 
-@dataclass(frozen=True)
-class LineRow:
+@dataclass(frozen=True, eq=False, repr=False)
+class LineRow(Result):
     """Lines of the last day that misalignments of known size leave, by channel in SI: closed form and full run.
 
     ``period`` [s] of the case at whose rate the lines stand.

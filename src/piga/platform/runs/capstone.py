@@ -13,8 +13,9 @@ docs/platform.md section 10).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,12 @@ from piga.platform.model.simulate import (
 )
 from piga.platform.navigation.navigator import Errors, errors, navigate
 from piga.platform.runs.chain import Preparation, prepare
+from piga.results import Result, plotted
 from piga.units import DAY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -48,8 +54,8 @@ class TriadReading:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Outcome:
+@dataclass(frozen=True, eq=False, repr=False)
+class Outcome(Result):
     """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
 
     reading: TriadReading
@@ -60,8 +66,8 @@ class Outcome:
     noise_gain: float
 
 
-@dataclass(frozen=True)
-class Passage:
+@dataclass(frozen=True, eq=False, repr=False)
+class Passage(Result):
     """One instrument through its locked zone.
 
     ``times`` [s]; ``true``, ``raw`` and ``triad`` reading of a_x [m/s^2]; ``half_width`` of the zone [m/s^2];
@@ -80,14 +86,18 @@ class Passage:
     velocity_error: float
 
 
-@dataclass(frozen=True)
-class Capstone:
+@dataclass(frozen=True, eq=False, repr=False)
+class Capstone(Result):
     """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
 
     scenario: PlatformScenario
     outcomes: Mapping[str, Outcome]
     passage: Passage | None
     day: tuple[Array, Array]
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Position errors of each reading. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
 
 def readings(sensors: PigaSensors) -> tuple[TriadReading, ...]:

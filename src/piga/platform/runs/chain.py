@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,12 @@ from piga.platform.navigation.analysis import (
     theory_lines,
 )
 from piga.platform.navigation.navigator import Errors, Navigation, Start, errors, navigate, true_start
+from piga.results import Result, plotted
 from piga.units import ARCMIN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -51,13 +56,17 @@ class ModelRun:
     theory: Lines | None
 
 
-@dataclass(frozen=True)
-class ModelComparisonRun:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModelComparisonRun(Result):
     """All models over one run."""
 
     run: PlatformRun
     preparation: Preparation
     models: Mapping[Model, ModelRun]
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Lines of each model, day by day. See :class:`piga.results.Plots`."""
+        return plotted(self, ax)
 
     def document(self) -> dict[str, Any]:
         """The JSON document of ``piga platform compare``."""

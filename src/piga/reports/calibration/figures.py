@@ -10,15 +10,34 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.allan import allan_deviation, drift_line, model_deviation
+from piga.calibration.allan import AllanDeviation, allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.terms import shown_unit
-from piga.reports.calibration.tables import residual_quantity
+from piga.reports.calibration.tables import budget_shares, residual_quantity, source_in_words
 from piga.reports.render.decimate import POINTS, envelope_rows, leading_part, outline
 from piga.reports.render.figure import Axis, Figure, Panel, Role, Series
 from piga.reports.render.numbers import pretty_unit
 from piga.reports.render.orders import OrderSpectrum, Ripple, segment_slices, spectrum_and_ripple
 from piga.units import ARCSEC, G0, MICRO_G, conversion_factor
+
+
+def deviation_figure(deviation: AllanDeviation) -> Figure:
+    """An Allan deviation by itself, with its 68 % band."""
+    tau = deviation.tau
+    curve = Series(tau, deviation.deviation / ARCSEC, "deviation", "line+points", "after")
+    y = Axis("Allan deviation of the rate", "arcsec/s", log=True)
+    return Figure(
+        key="allan-deviation",
+        title="Allan deviation of the rate.",
+        panels=(Panel(Axis("averaging time", "s", log=True), y, (_allan_band(deviation), curve)),),
+        caption="Overlapping Allan deviation with its 68 % band. Stretches are pooled, not joined.",
+        height=3.4,
+    )
+
+
+def _allan_band(deviation: AllanDeviation) -> Series:
+    lower, upper = deviation.lower / ARCSEC, deviation.upper / ARCSEC
+    return Series(deviation.tau, lower, "68 % band", "band", "muted", upper=upper)
 
 
 def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: float = 0.0) -> Figure | None:
@@ -43,9 +62,8 @@ def allan_figure(residuals: Residuals, noise: tuple[float, float], bias_drift: f
     level = bias_drift / ARCSEC or both[-1] / math.sqrt(tau[-1] / 3.0)
     drift = drift_line(tau, level)
     near = (tau >= 0.1 * tau[-1]) | (bias_drift > 0.0)
-    band = Series(tau, deviation.lower / ARCSEC, "68 % band", "band", "muted", upper=deviation.upper / ARCSEC)
     series = [
-        band,
+        _allan_band(deviation),
         Series(tau, deviation.deviation / ARCSEC, "residual", "line+points", "after"),
         Series(tau, both, "noise found", role="model"),
     ]
@@ -233,7 +251,8 @@ def residual_angles(cal: Calibration) -> Residuals:
         return cast("Residuals", residuals)
     step = np.diff(residuals.t, prepend=residuals.t[:1])
     step[np.diff(residuals.segment, prepend=residuals.segment[:1]) != 0] = 0.0
-    return replace(residuals, before=_integral(residuals.before, step), after=_integral(residuals.after, step))
+    before, after = _integral(residuals.before, step), _integral(residuals.after, step)
+    return replace(residuals, before=before, after=after, unit="rad")
 
 
 def _integral(rate: Array, step: Array) -> Array:
@@ -367,6 +386,35 @@ def run_figures(cal: Calibration) -> tuple[Figure, ...]:
                 replace(figure, key=f"residual-time-{index}", title=f"Run {run.name}: {figure.title}")
             )
     return tuple(figures)
+
+
+LARGEST = 6
+"""Sources of the budget that the figure shows."""
+
+
+def budget_figure(cal: Calibration) -> Figure | None:
+    """Share of each source in the variance of each coefficient; None without a coefficient of the instrument."""
+    keys, shares = budget_shares(cal)
+    if not keys:
+        return None
+    number = np.arange(1, len(keys) + 1)
+    largest = sorted(shares, key=lambda source: -max(shares[source]))[:LARGEST]
+    roles: tuple[Role, ...] = ("after", "before", "model", "x", "z", "warning")
+    series = []
+    for k, (source, role) in enumerate(zip(largest, roles, strict=False)):
+        place = number + 0.1 * (k - 0.5 * (len(largest) - 1))
+        text = tuple(f"{key}: {share:.3g} %" for key, share in zip(keys, shares[source], strict=True))
+        series.append(Series(place, shares[source], source_in_words(source), "points", role, text=text))
+    listed = ", ".join(f"{k} {key}" for k, key in zip(number, keys, strict=True))
+    x = Axis(f"coefficient: {listed}", "", limits=(0.5, number.size + 0.5))
+    return Figure(
+        key="budget-shares",
+        title="Sources of the uncertainty.",
+        panels=(Panel(x, Axis("share of the variance", "%", limits=(-3.0, 103.0)), tuple(series)),),
+        caption="Share of each source in the variance of each coefficient; the largest sources are shown. The largest "
+        "share is what to improve.",
+        height=2.7,
+    )
 
 
 def outlier_figure(cal: Calibration) -> Figure | None:

@@ -10,7 +10,7 @@ from piga.records.calibration import Calibration
 from piga.records.coverage import TYPE_A_ONLY
 from piga.records.terms import meaning_of, shown_unit
 from piga.records.verdict import COUNTED, THRESHOLDS, whitened_rms
-from piga.reports.calibration.figures import calibration_figures, elapsed_time
+from piga.reports.calibration.figures import budget_figure, calibration_figures, elapsed_time
 from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
@@ -225,7 +225,7 @@ def calibration_page(cal: Calibration) -> Page:
         *_convergence(figures),
         _orders(figures),
         _segments(cal, figures),
-        _budget(cal),
+        _budget(cal, budget_figure(cal)),
         _identifiability(cal, figures),
         *comparison_sections(cal),
         _quality(cal, figures),
@@ -430,13 +430,14 @@ def _segments(cal: Calibration, figures: dict[str, Figure]) -> Section:
     return Section("Segments", "segments", (*blocks, segment_table(cal)))
 
 
-def _budget(cal: Calibration) -> Section:
+def _budget(cal: Calibration, figure: Figure | None) -> Section:
     lead = (
         "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit "
         "(type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
     blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
+    blocks += [FigureBlock(figure)] if figure is not None and len(cal.budget) > 1 else []
     sensitivities = sensitivity_tables(cal)
     if sensitivities:
         text = (

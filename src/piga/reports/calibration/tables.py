@@ -360,10 +360,7 @@ def budget_table(cal: Calibration) -> Table:
     Without an entry of Type A the standard uncertainties of the fit are put first.
     """
     coefficients = common_coefficients(cal)[:SHOWN_NAMES]
-    sources = list(cal.budget)
-    if not any(source.type == "A" for source in sources):
-        fit = {coefficient.key: coefficient.std for coefficient in coefficients}
-        sources.insert(0, BudgetEntry(source="Fit to the record", type="A", distribution="", contributions=fit))
+    sources = _sources(cal, coefficients)
     names = [_friendly_unit(coefficient) for coefficient in coefficients]
     columns = (
         TableColumn("Source", align="text"),
@@ -379,6 +376,28 @@ def budget_table(cal: Calibration) -> Table:
         rows.append(("Combined", "", "", "–", "", *_cells(total, coefficients, {})))
     note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
     return Table(columns, tuple(rows), notes=(note,))
+
+
+def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
+    """Keys of the coefficients with a budget, and the share [%] of each source in the variance of each."""
+    coefficients = [c for c in common_coefficients(cal)[:SHOWN_NAMES] if c.std > 0.0]
+    sources = _sources(cal, coefficients)
+    total = {c.key: math.hypot(*(source.contribution(c) for source in sources)) for c in coefficients}
+    known = [c for c in coefficients if total[c.key] > 0.0]
+    shares = {
+        source.source: [100.0 * (source.contribution(c) / total[c.key]) ** 2 for c in known]
+        for source in sources
+    }
+    return [c.key for c in known], shares
+
+
+def _sources(cal: Calibration, coefficients: list[Coefficient]) -> list[BudgetEntry]:
+    """Rows of the budget; without one of Type A the standard uncertainties of the fit come first."""
+    sources = list(cal.budget)
+    if not any(source.type == "A" for source in sources):
+        fit = {coefficient.key: coefficient.std for coefficient in coefficients}
+        sources.insert(0, BudgetEntry(source="Fit to the record", type="A", distribution="", contributions=fit))
+    return sources
 
 
 SOURCES = {

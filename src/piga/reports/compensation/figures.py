@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.compensation import FLAGS, Compensated
+from piga.compensation import FLAGS, Compensated, CompensatedSet
 from piga.records.calibration import Residuals
 from piga.records.run import Run
 from piga.records.spool import BLOCK, spans, trim
@@ -188,6 +188,44 @@ def force_figure(outline: CompensationOutline) -> Figure:
         "noise, so it does not.",
         height=2.3,
         notes=(shown,) if shown else (),
+    )
+
+
+def plain_force_figure(result: Compensated) -> Figure:
+    """Compensated force and its uncertainty, without the record that they come from."""
+    t = result.t - result.t[0]
+    panels = [
+        Panel(TIME, Axis("specific force a_x", "g"), (Series(t, result.ax / G0, "compensated", role="after"),))
+    ]
+    if result.u_ax.size:
+        u = Series(t, result.u_ax / MICRO_G, "standard uncertainty per row", role="model")
+        panels.append(Panel(TIME, Axis("uncertainty u(a_x)", "µg"), (u,)))
+    return Figure(
+        "compensated-force",
+        "Specific force along the input axis.",
+        tuple(panels),
+        "Compensated force, and its standard uncertainty.",
+        height=2.3,
+    )
+
+
+def plain_set_figure(result: CompensatedSet) -> Figure:
+    """Force of a set in the common frame, and its uncertainty."""
+    t = result.t - result.t[0]
+    roles: tuple[Role, ...] = ("x", "y", "z")
+    force = tuple(Series(t, result.f[:, i] / G0, f"f{AXES[i]}", role=role) for i, role in enumerate(roles))
+    panels = [Panel(TIME, Axis("specific force", "g"), force)]
+    if result.u_f.size:
+        u = tuple(
+            Series(t, result.u_f[:, i] / MICRO_G, f"u(f{AXES[i]})", role=role) for i, role in enumerate(roles)
+        )
+        panels.append(Panel(TIME, Axis("standard uncertainty", "µg"), u))
+    return Figure(
+        "set-force",
+        "Specific force in the common frame.",
+        tuple(panels),
+        "Solved together, row by row.",
+        height=2.3,
     )
 
 

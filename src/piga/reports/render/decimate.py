@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -101,5 +102,6 @@ def _starts(segment: NDArray[np.int32]) -> NDArray[np.int64]:
 
 def _rows(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
+    part: dict[str, Any] = {name: gathered(getattr(residuals, name), rows) for name in names}
     run = None if residuals.run is None else gathered(residuals.run, rows)
-    return replace(residuals, run=run, **{name: gathered(getattr(residuals, name), rows) for name in names})
+    return replace(residuals, run=run, **part)

@@ -15,6 +15,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piga.results import Result
+
 Mark = Literal["line", "points", "line+points", "bars", "band", "steps"]
 Role = Literal["data", "model", "before", "after", "reference", "warning", "x", "y", "z", "muted"]
 
@@ -38,8 +40,8 @@ class Axis:
         return self.quantity if self.unit in ("", "1") else f"{self.quantity} [{self.unit}]"
 
 
-@dataclass(frozen=True)
-class Series:
+@dataclass(frozen=True, eq=False, repr=False)
+class Series(Result):
     """One curve: ``x`` and ``y`` of equal length, in the units of the panel's axes.
 
     ``upper`` is used with mark ``band``: the band lies between ``y`` and ``upper``.
@@ -72,8 +74,8 @@ class Panel:
     equal: bool = False
 
 
-@dataclass(frozen=True)
-class Figure:
+@dataclass(frozen=True, eq=False, repr=False)
+class Figure(Result):
     """One or more panels, side by side or stacked (then they share the x axis when alike).
 
     ``key`` is the figure's identifier (file name and anchor: letters, digits, hyphens; unique in a page);

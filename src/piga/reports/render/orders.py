@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.records.calibration import Residuals
+from piga.results import Result
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,8 @@ _CHUNK = 8192
 _STANDING = 1e-7
 
 
-@dataclass(frozen=True)
-class OrderSpectrum:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderSpectrum(Result):
     """Ripple amplitude [m/s^2] by revolution order, root-mean-square over the segments.
 
     ``noise`` is the amplitude that the stated noise levels alone would show. ``segments`` is how many
@@ -50,8 +51,8 @@ class OrderSpectrum:
     segments: int
 
 
-@dataclass(frozen=True)
-class Ripple:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ripple(Result):
     """Mean residual specific force [m/s^2] against output angle [rad], per bin of one revolution."""
 
     psi: Array

@@ -208,6 +208,26 @@ def page_html(page: Page) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Card:
+    """What a notebook shows of a result: a title, a verdict, tables of the report, and one small figure."""
+
+    title: str
+    subtitle: str = ""
+    judgement: Judgement | None = None
+    tables: tuple[Table, ...] = ()
+    figure: Figure | None = None
+
+
+def card_html(card: Card) -> str:
+    """The card as a piece of HTML, for a notebook. It needs no script, no network and no Matplotlib."""
+    from piga.reports.render.static import picture_svg
+
+    svg = "" if card.figure is None else picture_svg(card.figure)
+    text: str = template("card.html.jinja").render(card=card, svg=svg)
+    return text
+
+
 def write_page(page: Page, path: Path) -> Path:
     """Write the page as one HTML file."""
     path.write_bytes(page_html(page).encode("utf-8"))

@@ -15,6 +15,7 @@ from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
 from piga.records.limits import open_regular
 from piga.records.spool import Arrays, arrays_like, spans, steps, trim
+from piga.results import Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan
 from piga.units import conversion_factor
@@ -27,8 +28,8 @@ MOST_ROWS = 1 << 16
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class LoggedProfile:
+@dataclass(frozen=True, eq=False, repr=False)
+class LoggedProfile(Result):
     """Samples of specific force [m/s^2] and base rate [rad/s], (n, 3), at times ``t`` [s]. They are linear between samples."""
 
     t: Array

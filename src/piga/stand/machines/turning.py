@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from piga.earth import EARTH_RATE, Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
+from piga.results import Result
 from piga.stand.imperfections import Imperfections
 from piga.stand.profile import Segment, plan_holds
 
@@ -180,8 +181,8 @@ def position_range(first: float, last: float, step: float) -> tuple[float, ...]:
     return tuple(first + step * k for k in range(count))
 
 
-@dataclass(frozen=True)
-class Spin:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spin(Result):
     """Angle [rad], rate [rad/s] and angular acceleration [rad/s^2] at some times, (n,) each."""
 
     angle: Array

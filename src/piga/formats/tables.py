@@ -1,0 +1,162 @@
+"""Results as tables of other tools: Arrow, pandas, xarray. And tables in memory as the columns of a record."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError, missing_package
+from piga.formats.columns import CHUNK_ROWS, FileChunk, LabelCodes, MissingCount, nulls_of, numbers_of
+from piga.formats.containers.parquet_reader import check_columns, units_of
+from piga.formats.parquet_writer import arrow_array
+from piga.records.calibration import Calibration, Event
+from piga.results import Column, Tabular
+
+WHERE = Path("table")
+"""Name of a table in memory, in messages."""
+
+
+# -- out -----------------------------------------------------------------------------------------------
+
+
+def arrow_table(result: Tabular) -> Any:
+    """A result as a ``pyarrow.Table``: the unit of each column is in the metadata of its field."""
+    try:
+        import pyarrow as pa
+    except ImportError:
+        raise missing_package("pyarrow") from None
+    arrays = {name: (arrow_array(column), column.unit) for name, column in result.table_columns().items()}
+    fields = [pa.field(name, array.type, metadata={"unit": unit}) for name, (array, unit) in arrays.items()]
+    notes = result.table_notes()
+    metadata = {"piga.notes": json.dumps(notes)} if notes else None
+    return pa.Table.from_arrays(
+        [array for array, _ in arrays.values()], schema=pa.schema(fields, metadata=metadata)
+    )
+
+
+def dataframe(result: Tabular) -> Any:
+    """A result as a pandas data frame, units in ``attrs``."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise missing_package("pandas") from None
+    columns = result.table_columns()
+    frame = pd.DataFrame({name: _plain(column) for name, column in columns.items()})
+    for name, column in columns.items():
+        if column.labels is not None:
+            frame[name] = pd.Categorical.from_codes(np.asarray(column.values), list(column.labels))
+    frame.attrs["units"] = {name: column.unit for name, column in columns.items()}
+    if result.table_notes():
+        frame.attrs["notes"] = list(result.table_notes())
+    return frame
+
+
+def dataset(result: Tabular) -> Any:
+    """A result as an xarray data set: units in the attributes, the covariance of a calibration with labels."""
+    try:
+        import xarray as xr
+    except ImportError:
+        raise missing_package("xarray") from None
+    columns = result.table_columns()
+    along = "coefficient" if isinstance(result, Calibration) else "row"
+    variables = {
+        name: ((along,), _plain(column), {"units": column.unit})
+        for name, column in columns.items()
+        if name != along
+    }
+    if isinstance(result, Calibration):
+        keys = list(result)
+        units = {"units": "product of the units of both coefficients"}
+        made = xr.Dataset(
+            variables | {"covariance": ((along, "with_coefficient"), np.array(result.covariance), units)},
+            coords={along: keys, "with_coefficient": keys},
+        )
+    else:
+        made = xr.Dataset({name: values for name, values in variables.items() if name != "t"})
+        if "t" in variables:
+            made = made.assign_coords(t=variables["t"])
+    return made.assign_attrs(notes=list(result.table_notes()))
+
+
+def _plain(column: Column) -> NDArray[Any]:
+    """Values of a column; labels as text."""
+    if column.labels is None:
+        return np.asarray(column.values)
+    return np.array(column.labels, dtype=object)[np.asarray(column.values)]
+
+
+# -- in ------------------------------------------------------------------------------------------------
+
+
+class TableStream:
+    """A table in memory as a record stream (:class:`piga.formats.columns.RecordStream`).
+
+    Parameters
+    ----------
+    table:
+        Anything that gives Arrow (``__arrow_c_stream__``): pandas, polars, pyarrow; or a mapping of arrays.
+    numeric, label:
+        Names of the number columns, and of the segment column.
+
+    Raises
+    ------
+    ArgumentError
+        If the table does not give Arrow.
+    DataError
+        If a column is missing or holds no numbers.
+    """
+
+    def __init__(self, table: object, numeric: list[str], label: str | None) -> None:
+        self._table = as_arrow(table)
+        self._numeric, self._label = tuple(numeric), label
+        wanted = [*numeric, *([label] if label else [])]
+        check_columns(WHERE, self._table.schema, wanted, self._numeric)
+        self.units = units_of(self._table.schema, self._numeric)
+        self.label_names: list[str] = []
+        self._missed = MissingCount()
+
+    @property
+    def expected_rows(self) -> int:
+        """Number of rows."""
+        return int(self._table.num_rows)
+
+    def chunks(self) -> Iterator[FileChunk]:
+        """The rows in order."""
+        codes, row = LabelCodes(self.label_names), 1
+        wanted = list(dict.fromkeys([*self._numeric, *([self._label] if self._label else [])]))
+        for batch in self._table.select(wanted).to_batches(max_chunksize=CHUNK_ROWS):
+            rows = np.arange(row, row + batch.num_rows, dtype=np.int64)
+            row += batch.num_rows
+            numbers = {}
+            for name in self._numeric:
+                column = batch.column(name)
+                if column.null_count:
+                    self._missed.add(name, nulls_of(column), rows)
+                numbers[name] = numbers_of(column)
+            yield FileChunk(numbers, codes.of(batch.column(self._label)) if self._label else None, rows)
+
+    def events(self) -> list[Event]:
+        """Faults and omissions; complete after the last chunk."""
+        return self._missed.events(self._numeric)
+
+
+def as_arrow(table: object) -> Any:
+    """Any table as a ``pyarrow.Table``."""
+    try:
+        import pyarrow as pa
+    except ImportError:
+        raise missing_package("pyarrow") from None
+    try:
+        if isinstance(table, Mapping):
+            return pa.table({name: np.asarray(column) for name, column in table.items()})
+        return pa.table(table)
+    except (TypeError, ValueError, pa.ArrowException) as error:
+        raise ArgumentError(
+            f"table: a {type(table).__name__} does not give Arrow columns ({str(error).splitlines()[0]})",
+            remedy="pass a table of pandas, polars or pyarrow, or a dict of arrays",
+        ) from None

@@ -1,0 +1,385 @@
+"""What a result shows by itself: a card in a notebook, a summary, a page, a figure. All come from the report's functions.
+
+Methods of results call these functions by name (:mod:`piga.results`). Each kind of result has one entry in a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from piga.errors import ArgumentError, CalibrationError
+from piga.output import write_whole
+from piga.reports.render.figure import Figure
+from piga.reports.render.page import Card, Table, TableColumn, card_html, write_page
+
+MOST_ROWS = 40
+"""Rows of a table in a notebook."""
+
+
+def html_of(result: Any) -> str:
+    """The card of a result as HTML."""
+    make = CARDS.get(type(result).__name__)
+    return card_html(make(result) if make else _plain_card(result))
+
+
+def summary_of(result: Any) -> str:
+    """The summary that the command prints."""
+    text: str = SUMMARIES[type(result).__name__](result)
+    return text
+
+
+def write_report(result: Any, path: str | Path) -> Path:
+    """Write the page of a result, whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the name does not end in .html.
+    """
+    target = Path(path)
+    if target.suffix != ".html":
+        raise ArgumentError(f"report {target}: the name must end in .html", remedy="e.g. report.html")
+    write = REPORTS[type(result).__name__]
+    return write_whole(target, lambda part: write(result, part), remedy="choose another path")
+
+
+def figure_of(result: Any, name: str = "") -> Figure:
+    """The figure of a result with this name; a result with one figure has no name for it."""
+    return FIGURES[type(result).__name__](result, name)
+
+
+# -- cards ---------------------------------------------------------------------------------------------
+
+
+def facts_of(rows: list[tuple[str, str]]) -> Table:
+    """Names and values as a table."""
+    return Table((TableColumn("", align="text"), TableColumn("", align="text")), tuple(rows[:MOST_ROWS]))
+
+
+def _plain_card(result: Any) -> Card:
+    return Card(type(result).__name__, tables=(facts_of(result.in_brief()),))
+
+
+def _calibration(cal: Any) -> Card:
+    from piga.reports.calibration.page import files_in_words, segments_in_words
+    from piga.reports.calibration.tables import coefficient_table, judgement
+
+    drawn = cal.residuals is not None and cal.residuals.t.size
+    return Card(
+        f"Calibration of {cal.serial or 'an instrument'}",
+        f"{files_in_words(cal)}: {segments_in_words(cal)}, method {cal.method}" if not cal.given else "",
+        judgement(cal),
+        (coefficient_table(cal),),
+        calibration_figure(cal, "residuals") if drawn else None,
+    )
+
+
+def _coefficient(c: Any) -> Card:
+    from piga.records.terms import meaning_of
+    from piga.reports.render.numbers import pretty_unit
+
+    low, high = c.limits
+    rows = [
+        ("value", f"{c.value:.9g} {pretty_unit(c.unit)}"),
+        ("standard uncertainty", f"{c.std:.3g} {pretty_unit(c.unit)}"),
+        ("95 % interval", f"{low:.9g} to {high:.9g} {pretty_unit(c.unit)}"),
+        ("in SI", repr(c.si)),
+    ]
+    return Card(f"{c.key}: {meaning_of(c.name)}", tables=(facts_of(rows),))
+
+
+def _budget(budget: Any) -> Card:
+    from piga.reports.calibration.tables import source_in_words
+
+    rows = tuple(
+        (source_in_words(entry.source), entry.type, entry.distribution, str(len(entry.contributions)))
+        for entry in budget
+    )
+    heads = (
+        *(TableColumn(name, align="text") for name in ("Source", "Type", "Distribution")),
+        TableColumn("Coefficients"),
+    )
+    return Card("Uncertainty budget", tables=(Table(heads, rows[:MOST_ROWS]),))
+
+
+def _run(run: Any) -> Card:
+    from piga.reports.check import record_figure
+
+    return Card(
+        f"Record of {run.serial or 'an instrument'}",
+        tables=(facts_of(run.in_brief()),),
+        figure=record_figure(run),
+    )
+
+
+def _compensated(result: Any) -> Card:
+    return Card("Compensated record", tables=(facts_of(result.in_brief()),), figure=figure_of(result))
+
+
+def _plan(plan: Any) -> Card:
+    from piga.reports.planning import uncertainty_table, visit_table
+
+    return Card("Planned test", tables=(visit_table(plan), uncertainty_table(plan)), figure=figure_of(plan))
+
+
+def _trend(trend: Any) -> Card:
+    from piga.reports.trend import summary_table
+
+    return Card(f"Trend of {trend.serial}", tables=(summary_table(trend),), figure=figure_of(trend))
+
+
+def _figure(figure: Figure) -> Card:
+    return Card(figure.title, figure=figure)
+
+
+def _drawn(result: Any) -> Card:
+    return Card(type(result).__name__, tables=(facts_of(result.in_brief()),), figure=figure_of(result))
+
+
+CARDS: dict[str, Callable[[Any], Card]] = {
+    "Calibration": _calibration,
+    "Coefficient": _coefficient,
+    "BudgetTable": _budget,
+    "Run": _run,
+    "Compensated": _compensated,
+    "CompensatedSet": _compensated,
+    "Plan": _plan,
+    "Trend": _trend,
+    "Figure": _figure,
+    "SimulatedTest": _drawn,
+    "AllanDeviation": _drawn,
+    "PlatformRun": _drawn,
+    "Identification": _drawn,
+    "ModelComparisonRun": _drawn,
+    "Capstone": _drawn,
+}
+
+
+# -- summaries and pages -------------------------------------------------------------------------------
+
+
+def _text_of_calibration(cal: Any) -> str:
+    from piga.reports.calibration.page import calibration_text
+
+    return calibration_text(cal)
+
+
+def _text_of_run(run: Any) -> str:
+    from piga.reports.check import check_text
+
+    return check_text(run)
+
+
+def _text_of_plan(plan: Any) -> str:
+    from piga.reports.planning import plan_text
+
+    return plan_text(plan, None)
+
+
+def _text_of_trend(trend: Any) -> str:
+    from piga.reports.trend import trend_text
+
+    return trend_text(trend)
+
+
+def _text_of_simulation(test: Any) -> str:
+    from piga.reports.stand import simulation_text
+
+    return simulation_text(test)
+
+
+SUMMARIES: dict[str, Callable[[Any], str]] = {
+    "Calibration": _text_of_calibration,
+    "Run": _text_of_run,
+    "Plan": _text_of_plan,
+    "Trend": _text_of_trend,
+    "SimulatedTest": _text_of_simulation,
+    "Compensated": lambda result: "\n".join(f"{name}: {text}" for name, text in result.in_brief()),
+}
+
+
+def _page_of_calibration(cal: Any, path: Path) -> object:
+    from piga.reports.calibration.page import write_calibration_report
+
+    return write_calibration_report(cal, path)
+
+
+def _page_of_run(run: Any, path: Path) -> object:
+    from piga.reports.check import write_check
+
+    return write_check(run, path)
+
+
+def _page_of_compensation(result: Any, path: Path) -> object:
+    from piga.reports.compensation.page import CompensationFacts, write_compensation_report
+
+    run, calibration = _origin(result, "report")
+    files = (
+        ("record", ""),
+        (Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")),
+    )
+    facts = CompensationFacts(calibration, files, {"method": result.method})
+    return write_compensation_report(_outline(result), facts, path, (run, result))
+
+
+def _page_of_plan(plan: Any, path: Path) -> object:
+    from piga.reports.planning import plan_page
+
+    return write_page(plan_page(plan, None), path)
+
+
+def _page_of_trend(trend: Any, path: Path) -> object:
+    from piga.reports.trend import write_trend_report
+
+    return write_trend_report(trend, path)
+
+
+def _page_of_simulation(test: Any, path: Path) -> object:
+    from piga.reports.stand import simulation_page
+
+    return write_page(simulation_page(test, "simulated"), path)
+
+
+REPORTS: dict[str, Callable[[Any, Path], object]] = {
+    "Calibration": _page_of_calibration,
+    "Run": _page_of_run,
+    "Compensated": _page_of_compensation,
+    "Plan": _page_of_plan,
+    "Trend": _page_of_trend,
+    "SimulatedTest": _page_of_simulation,
+}
+
+
+def _origin(result: Any, what: str) -> tuple[Any, Any]:
+    """Record and calibration of a compensation."""
+    if result.made_from is None:
+        raise CalibrationError(
+            f"{what}: this compensation was read or copied without its record and calibration",
+            remedy="compensate again: piga.compensate(run, cal)",
+        )
+    run, calibration = result.made_from
+    return run, calibration
+
+
+def _outline(result: Any) -> Any:
+    from piga.reports.compensation.outline import outline_of
+
+    run, calibration = _origin(result, "plot")
+    outline = outline_of(run.kind, calibration)
+    outline.record(run, result)
+    return outline
+
+
+# -- figures -------------------------------------------------------------------------------------------
+
+
+def calibration_figure(cal: Any, name: str) -> Figure:
+    """A figure of the calibration report.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration has no data for it.
+    """
+    from piga.reports.calibration import figures as drawn
+
+    figure = None
+    if name == "segments":
+        figure = drawn.segment_figure(cal) if cal.segments else None
+    elif name == "budget":
+        figure = drawn.budget_figure(cal)
+    elif name == "convergence":
+        figure = drawn.convergence_figure(cal) if cal.history is not None else None
+    elif cal.residuals is not None and cal.residuals.t.size:
+        key = {"residuals": "residual-time", "orders": "residual-order", "ripple": "ripple-polar"}.get(
+            name, name
+        )
+        figure = next((f for f in drawn.calibration_figures(cal) if f.key.startswith(key)), None)
+    if figure is None:
+        raise CalibrationError(
+            f"plot.{name}: this calibration has no data for the figure",
+            remedy="calibrate the record in this process: calibration.json and pickles hold no residuals"
+            if cal.residuals is None
+            else "calibrate a record that has what the figure shows",
+        )
+    return figure
+
+
+def _run_figure(run: Any, _: str) -> Figure:
+    from piga.reports.check import record_figure
+
+    return record_figure(run)
+
+
+def _residual_figure(residuals: Any, _: str) -> Figure:
+    from piga.reports.calibration.figures import residual_figure
+    from piga.reports.render.decimate import outline
+
+    return residual_figure(outline(residuals))
+
+
+def _compensated_figure(result: Any, _: str) -> Figure:
+    from piga.reports.compensation.figures import force_figure, plain_force_figure
+
+    return plain_force_figure(result) if result.made_from is None else force_figure(_outline(result))
+
+
+def _set_figure(result: Any, _: str) -> Figure:
+    from piga.reports.compensation.figures import plain_set_figure
+
+    return plain_set_figure(result)
+
+
+def _plan_figure(plan: Any, name: str) -> Figure:
+    from piga.reports import planning as drawn
+
+    return {"": drawn.dwell_figure, "uncertainty": drawn.uncertainty_figure, "duration": drawn.duration_figure}[
+        name
+    ](plan)
+
+
+def _trend_figure(trend: Any, name: str) -> Figure:
+    from piga.reports.trend import trend_figure
+
+    return trend_figure(trend, trend[name or trend.coefficients[0].key], None)
+
+
+def _allan_figure(deviation: Any, _: str) -> Figure:
+    from piga.reports.calibration.figures import deviation_figure
+
+    return deviation_figure(deviation)
+
+
+def _simulation_figure(test: Any, _: str) -> Figure:
+    from piga.reports.stand import stand_figure
+
+    return stand_figure(test)
+
+
+def _platform_figure(function: str) -> Callable[[Any, str], Figure]:
+    def figure(result: Any, _: str) -> Figure:
+        from piga.reports.platform import figures as drawn
+
+        made: Figure = getattr(drawn, function)(result)
+        return made
+
+    return figure
+
+
+FIGURES: dict[str, Callable[[Any, str], Figure]] = {
+    "Calibration": calibration_figure,
+    "Run": _run_figure,
+    "Residuals": _residual_figure,
+    "Compensated": _compensated_figure,
+    "CompensatedSet": _set_figure,
+    "Plan": _plan_figure,
+    "Trend": _trend_figure,
+    "AllanDeviation": _allan_figure,
+    "SimulatedTest": _simulation_figure,
+    "PlatformRun": _platform_figure("readouts_figure"),
+    "Identification": _platform_figure("convergence_figure"),
+    "ModelComparisonRun": _platform_figure("lines_figure"),
+    "Capstone": _platform_figure("capstone_figure"),
+}

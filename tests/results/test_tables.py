@@ -1,0 +1,140 @@
+"""Results leave as Arrow, pandas, polars and xarray, with their units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import GTC
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+import uncertainties
+
+import piga
+from piga.results import above
+from piga.units import G0
+
+
+@pytest.fixture(scope="module")
+def results(run, cal):
+    budgeted = replace(cal, budget=(*cal.budget, *cal.budget))
+    return {
+        "run": run,
+        "cal": cal,
+        "residuals": cal.residuals,
+        "budget": budgeted.budget,
+        "compensated": piga.compensate(run, cal),
+    }
+
+
+TAKEN = ("cal", "budget")
+"""Polars takes a mapping and a tuple for something else before it asks for Arrow: these go through ``to_arrow``."""
+NAMES = ("run", "cal", "residuals", "budget", "compensated")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_table_is_the_same_by_every_door(results, name):
+    table = results[name]
+    columns = table.table_columns()
+    arrow = table.to_arrow()
+    assert arrow.column_names == list(columns)
+    assert {field.name: field.metadata[b"unit"].decode() for field in arrow.schema} == {
+        key: column.unit for key, column in columns.items()
+    }
+    streamed = pa.RecordBatchReader.from_stream(table).read_all()
+    assert streamed.schema.equals(arrow.schema, check_metadata=True)
+    polars, pandas = pl.DataFrame(arrow if name in TAKEN else table), table.to_dataframe()
+    frame = pd.DataFrame.from_arrow(arrow if name in TAKEN else table)
+    assert list(pandas.columns) == list(columns) == polars.columns == list(frame.columns)
+    for key, column in columns.items():
+        wanted = column.values if column.labels is None else np.array(column.labels)[column.values]
+        for made in (polars[key].to_list(), pandas[key].to_list(), frame[key].to_list()):
+            assert len(made) == len(wanted)
+            if column.values.dtype.kind == "f":
+                assert np.array_equal(np.array(made, dtype=float), wanted, equal_nan=True)
+            else:
+                assert made == wanted.tolist()
+    assert pandas.attrs["units"] == {key: column.unit for key, column in columns.items()}
+
+
+def test_the_table_of_a_calibration(cal):
+    frame = cal.to_dataframe().set_index("coefficient")
+    assert frame.loc["k0", "value"] == cal["k0"].value
+    assert frame.loc["k0", "unit"] == "g"
+    assert frame.loc["k0", "value_si"] == cal["k0"].value * G0
+    assert frame.loc["k0", "unit_si"] == "m/s^2"
+    assert (frame.loc["k0", "low"], frame.loc["k0", "high"]) == cal["k0"].limits
+    assert cal.table_notes()
+    assert b"Type A only" in cal.to_arrow().schema.metadata[b"piga.notes"]
+
+
+def test_xarray_has_units_and_a_labelled_covariance(run, cal):
+    made = cal.to_xarray()
+    assert float(made["value"].sel(coefficient="k0")) == cal["k0"].value
+    at = {"coefficient": "scale_factor", "with_coefficient": "k0"}
+    keys = list(cal)
+    assert float(made["covariance"].sel(at)) == cal.covariance[keys.index("scale_factor"), keys.index("k0")]
+    record = run.to_xarray()
+    assert record["fx"].attrs["units"] == "m/s^2"
+    assert record["t"].attrs["units"] == "s"
+    assert np.array_equal(record["output"].values, run.output)
+    assert record["segment"].values[-1] == "1"
+    assert "t" in record.coords
+
+
+def test_a_rate_log_and_its_residuals_have_rates():
+    from tests.records.test_verdict import TERMS, rate_log
+
+    run = rate_log()
+    assert run.table_columns()["output"].unit == "rad/s"
+    found = piga.calibrate(run, TERMS)
+    assert found.residuals.table_columns()["after"].unit == "rad/s"
+
+
+def test_uncertainties_have_the_whole_covariance(cal):
+    made = cal.correlated("uncertainties")
+    assert list(made) == list(cal)
+    assert np.allclose(uncertainties.covariance_matrix(list(made.values())), cal.covariance, rtol=1e-9, atol=0)
+    ratio = made["k0"] / made["scale_factor"]
+    K, k0 = cal["scale_factor"], cal["k0"]
+    cov = cal.covariance[list(cal).index("k0"), list(cal).index("scale_factor")]
+    variance = (k0.std / K.value) ** 2 + (k0.value * K.std / K.value**2) ** 2 - 2 * k0.value / K.value**3 * cov
+    assert ratio.std_dev == pytest.approx(math.sqrt(variance))
+    si = cal.correlated("uncertainties", si=True)
+    assert si["k0"].std_dev == pytest.approx(cal["k0"].si.std)
+
+
+def test_gtc_has_covariance_and_degrees_of_freedom(cal):
+    made = cal.correlated("GTC")
+    assert len(made) == len(cal.coefficients)
+    for i, (key, number) in enumerate(made.items()):
+        assert GTC.value(number) == cal[key].value
+        assert GTC.uncertainty(number) == pytest.approx(cal[key].std)
+        assert GTC.dof(number) == pytest.approx(min(c.degrees_of_freedom for c in cal.values()))
+        for j, other in enumerate(made.values()):
+            if i != j:
+                wanted = cal.covariance[i, j] / np.sqrt(cal.covariance[i, i] * cal.covariance[j, j])
+                assert GTC.get_correlation(number, other) == pytest.approx(wanted)
+
+
+def test_exact_coefficients_correlate_with_none():
+    exact = piga.Calibration.from_coefficients({"scale_factor": 0.9, "k0": (1e-3, 1e-6)})
+    for library in ("uncertainties", "GTC"):
+        made = exact.correlated(library)
+        assert float(GTC.value(made["k0"]) if library == "GTC" else made["k0"].nominal_value) == 1e-3
+    with pytest.raises(piga.ArgumentError, match="library 'numpy'"):
+        exact.correlated("numpy")
+
+
+def test_without_a_library_the_extra_is_named(cal, monkeypatch):
+    import piga.formats.correlated as module
+
+    monkeypatch.setattr(module, "find_spec", lambda name: None if name == "uncertainties" else object())
+    assert "GTC" in type(next(iter(cal.correlated().values()))).__module__
+    monkeypatch.setattr(module, "find_spec", lambda _name: None)
+    with pytest.raises(piga.MissingPackageError, match=r"piga\[notebook\]"):
+        cal.correlated()
+    assert above("correlated") is module.correlated

@@ -1,0 +1,118 @@
+"""Equality, hashes, pickles and copies of results."""
+
+from __future__ import annotations
+
+import copy
+import math
+import multiprocessing
+import pickle
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+import piga
+from piga.results import ByValue, key_of, same
+from tests.results.conftest import a_run, pickled
+
+
+@dataclass(frozen=True, eq=False)
+class Held(ByValue):
+    name: str
+    values: np.ndarray
+    table: dict[str, np.ndarray] = field(default_factory=dict)
+    size: float = math.nan
+    more: tuple[object, ...] = ()
+    ignored: object = field(default=None, compare=False)
+
+
+def held(**changes) -> Held:
+    return replace(Held("a", np.array([1.0, math.nan, -0.0]), {"x": np.arange(3)}), **changes)
+
+
+def test_equal_means_equal_values():
+    assert held() == held()
+    assert hash(held()) == hash(held())
+    assert held() == held(values=np.array([1, math.nan, 0.0]))
+    assert hash(held()) == hash(held(values=np.array([1, math.nan, 0.0])))
+    assert held() == held(ignored=1)
+    assert len({held(), held(), held(name="b")}) == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"name": "b"},
+        {"values": np.array([1.0, math.nan, 1.0])},
+        {"values": np.array([1.0, math.nan])},
+        {"values": np.array([[1.0, math.nan, -0.0]])},
+        {"table": {"x": np.array([0, 1, 3])}},
+        {"table": {"y": np.arange(3)}},
+        {"table": {}},
+        {"size": 1.0},
+        {"more": (np.arange(2),)},
+    ],
+)
+def test_a_single_difference_is_seen(changes):
+    assert held() != held(**changes)
+    assert not held() == held(**changes)  # noqa: SIM201 - the other operator
+
+
+def test_other_kinds_are_not_equal_and_nothing_raises():
+    assert held() != "a"
+    assert not same(np.arange(3), (0, 1, 2))
+    assert same([np.arange(2)], [np.arange(2)])
+    assert hash(held(more=({"a": [1]}, {1, 2}))) == hash(held(more=({"a": [1]}, {1, 2})))
+
+
+def test_the_hash_of_a_long_array_looks_at_its_ends():
+    long = np.zeros(1_000_000)
+    assert key_of(long) == key_of(long.copy())
+    assert len(key_of(long)[1]) == 128
+    changed = long.copy()
+    changed[-1] = 1.0
+    assert key_of(long) != key_of(changed)
+
+
+def test_runs_and_calibrations_compare(run, cal):
+    assert run == a_run()
+    assert hash(run) == hash(a_run())
+    moved = replace(run, t=run.t + 1.0)
+    assert run != moved
+    assert cal == copy.copy(cal)
+    assert cal != run
+
+
+def test_a_calibration_is_itself_after_reading_back(cal, tmp_path):
+    cal.to_json(tmp_path / "c.json")
+    again = piga.Calibration.from_json(tmp_path / "c.json")
+    assert again == cal
+    assert hash(again) == hash(cal)
+    assert again != replace(cal, serial="T-2")
+    assert again != replace(cal, covariance=2.0 * cal.covariance)
+
+
+def test_a_pickle_leaves_out_what_is_as_long_as_the_record(cal):
+    again = pickled(cal)
+    assert again == cal
+    assert again.residuals is None
+    assert cal.residuals is not None
+    with_history = replace(cal, history={"sample": np.arange(10.0)})
+    assert pickled(with_history).history is None
+    assert len(pickle.dumps(cal)) < 60_000
+
+
+def test_a_copy_keeps_the_residuals(cal):
+    assert copy.copy(cal).residuals is cal.residuals
+    deep = copy.deepcopy(cal)
+    assert deep == cal
+    assert deep.residuals == cal.residuals
+    assert deep.residuals.t is not cal.residuals.t
+    assert deep.covariance is not cal.covariance
+
+
+def test_a_calibration_travels_to_another_process(run, cal):
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        answer = pool.apply(key_of, (cal,))
+        assert pool.apply(copy.copy, (run,)) == run
+    assert answer == key_of(cal)
