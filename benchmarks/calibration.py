@@ -122,6 +122,34 @@ def cold_command(run: piga.Run, *options: str) -> float:
         return statistics.median(times[1:])
 
 
+SHIPPED = """
+import pathlib, resource, statistics, tempfile, warnings
+import piga
+from piga.cli.calibrate import copy_example
+warnings.simplefilter("ignore")
+run = piga.read_run(copy_example(pathlib.Path(tempfile.mkdtemp())))
+piga.calibrate(run)
+spent = lambda: sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+times = []
+for _ in range(5):
+    before = spent()
+    piga.calibrate(run)
+    times.append(spent() - before)
+print(statistics.median(times))
+"""
+
+
+def shipped(threads: str | None) -> float:
+    """Processor time of one warm calibration of the shipped record, with this number of threads in the environment."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    environment = {name: value for name, value in os.environ.items() if name not in names}
+    environment |= dict.fromkeys(names, threads) if threads else {}
+    done = subprocess.run(
+        [sys.executable, "-c", SHIPPED], capture_output=True, text=True, check=True, env=environment
+    )
+    return float(done.stdout)
+
+
 def main() -> None:
     run = synthetic()
     sweep = median_time(lambda: sum(float(c @ c) for c in (run.t, run.output, *run.f.T.copy())))
@@ -138,6 +166,8 @@ def main() -> None:
             cold_command(run, "--no-report"),
             "s",
         ),
+        "shipped record, warm, default threads: processor time": (shipped(None), "s"),
+        "shipped record, warm, OMP_NUM_THREADS=1: processor time": (shipped("1"), "s"),
         "one recursive square-root update, 5 states": (qr, "ns"),
         "one update of the published recursion, 5 states": (recursion, "ns"),
     }

@@ -41,6 +41,7 @@ SENTENCES = {
     "earth": "gravity, Earth rate",
     "units": "units at the edges",
     "errors": "messages",
+    "threads": "one thread of linear algebra",
 }
 """What each room is, in a few words; a room without them is drawn with its name alone."""
 

@@ -82,6 +82,7 @@ from piga.records.calibration import (
 from piga.records.run import Run
 from piga.records.spool import extent
 from piga.records.terms import si_factor, unit_of
+from piga.threads import one_thread
 
 Array = NDArray[np.float64]
 
@@ -126,7 +127,8 @@ def calibrate(
     CalibrationError, ArgumentError
         If the request does not fit the record.
     """
-    result = _calibration(run, terms, method, phase, phase_source, per_run)
+    with one_thread():
+        result = _calibration(run, terms, method, phase, phase_source, per_run)
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
     return result

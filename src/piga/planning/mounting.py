@@ -19,6 +19,7 @@ from piga.planning.plan_file import PlanRequest
 from piga.results import Result
 from piga.stand.imperfections import NONE
 from piga.stand.machines.turning import position_range
+from piga.threads import with_one_thread
 from piga.units import to_si
 
 Array = NDArray[np.float64]
@@ -66,6 +67,7 @@ class Mounting(Result):
         return self.skews[self.margins.max(axis=1) >= self.limit]
 
 
+@with_one_thread
 def plan_mounting(request: PlanRequest) -> Mounting | None:
     """Best skew for the profile of ``[mounting]``; None when the plan has none.
 

@@ -43,6 +43,7 @@ from piga.records.terms import unit_of
 from piga.results import Reported, Result, plotted
 from piga.stand.scenario import DividingHeadTable
 from piga.stand.write_run import given_values, toml_table
+from piga.threads import with_one_thread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,6 +162,7 @@ class _Search:
         return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
 
 
+@with_one_thread
 def plan_test(request: PlanRequest) -> Plan:
     """Plan a test.
 

@@ -25,6 +25,7 @@ from piga.records.coverage import TYPE_A_ONLY, Coverage, coverage_factor, is_of_
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Reported, Result, plotted
+from piga.threads import with_one_thread
 from piga.trend.trend_line import (
     LIMIT,
     TREND,
@@ -168,6 +169,7 @@ class Trend(Result, Reported):
         ]
 
 
+@with_one_thread
 def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Trend:
     """Trend of every coefficient that all records hold.
 

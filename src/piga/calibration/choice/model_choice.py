@@ -32,6 +32,7 @@ from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms
+from piga.threads import with_one_thread
 
 Array = NDArray[np.float64]
 
@@ -148,6 +149,7 @@ PROBE = "k0"
 """Column that converts a prediction error to a mean specific force. It is reduced with every union."""
 
 
+@with_one_thread
 def compare_models(
     run: Run, term_sets: Sequence[Sequence[str]] | None = None, *, phase: str | None = None
 ) -> ModelComparison:

@@ -41,6 +41,7 @@ from piga.records.spool import spans
 from piga.records.terms import SERVO_TERMS, check_name, harmonic
 from piga.records.text_files import JsonError, decode_json, schema_of
 from piga.results import Result
+from piga.threads import with_one_thread
 
 Array = NDArray[np.float64]
 
@@ -137,6 +138,7 @@ class RunSummary(Result):
     known_servo: tuple[tuple[str, float], ...] = ()
 
     @classmethod
+    @with_one_thread
     def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
         """Reduce a run to a summary that holds the columns of all terms.
 

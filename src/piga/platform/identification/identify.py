@@ -37,6 +37,7 @@ from piga.platform.model.models import Knowledge
 from piga.platform.model.scenario import Gyro, Place
 from piga.platform.model.simulate import Readouts
 from piga.results import Result, plotted
+from piga.threads import with_one_thread
 from piga.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -195,6 +196,7 @@ _SETTLED = 0.01
 """The iteration ends if the step is below this share of the standard uncertainties."""
 
 
+@with_one_thread
 def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
              iterations: int = 6) -> Identification:  # fmt: skip
     """Batch identification by weighted Gauss-Newton least squares on the exact geometry.
@@ -243,6 +245,7 @@ _PRIOR = 1e-9
 """Diagonal of the first factor for columns of unit length. It keeps the factor regular and does not affect the result."""
 
 
+@with_one_thread
 def identify_recursively(
     readouts: Readouts,
     place: Place,
@@ -322,6 +325,7 @@ class Observability(Result):
     sentence: str
 
 
+@with_one_thread
 def observability(readouts: Readouts, known: Identification) -> tuple[Observability, ...]:
     """Observability of the two misalignments from each source alone and together.
 

@@ -1,0 +1,66 @@
+"""One thread of linear algebra, because the matrices of piga are small.
+
+With more, the threads of OpenBLAS wait for each other: on a busy machine of two cores a calibration then takes ten times
+the processor time. Needs the package ``threadpoolctl`` (extra ``lab``); without it nothing is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import wraps
+from threading import Lock
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_LOCK = Lock()
+_HELD: list[Any] = [0, None]
+"""Number of nested uses, and the limit in force. The limit holds for the whole process."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let NumPy and SciPy use one thread of linear algebra inside; the former number is restored at the end."""
+    _enter()
+    try:
+        yield
+    finally:
+        _leave()
+
+
+def with_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """The same function, run with one thread of linear algebra."""
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with one_thread():
+            return function(*args, **kwargs)
+
+    return limited
+
+
+def _enter() -> None:
+    with _LOCK:
+        if _HELD[0] == 0:
+            _HELD[1] = _limit()
+        _HELD[0] += 1
+
+
+def _leave() -> None:
+    with _LOCK:
+        _HELD[0] -= 1
+        if _HELD[0] == 0 and _HELD[1] is not None:
+            limit, _HELD[1] = _HELD[1], None
+            limit.restore_original_limits()
+
+
+def _limit() -> Any:
+    """The limit; None without the package. SciPy is loaded first: it brings a library of its own."""
+    with suppress(ImportError):
+        import scipy.linalg  # noqa: F401 - its library of linear algebra must be there to be limited
+        from threadpoolctl import threadpool_limits
+
+        return threadpool_limits(limits=1, user_api="blas")
+    return None
