@@ -195,7 +195,7 @@ def trend_page(drifts: Trend, *, at: dt.datetime | None = None) -> Page:
 
 
 _LEAD = (
-    "Turn-on is what scatters inside a day, day to day what scatters between days, each beyond the records' own "
+    "Turn-on is the scatter inside a day, day to day the scatter between days, each beyond the records' own "
     "uncertainties; drift is the line through the days. Intervals are for 95 %, by Student's t. Errors that all "
     "records share (the same standard) cancel in drift and scatter, and are part of the value and its forecast."
 )
@@ -295,10 +295,10 @@ def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
         TableColumn("Record", align="text"),
         TableColumn("Date"),
         TableColumn("Value", shown),
-        TableColumn("u, own part", shown),
-        TableColumn("u, whole", shown),
-        TableColumn("95 %, whole", shown),
-        TableColumn("Expected ± 95 %", shown),
+        TableColumn("u without the shared part", shown),
+        TableColumn("u", shown),
+        TableColumn("U (95 %)", shown),
+        TableColumn("Forecast ± 95 %", shown),
         TableColumn("Score"),
     )
     rows: list[tuple[str | Cell, ...]] = []
@@ -318,7 +318,11 @@ def record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
                 Cell(score, "bad" if point.outside else ""),
             )
         )
-    return Table(columns, tuple(rows), "Records: an expectation needs three earlier days.")
+    return Table(
+        columns,
+        tuple(rows),
+        "Records, each with the forecast from earlier records. A forecast needs three earlier days.",
+    )
 
 
 def trend_text(drifts: Trend, *, at: dt.datetime | None = None) -> str:

@@ -388,8 +388,8 @@ def alarms_in_words(
             first = next(i for i, point in enumerate(trend.points) if point.day == shifted[0])
             side = "above" if trend.chart.average[shifted[0]] > 0.0 else "below"
             sentences.append(
-                f"{trend.key}: from {times[first]:%Y-%m-%d} (record {names[first]}) the values stay {side} what "
-                "earlier records let expect: the moving average of their deviations passed its control limit."
+                f"{trend.key}: from {times[first]:%Y-%m-%d} (record {names[first]}) the values stay {side} the "
+                "forecast from earlier records: the moving average of their deviations passed its control limit."
             )
     return tuple(sentences)
 
@@ -401,8 +401,8 @@ def _outside(
     shown = "" if unit == "1" else f" {unit}"
     return (
         f"{trend.key}: record {name} of {time:%Y-%m-%d} shows {value * scale:.7g}{shown}, {abs(score):.1f} standard "
-        f"deviations {'above' if score > 0.0 else 'below'} the {expected * scale:.7g}{shown} that earlier records let "
-        "expect (limit 3)."
+        f"deviations {'above' if score > 0.0 else 'below'} the forecast from earlier records, "
+        f"{expected * scale:.7g}{shown} (limit 3)."
     )
 
 
@@ -481,12 +481,12 @@ def _scatter(trends: Sequence[CoefficientTrend]) -> list[str]:
         if chdtrc(freedom, line.chi2) < TREND.doubt:
             ratio = (line.chi2 / freedom) ** 0.5
             sentences.append(
-                f"{trend.key}: days scatter {ratio:.1f} times as much as the records' own uncertainties let expect; the "
-                "excess is taken as day-to-day instability."
+                f"{trend.key}: days scatter {ratio:.1f} times as much as the records' own uncertainties explain. The "
+                "excess counts as day-to-day instability."
             )
         elif chdtr(freedom, line.chi2) < TREND.doubt:
             sentences.append(
-                f"{trend.key}: days scatter less than the records' own uncertainties let expect: these are stated too "
+                f"{trend.key}: days scatter less than the records' own uncertainties say: these are stated too "
                 "large, or contain a part that the records share."
             )
     return sentences

@@ -548,7 +548,7 @@ def suggestions_in_words(
     notes = []
     for entry in suggestions:
         sizes = ", ".join(
-            f"{name} = {value:.3g} +/- {std:.1g} {unit}"
+            f"{name} = {value:.3g} +/- {std:.1g}{'' if unit == '1' else f' {unit}'}"
             for name, value, std, unit in zip(
                 entry.terms, entry.estimate, entry.standard_uncertainty, entry.unit, strict=True
             )
@@ -568,7 +568,12 @@ def suggestions_in_words(
             meaning += "; the uncertainties hold this shift"
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
-            f"{100.0 * entry.chi2_fall:.2g} % and move {entry.coefficient} by {entry.largest_shift:.2g} "
+            f"{_two_digits(100.0 * entry.chi2_fall)} % and move {entry.coefficient} by {_two_digits(entry.largest_shift)} "
             f"standard uncertainties{alike}{meaning}; not applied: add it to [model] terms if it makes sense"
         )
     return tuple(notes)
+
+
+def _two_digits(value: float) -> str:
+    """Two digits without a power of ten: 0.93, 12, 340."""
+    return f"{value:.2g}" if abs(value) < 99.5 else f"{float(f'{value:.2g}'):.0f}"

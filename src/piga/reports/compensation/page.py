@@ -120,7 +120,7 @@ def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
             "Velocity",
             printed(short(outline.velocity, 4)),
             "m/s",
-            "sum of dv, what lies between stretches left out",
+            "sum of dv; time between stretches is not counted",
         ),
         Tile("Correction, rms", _micro_g(outline.rms("correction")), "µg", "indicated less compensated"),
     ]
@@ -272,14 +272,14 @@ def set_page(outline: SetOutline, facts: SetFacts) -> Page:
 
 
 def _judgement(outline: SetOutline, facts: SetFacts) -> Judgement:
-    """The verdicts on all calibrations in one box, the worst on top; each doubt names its instrument."""
+    """The verdicts on all calibrations in one box, the worst on top; each doubt names its instruments."""
     each = [judgement(item.calibration) for item in outline.mounted]
     worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
-    problems = tuple(
-        (f"{name}: {what}", remedy)
-        for name, one in zip(facts.names, each, strict=True)
-        for what, remedy in one.problems
-    )
+    named: dict[tuple[str, str], list[str]] = {}
+    for name, one in zip(facts.names, each, strict=True):
+        for doubt in one.problems:
+            named.setdefault(doubt, []).append(name)
+    problems = tuple((f"{', '.join(names)}: {what}", remedy) for (what, remedy), names in named.items())
     holds = tuple(dict.fromkeys(words for one in each for words in one.holds)) if not problems else ()
     count_of_doubts = f"Use with care: {len(problems)} doubt{'s' * (len(problems) > 1)}."
     headline = count_of_doubts if worst.tone == "doubtful" else worst.headline
@@ -293,7 +293,7 @@ def _set_tiles(outline: SetOutline) -> tuple[Tile, ...]:
     velocity = ", ".join(printed(short(float(v), 4)) for v in outline.velocity)
     corrections = math.sqrt(sum(outline.rms(name) ** 2 for name in CORRECTION))
     tiles = [
-        Tile("Velocity x, y, z", velocity, "m/s", "sums of dv, what lies between stretches left out"),
+        Tile("Velocity x, y, z", velocity, "m/s", "sums of dv; time between stretches is not counted"),
         Tile("Correction, rms", _micro_g(corrections), "µg", "all three components together"),
     ]
     if outline.redundant:
