@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,13 +82,27 @@ class RateAngle:
         return np.where(both > 0.0, (left * behind + right * before) / np.where(both > 0.0, both, 1.0), 0.0)
 
 
-LEAST_TURN = 2.0 * math.pi
-"""Least turn of the output [rad] before a phase is given."""
-SERVO_ROUNDS = 4
-"""Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to coupling, 1e-2 at
-most."""
-USELESS = 0.5
-"""Largest standard uncertainty [rad] of a phase that is given."""
+@dataclass(frozen=True)
+class PowerUpSettings:
+    """Limits for a phase identified at power-up (own choices).
+
+    Attributes
+    ----------
+    least_turn:
+        Least turn of the output [rad] before a phase is given.
+    servo_rounds:
+        Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to
+        coupling, 1e-2 at most.
+    useless:
+        Largest standard uncertainty [rad] of a phase that is given.
+    """
+
+    least_turn: float = 2.0 * math.pi
+    servo_rounds: int = 4
+    useless: float = 0.5
+
+
+POWER_UP = PowerUpSettings()
 
 
 class PhaseFinder:
@@ -171,7 +186,7 @@ class PhaseFinder:
 
     def phase(self) -> Phase | None:
         """The phase from all samples so far; None before one full revolution."""
-        if self._turned < LEAST_TURN:
+        if self._turned < POWER_UP.least_turn:
             return None
         # The rate column is h itself; the coupling columns carry K tan_beta a_t, so p and q are cos and sin.
         matrix = self._normal[:3, :3]
@@ -180,7 +195,7 @@ class PhaseFinder:
             return None
         covariance = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
         p, q = 1.0, 0.0
-        for _ in range(SERVO_ROUNDS):  # cos and sin of twice the phase times what turns twice as fast
+        for _ in range(POWER_UP.servo_rounds):  # cos and sin of twice the phase times what turns twice as fast
             twice = 2.0 * math.atan2(q, p)
             right = self._normal[:3] @ np.array([0, 0, 0, -math.cos(twice), math.sin(twice), 1.0])
             _, p, q = covariance @ right
@@ -219,7 +234,7 @@ def _phase_at_rest(
             f"{source}: the output does not turn once in the first {duration:g} s",
             remedy="take a longer time at rest",
         )
-    if not phase.std < USELESS:
+    if not phase.std < POWER_UP.useless:
         raise CalibrationError(
             f"{source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
             remedy="take a longer time at rest, or an attitude with more transverse specific force",

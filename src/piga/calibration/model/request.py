@@ -181,10 +181,23 @@ def check_servo(request: Request) -> None:
         )
 
 
-PLAUSIBLE = 0.3
-"""Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``."""
-GROSS = 10.0
-"""Multiple of the median difference above which a rate is a spike."""
+@dataclass(frozen=True)
+class SpikeSettings:
+    """Limits for spikes of a recorded rate (own choices).
+
+    Attributes
+    ----------
+    plausible:
+        Largest difference of a sound rate from ``K a_x - Omega_x``, as a share of ``K |a|``.
+    gross:
+        Multiple of the median difference above which a rate is a spike.
+    """
+
+    plausible: float = 0.3
+    gross: float = 10.0
+
+
+SPIKES = SpikeSettings()
 
 
 def phase_angle(run: Run, request: Request, scale_factor: float) -> Array:
@@ -234,7 +247,7 @@ def steady_rates(run: Run) -> Array:
     """
     if not any((_surplus(run, part) > _plausible(run, part)).any() for part in spans(run.size)):
         return run.output
-    least = GROSS * exact_median(lambda: (_surplus(run, part) for part in spans(run.size)))
+    least = SPIKES.gross * exact_median(lambda: (_surplus(run, part) for part in spans(run.size)))
     rate: Array = arrays_like(run.output).empty(run.size)
     for part in spans(run.size):
         spikes = _surplus(run, part) > np.maximum(_plausible(run, part), least)
@@ -256,5 +269,5 @@ def _surplus(run: Run, part: slice) -> Array:
 
 def _plausible(run: Run, part: slice) -> Array:
     """Largest plausible difference."""
-    limit: Array = PLAUSIBLE * abs(run.scale_factor) * np.linalg.norm(run.f[part], axis=1)
+    limit: Array = SPIKES.plausible * abs(run.scale_factor) * np.linalg.norm(run.f[part], axis=1)
     return limit if run.base_rate is None else limit + np.linalg.norm(run.base_rate[part], axis=1)
