@@ -39,6 +39,9 @@ DOORS = {
     "report": "piga.reports.shown:write_report",
     "figure": "piga.reports.shown:figure_of",
     "draw": "piga.reports.render.axes:draw",
+    "run_from_table": "piga.stand.table_run:run_from_table",
+    "stand_reference": "piga.stand.run_reference:stand_reference",
+    "visits": "piga.reading.raw_columns:Visits",
     "correlated": "piga.formats.correlated:correlated",
 }
 """Functions of upper rooms that methods of results call: ``module:function`` by what they do."""

@@ -146,7 +146,7 @@ def test_impossible_coefficients_are_refused(coefficients, settings, said):
 
 def test_given_coefficients_get_no_certificate(cal):
     from piga.certificate.certificate_file import missing_items
-    from tests.reports.certificate_data import complete
+    from tests.certificate.certificate_data import complete
 
     given = piga.Calibration.from_coefficients(dict(cal), serial="T-1")
     assert any("given, not estimated" in item for item in missing_items(complete("T-1"), given))

@@ -145,6 +145,13 @@ class TableStream:
         return self._missed.events(self._numeric)
 
 
+def stated_units(table: object) -> dict[str, str]:
+    """Units by column in the ``attrs`` of a pandas data frame, as :meth:`to_dataframe` writes them."""
+    attributes = getattr(table, "attrs", {})
+    units = attributes.get("units", {}) if isinstance(attributes, dict) else {}
+    return {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
+
+
 def as_arrow(table: object) -> Any:
     """Any table as a ``pyarrow.Table``."""
     try:

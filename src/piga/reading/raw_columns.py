@@ -157,13 +157,14 @@ def read_columns(folder: Path, data: DataTable, held: int | None = None) -> RawC
     with ThreadPoolExecutor(1) as pool:
         digest = None if text else pool.submit(file_digest, path)
         stream = open_stream(folder, data, seen.update)
-        raw = _collect(path, data, stream, LARGE_ROWS if held is None else held)
+        raw = collect(path, data, stream, LARGE_ROWS if held is None else held)
     steady.check()
     raw.inputs.update({path.name: digest.result() if digest else seen.hexdigest()} | sidecar)
     return raw
 
 
-def _collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> RawColumns:
+def collect(path: Path, data: DataTable, stream: RecordStream, held: int) -> RawColumns:
+    """All chunks of a stream, joined. Above ``held`` rows the columns lie on disk beside ``path``."""
     names, arrays = data.number_columns(), Arrays(path.parent)
     numbers = {name: arrays.growing(most=held) for name in names}
     segment, rows = arrays.growing(np.int32, held), arrays.growing(np.int64, held)

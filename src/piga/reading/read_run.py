@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, RunFileError
+from piga.formats.columns import RecordStream
 from piga.output import settle
 from piga.reading.output_signal import OutputScale, Reading
-from piga.reading.raw_columns import RawColumns, read_columns, split_lost
+from piga.reading.raw_columns import RawColumns, collect, read_columns, split_lost
 from piga.reading.signal_checks import (
     Extremes,
     beyond_limits,
@@ -351,13 +352,32 @@ def read_record(
     settle(path.parent)
     content = toml_bytes(path) if content is None else content
     run_file = read_run_file(path, content)
-    if need_reference and run_file.data.reference is None and run_file.stand is None:
-        raise RunFileError(
-            f"{path}: [data] reference is missing: the specific force that the instrument felt",
-            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
-        )
+    if need_reference:
+        _check_reference(path, run_file)
     raw = read_columns(path.parent, run_file.data, held)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         run = Assembly(run_file, raw, stand_reference).run(path)
     run.input_sha256.update({path.name: hashlib.sha256(content).hexdigest()} | raw.inputs)
     return run
+
+
+def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_reference: StandReference) -> Run:
+    """A run from a stream of rows in memory. ``path`` names the stream in messages, and is the source of the run.
+
+    Raises
+    ------
+    RunFileError, DataError
+        As :func:`read_record`.
+    """
+    _check_reference(path, run_file)
+    raw = collect(path, run_file.data, stream, stream.expected_rows + 1)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return Assembly(run_file, raw, stand_reference).run(path)
+
+
+def _check_reference(path: Path, run_file: RunFile) -> None:
+    if run_file.data.reference is None and run_file.stand is None:
+        raise RunFileError(
+            f"{path}: [data] reference is missing: the specific force that the instrument felt",
+            remedy="add reference = { columns = ['fx', 'fy', 'fz'], unit = 'g' }, or a [stand] table",
+        )

@@ -6,21 +6,23 @@ jump back or leave a gap are detected and counted. Nothing is interpolated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
 from piga.records.calibration import Event, Quality
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import EstimationTable, ModelTable, UncertaintyTable
 from piga.records.spool import Arrays, exact_median, spans, steps
-from piga.results import Column, Reported, Result, Tabular, plotted
+from piga.records.terms import check_terms
+from piga.results import Column, Reported, Result, Tabular, above, plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,45 +163,69 @@ class Run(Result, Reported, Tabular):
     @classmethod
     def from_arrays(
         cls,
-        t: Array,
-        output: Array,
-        f: Array,
+        t: ArrayLike,
+        output: ArrayLike,
+        f: ArrayLike | None,
         *,
         scale_factor: float | str,
         kind: str = "angle",
-        base_rate: Array | None = None,
-        temperature: Array | None = None,
-        segment: NDArray[np.int32] | None = None,
+        base_rate: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+        segment: ArrayLike | None = None,
+        labels: Sequence[str] | None = None,
+        gaps: ArrayLike | None = None,
         resolution: float = 0.0,
         serial: str = "",
-        uncertainty: dict[str, Any] | UncertaintyTable | None = None,
+        model: ModelTable | dict[str, object] | None = None,
+        estimation: EstimationTable | dict[str, object] | None = None,
+        uncertainty: UncertaintyTable | dict[str, object] | None = None,
+        stand: dict[str, object] | None = None,
     ) -> Run:
-        """Make a run from arrays in memory (SI). Shapes: t, output (n,); f, base_rate (n, 3).
+        """Make a run from arrays in memory (SI). For counts, units, or rows with faults see :meth:`from_dataframe`.
 
         A stretch begins with each segment and after each gap. A gap is an interval longer than 1.5 times the median
         interval, as in files.
 
-        ``uncertainty`` is the run file's ``[uncertainty]``, e.g. ``{"reference_scale": "10 ppm"}``.
+        Parameters
+        ----------
+        t, output, f:
+            Time [s] and output [rad or rad/s] (n,), reference specific force [m/s^2] (n, 3). ``f`` may be None with
+            ``stand``, which then gives it.
+        scale_factor, kind:
+            Nominal K; ``"angle"`` (unwrapped) or ``"rate"``.
+        base_rate, temperature:
+            Inertial rate of the base [rad/s] (n, 3), and temperature [K] (n,).
+        segment, labels:
+            Segment of each sample (n,): numbers, or names. ``labels`` names the numbers, in rising order. A name that
+            returns later is a new segment ``name#2``, as in files.
+        gaps:
+            True (n,) where a stretch begins, in addition to the gaps of the clock.
+        resolution, serial:
+            Angle of one count [rad]; serial number.
+        model, estimation, uncertainty, stand:
+            The tables of the run file, e.g. ``uncertainty={"reference_scale": "10 ppm"}``.
 
         Raises
         ------
         ArgumentError
             If shapes do not match, a sample is not finite or time does not increase (the message names argument and
-            index), or if ``uncertainty`` is not valid.
+            index), or if a table is not valid.
         """
         from piga.units import to_si
 
-        t, output, f = (np.ascontiguousarray(a, dtype=float) for a in (t, output, f))
-        labels_index = np.zeros(t.size, np.int32) if segment is None else np.asarray(segment, dtype=np.int32)
-        check_arrays(t, output, f, base_rate, temperature, labels_index, kind)
-        names, index = np.unique(labels_index, return_inverse=True)
-        try:
-            table = msgspec.convert(uncertainty or {}, UncertaintyTable)
-        except msgspec.ValidationError as error:
-            raise ArgumentError(f"uncertainty: {error}", remedy="e.g. {'reference_scale': '10 ppm'}") from None
-        places: NDArray[np.int32] = index.astype(np.int32)
+        t, output = (np.ascontiguousarray(a, dtype=float) for a in (t, output))
+        places, names = _segments(segment, labels, t.size)
+        if f is None:
+            if stand is None:
+                raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
+            f, rate = above("stand_reference")(stand, Path(), t, places, names)
+            base_rate = rate if base_rate is None else base_rate
+        f = np.ascontiguousarray(f, dtype=float)
+        check_arrays(t, output, f, base_rate, temperature, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row, Arrays(None))
+        asked = _table("model", model, ModelTable)
+        check_terms(asked.terms, where="model terms")
         return cls(
             serial=serial,
             scale_factor=to_si(scale_factor, "rad/s/g", what="scale_factor"),
@@ -210,22 +236,240 @@ class Run(Result, Reported, Tabular):
             base_rate=None if base_rate is None else np.ascontiguousarray(base_rate, dtype=float),
             temperature=None if temperature is None else np.ascontiguousarray(temperature, dtype=float),
             segment=places,
-            labels=tuple(str(name) for name in names),
-            begins=base.begins,
-            phase_group=(0,) * names.size,
+            labels=names,
+            begins=base.begins | _gaps(gaps, t.size),
+            phase_group=(0,) * len(names),
             row=row,
             resolution=resolution,
             quality=Quality(rows=t.size, used=t.size, masked=0, events=base.events),
-            uncertainty=table,
+            model=asked,
+            estimation=_table("estimation", estimation, EstimationTable),
+            uncertainty=_table("uncertainty", uncertainty, UncertaintyTable),
+            stand=stand,
         )
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        table: object,
+        *,
+        scale_factor: float | str,
+        time: str | None = "t",
+        output: str = "psi",
+        reference: Sequence[str] | None = ("fx", "fy", "fz"),
+        kind: str = "angle",
+        units: Mapping[str, str] | None = None,
+        base_rate: Sequence[str] | None = None,
+        temperature: str | None = None,
+        segment: str | None = None,
+        sample_rate: float | str | None = None,
+        serial: str = "",
+        counts_per_revolution: float | None = None,
+        counter_bits: int | None = None,
+        wraps_at: float | str | None = None,
+        model: ModelTable | dict[str, object] | None = None,
+        estimation: EstimationTable | dict[str, object] | None = None,
+        uncertainty: UncertaintyTable | dict[str, object] | None = None,
+        stand: dict[str, object] | None = None,
+    ) -> Run:
+        """Make a run from a table: pandas, polars, pyarrow, anything that gives Arrow, or a dict of arrays.
+
+        The rows are read, checked and repaired as those of a file, and ``quality`` counts what was noticed: missing
+        values, gaps, repeats, counters that wrap.
+
+        Parameters
+        ----------
+        table:
+            The table.
+        scale_factor:
+            Nominal K: SI, or text such as ``"0.8884 rad/s/g"``.
+        time, output, reference, base_rate, temperature, segment:
+            Names of the columns. ``reference=None`` with ``stand``: the stand gives it. ``time=None`` with ``sample_rate``.
+        kind:
+            What the output is: ``"angle"``, ``"rate"`` or ``"counts"``.
+        units:
+            Unit of a column by its name, e.g. ``{"fx": "g", "fy": "g", "fz": "g"}``. Else the table's own
+            (:meth:`to_arrow`, :meth:`to_dataframe`); else SI.
+        sample_rate, serial, counts_per_revolution, counter_bits, wraps_at, model, estimation, uncertainty, stand:
+            As in the run file.
+
+        Raises
+        ------
+        ArgumentError
+            If the description is not valid.
+        DataError
+            If the columns do not hold what it says. The message names row, column and remedy.
+
+        Examples
+        --------
+        >>> import numpy as np, piga
+        >>> table = {"t": np.arange(4.0), "turns": [0.0, 0.2, 0.4, 0.6], "fx": [1.0] * 4, "fy": [0.0] * 4, "fz": [0.0] * 4}
+        >>> units = {"turns": "rev", "fx": "g", "fy": "g", "fz": "g"}
+        >>> run = piga.Run.from_dataframe(table, output="turns", units=units, scale_factor="0.8884 rad/s/g")
+        >>> run.size, round(float(run.f[0, 0]), 5)
+        (4, 9.80665)
+        """
+        instrument: dict[str, object] = {"serial": serial, "scale_factor": scale_factor}
+        if counts_per_revolution is not None:
+            instrument["counts_per_revolution"] = counts_per_revolution
+        if counter_bits is not None:
+            instrument["counter_bits"] = counter_bits
+        columns = {
+            "time": None if sample_rate is not None else time,
+            "sample_rate": sample_rate,
+            "output": output,
+            "kind": kind,
+            "wraps_at": wraps_at,
+            "reference": reference,
+            "base_rate": base_rate,
+            "temperature": temperature,
+            "segment": segment,
+        }
+        tables: dict[str, object] = {
+            "instrument": instrument,
+            "model": msgspec.to_builtins(_table("model", model, ModelTable)),
+            "estimation": msgspec.to_builtins(_table("estimation", estimation, EstimationTable)),
+            "uncertainty": msgspec.to_builtins(_table("uncertainty", uncertainty, UncertaintyTable)),
+        }
+        if stand is not None:
+            tables["stand"] = stand
+        made: Run = above("run_from_table")(table, columns, tables, dict(units or {}))
+        return made
+
+    def between(self, start: float | str, stop: float | str) -> Run:
+        """The samples with ``start <= t <= stop`` [s; or text, e.g. ``"8 min"``], as a run.
+
+        Raises
+        ------
+        ArgumentError
+            If fewer than two samples are left.
+        """
+        from piga.units import to_si
+
+        low, high = to_si(start, "s", what="between start"), to_si(stop, "s", what="between stop")
+        return self._cut((self.t >= low) & (self.t <= high), f"between {low:g} and {high:g} s")
+
+    def part(self, *labels: str) -> Run:
+        """The segments with these labels, as a run.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such segment.
+        """
+        unknown = [label for label in labels if label not in self.labels]
+        if unknown or not labels:
+            raise ArgumentError(
+                f"part: there is no segment '{unknown[0] if unknown else ''}'",
+                remedy=f"segments: {', '.join(self.labels[:40])}",
+            )
+        wanted = np.isin(self.segment, [self.labels.index(label) for label in labels])
+        return self._cut(wanted, f"segments {', '.join(labels)}")
+
+    def without(self, rows: ArrayLike) -> Run:
+        """The record without some rows, as a run. A stretch begins behind them.
+
+        ``rows`` are file rows (:attr:`row`, 1-based, as messages name them), or True (n,) for each sample to leave out.
+
+        Raises
+        ------
+        ArgumentError
+            If a row is not in the record, or fewer than two samples are left.
+        """
+        named = np.atleast_1d(np.asarray(rows))
+        if named.dtype == np.bool_:
+            if named.shape != (self.size,):
+                raise ArgumentError(f"without: {named.size} truth values for {self.size} samples")
+            return self._cut(~named, f"without {int(np.count_nonzero(named))} rows")
+        strange = named[~np.isin(named, self.row)]
+        if strange.size:
+            raise ArgumentError(
+                f"without: row {strange[0]} is not in the record", remedy="name rows of run.row"
+            )
+        return self._cut(~np.isin(self.row, named), f"without {named.size} rows")
+
+    def _cut(self, kept: NDArray[np.bool_], words: str) -> Run:
+        """The samples that are kept. A stretch begins where samples before are missing."""
+        index = np.flatnonzero(kept)
+        if index.size < 2:
+            raise ArgumentError(
+                f"{words}: {index.size} of {self.size} samples are left", remedy="keep two or more"
+            )
+        begins = self.begins[index] | (np.diff(index, prepend=index[0]) > 1)
+        begins[0] = True
+        old, place = np.unique(self.segment[index], return_inverse=True)
+        quality, gone = self.quality, self.size - index.size
+        events = (*quality.events, Event("cut", gone, None, words)) if gone else quality.events
+
+        def taken(values: NDArray[Any] | None) -> NDArray[Any] | None:
+            return None if values is None else np.ascontiguousarray(values[index])
+
+        return replace(
+            self,
+            t=self.t[index],
+            output=self.output[index],
+            f=np.ascontiguousarray(self.f[index]),
+            base_rate=taken(self.base_rate),
+            temperature=taken(self.temperature),
+            segment=place.astype(np.int32),
+            labels=tuple(self.labels[i] for i in old),
+            begins=begins,
+            phase_group=tuple(self.phase_group[i] for i in old),
+            row=self.row[index],
+            left_out=taken(self.left_out),
+            quality=replace(quality, used=quality.used - gone, masked=quality.masked + gone, events=events),
+        )
+
+
+T = TypeVar("T")
+
+
+def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
+    """A table of the run file, from its keys."""
+    try:
+        return msgspec.convert(given or {}, kind)
+    except msgspec.ValidationError as error:
+        example = " {'reference_scale': '10 ppm'}" if name == "uncertainty" else ""
+        raise ArgumentError(f"{name}: {error}", remedy=f"the keys are those of the run file{example}") from None
+
+
+def _segments(
+    segment: ArrayLike | None, labels: Sequence[str] | None, size: int
+) -> tuple[NDArray[np.int32], tuple[str, ...]]:
+    """Index of the segment of each sample, and the labels."""
+    given = np.zeros(size, np.int32) if segment is None else np.asarray(segment)
+    if given.dtype.kind in "OUS":
+        words = list(dict.fromkeys(str(name) for name in given))
+        codes = np.array([words.index(str(name)) for name in given], dtype=np.int32)
+        visits = above("visits")(words)
+        return visits.segment(codes, np.arange(1, size + 1)), tuple(visits.names)
+    names, index = np.unique(given, return_inverse=True)
+    if labels is not None and len(labels) != names.size:
+        raise ArgumentError(
+            f"labels: {len(labels)} names for {names.size} segments", remedy="one name for each"
+        )
+    named = tuple(str(name) for name in (names if labels is None else labels))
+    return index.astype(np.int32).reshape(given.shape), named
+
+
+def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
+    if gaps is None:
+        return np.zeros(size, np.bool_)
+    marks = np.asarray(gaps)
+    if marks.shape != (size,) or marks.dtype != np.bool_:
+        raise ArgumentError(
+            f"gaps: shape {marks.shape} of {marks.dtype}, but t has {size} samples",
+            remedy="True for each sample at which a stretch begins",
+        )
+    return marks
 
 
 def check_arrays(
     t: Array,
     output: Array,
     f: Array,
-    base_rate: Array | None,
-    temperature: Array | None,
+    base_rate: ArrayLike | None,
+    temperature: ArrayLike | None,
     segment: NDArray[np.int32],
     kind: str,
 ) -> None:

@@ -303,17 +303,28 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     settle(path.parent)
     run_file = read_toml(path, RunFile, raw)
     try:
-        _check_units(run_file)
-        _check_output(run_file)
-        _check_stand(run_file)
-        _check_faults(run_file)
-        check_terms(run_file.model.terms, where="[model] terms")
-        for terms in run_file.model.compare:
-            check_terms(terms, where="[model] compare")
+        check_run_file(run_file)
     except (UnitError, RunFileError) as error:
         remedy = error.remedy or "write a number with a unit, e.g. '0.8884 rad/s/g'"
         raise RunFileError(f"{path}: {error.message}", remedy=remedy) from None
     return run_file
+
+
+def check_run_file(run_file: RunFile) -> None:
+    """Check units, options that contradict each other, and terms.
+
+    Raises
+    ------
+    RunFileError, UnitError
+        With table, key and value.
+    """
+    _check_units(run_file)
+    _check_output(run_file)
+    _check_stand(run_file)
+    _check_faults(run_file)
+    check_terms(run_file.model.terms, where="[model] terms")
+    for terms in run_file.model.compare:
+        check_terms(terms, where="[model] compare")
 
 
 def _check_units(run_file: RunFile) -> None:

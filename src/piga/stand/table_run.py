@@ -1,0 +1,79 @@
+"""A run from a table in memory: the same reading, checks and stands as for a file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from piga.errors import ArgumentError, RunFileError, UnitError
+from piga.formats.tables import WHERE, TableStream, stated_units
+from piga.reading.read_run import read_stream
+from piga.records.run import Run
+from piga.records.run_file import RunFile, check_run_file
+from piga.stand.run_reference import stand_reference
+
+SI = {
+    "time": "s",
+    "angle": "rad",
+    "rate": "rad/s",
+    "reference": "m/s^2",
+    "base_rate": "rad/s",
+    "temperature": "K",
+}
+"""Unit of a column for which neither the caller nor the table states one."""
+
+
+def run_from_table(
+    table: object, columns: dict[str, Any], tables: dict[str, Any], units: dict[str, str]
+) -> Run:
+    """A run from a table: :meth:`piga.Run.from_dataframe`.
+
+    ``columns`` names the columns by their role, ``tables`` holds the other tables of a run file.
+
+    Raises
+    ------
+    ArgumentError
+        If the description is not valid. The message names the table and key of the run file.
+    DataError
+        If the columns do not hold what the description says.
+    """
+    units = stated_units(table) | units
+    try:
+        run_file = msgspec.convert(tables | {"data": _data(columns, units)}, RunFile)
+        check_run_file(run_file)
+        stream = TableStream(table, run_file.data.number_columns(), run_file.data.segment)
+        stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
+        return read_stream(WHERE, run_file, stream, stand_reference)
+    except msgspec.ValidationError as error:
+        raise ArgumentError(f"{WHERE}: {error}", remedy="the arguments are those of a run file") from None
+    except (RunFileError, UnitError) as error:
+        raise ArgumentError(f"{WHERE}: {error.message}", remedy=error.remedy) from None
+
+
+def _data(columns: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
+    """The ``[data]`` table of a run file."""
+    kind = columns["kind"]
+    output: dict[str, Any] = {"column": columns["output"], "kind": kind}
+    if kind != "counts":
+        output["unit"] = units.get(columns["output"], SI.get(kind, "rad"))
+    if columns["wraps_at"] is not None:
+        output["wraps_at"] = columns["wraps_at"]
+    data: dict[str, Any] = {"file": str(WHERE), "output": output}
+    for name in ("time", "temperature"):
+        column = columns[name]
+        if column is not None:
+            data[name] = {"column": column, "unit": units.get(column, SI[name])}
+    for name in ("reference", "base_rate"):
+        group = columns[name]
+        if group is not None:
+            named = {units.get(column, SI[name]) for column in group}
+            if len(named) > 1:
+                raise ArgumentError(
+                    f"{name}: its columns have several units: {', '.join(sorted(named))}", remedy="use one unit"
+                )
+            data[name] = {"columns": list(group), "unit": named.pop()}
+    for name in ("sample_rate", "segment"):
+        if columns[name] is not None:
+            data[name] = columns[name]
+    return data

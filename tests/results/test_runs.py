@@ -1,0 +1,238 @@
+"""Runs made from tables and arrays, and cut, without a file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+
+import piga
+from piga.units import G0
+from tests.results.conftest import SCALE, TERMS, a_run
+
+COLUMNS = {"output": "output", "reference": ["fx", "fy", "fz"], "segment": "segment"}
+
+
+def a_table(run: piga.Run) -> dict[str, np.ndarray]:
+    """The record in the units of a lab: milliseconds, degrees, g."""
+    degrees = np.degrees(run.output)
+    columns = {"ms": 1e3 * run.t, "psi": degrees} | {f"f{a}": run.f[:, i] / G0 for i, a in enumerate("xyz")}
+    return columns | {"position": np.array([f"P{i}" for i in run.segment], dtype=object)}
+
+
+UNITS = {"ms": "ms", "psi": "deg", "fx": "g", "fy": "g", "fz": "g"}
+LAB = {"time": "ms", "units": UNITS, "segment": "position", "scale_factor": SCALE, "serial": "T-1"}
+
+
+@pytest.mark.parametrize("kind", [dict, pd.DataFrame, pl.DataFrame, pa.table])
+def test_any_table_gives_the_record(run, cal, kind):
+    made = piga.Run.from_dataframe(kind(a_table(run)), **LAB)
+    assert made.labels == ("P0", "P1")
+    assert np.allclose(made.output, run.output, rtol=0, atol=1e-12)
+    assert np.allclose(made.f, run.f, rtol=1e-15, atol=1e-15)
+    assert made.quality.used == 800
+    found = piga.calibrate(made, TERMS)
+    assert found["tan_beta"].value == pytest.approx(cal["tan_beta"].value, rel=1e-6)
+
+
+@pytest.mark.parametrize("leave", ["to_arrow", "to_dataframe"])
+def test_a_run_that_left_as_a_table_comes_back(leave):
+    """Units travel with the table."""
+    run = a_run(temperature=np.linspace(290.0, 300.0, 800), base_rate=np.full((800, 3), 1e-5))
+    again = piga.Run.from_dataframe(
+        getattr(run, leave)(), **COLUMNS, scale_factor=SCALE, serial="T-1", temperature="temperature",
+        base_rate=["wx", "wy", "wz"],
+    )  # fmt: skip
+    for name in ("t", "output", "f", "base_rate", "temperature", "segment", "labels", "begins"):
+        assert np.array_equal(getattr(run, name), getattr(again, name)), name
+
+
+def test_rows_are_repaired_and_counted_as_those_of_a_file(run):
+    table = pd.DataFrame(a_table(run))
+    table.loc[10, "psi"] = np.nan
+    table = table.drop(index=[50, 51, 52])
+    made = piga.Run.from_dataframe(table, **LAB)
+    kinds = {event.kind: event for event in made.quality.events}
+    assert kinds["missing-value"].first_row == 11
+    assert made.size == 796
+    assert made.begins.sum() == 4
+
+
+def test_counts_that_wrap_are_a_run_without_a_file(run):
+    counts = np.floor(run.output * 72000 / (2 * np.pi)).astype(np.int64)
+    table = a_table(run) | {"psi": counts % 4096}
+    made = piga.Run.from_dataframe(
+        table, **{**LAB, "units": {k: v for k, v in UNITS.items() if k != "psi"}, "segment": None}, kind="counts",
+        counts_per_revolution=72000, counter_bits=12,
+    )  # fmt: skip
+    turned = made.output - made.output[0]
+    assert np.abs(turned - (run.output - run.output[0])).max() < 2 * 2 * np.pi / 72000
+    assert made.resolution == pytest.approx(2 * np.pi / 72000)
+
+
+def test_the_file_and_the_table_are_one_record(tmp_path):
+    """The shipped record, from its file and from a table of it with the same description."""
+    import tomllib
+
+    import pyarrow.csv
+
+    from piga.cli.calibrate import copy_example
+
+    path = copy_example(tmp_path)
+    file = piga.read_run(path)
+    description = tomllib.loads(path.read_text(encoding="utf-8"))
+    table = pyarrow.csv.read_csv(tmp_path / "tumble-a.csv")
+    data, instrument = description["data"], description["instrument"]
+    made = piga.Run.from_dataframe(
+        table,
+        time=data["time"]["column"],
+        output=data["output"]["column"],
+        kind=data["output"]["kind"],
+        reference=data["reference"]["columns"] if "reference" in data else None,
+        base_rate=data["base_rate"]["columns"] if "base_rate" in data else None,
+        segment=data.get("segment"),
+        units=units_of(data),
+        **instrument,
+        model=description["model"],
+        uncertainty=description.get("uncertainty"),
+        stand=description.get("stand"),
+    )
+    assert replace(made, source=file.source, input_sha256=file.input_sha256, row=file.row) == file
+
+
+def units_of(data) -> dict[str, str]:
+    units = {data["time"]["column"]: data["time"]["unit"]}
+    for group in ("reference", "base_rate"):
+        units |= dict.fromkeys(data.get(group, {}).get("columns", ()), data[group]["unit"])
+    return units
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"output": "nothing"}, "no column 'nothing'"),
+        ({"scale_factor": "0.9 rad"}, "a quantity in 'rad/s/g' is needed"),
+        ({"scale_factor": -1.0}, "must be positive"),
+        ({"units": {"fx": "g"}}, "reference: its columns have several units"),
+        ({"units": UNITS | {"psi": "K"}}, "does not measure the same quantity"),
+        ({"kind": "counts"}, "counts_per_revolution is missing"),
+        ({"reference": None}, "reference is missing"),
+        ({"model": {"terms": ["k99"]}}, "unknown term 'k99'"),
+        ({"model": {"term": ["k0"]}}, "model: Object contains unknown field"),
+        ({"kind": "angles"}, "Invalid enum value"),
+        ({"time": None}, "needs either time or sample_rate"),
+    ],
+)
+def test_a_wrong_description_is_refused(run, changes, said):
+    with pytest.raises(piga.PigaError, match=said):
+        piga.Run.from_dataframe(a_table(run), **(LAB | changes))
+
+
+def test_something_else_is_no_table():
+    with pytest.raises(piga.ArgumentError, match="a int does not give Arrow columns"):
+        piga.Run.from_dataframe(3, scale_factor=SCALE)
+
+
+def test_text_in_a_number_column_is_refused(run):
+    with pytest.raises(piga.DataError, match="column 'psi' holds"):
+        piga.Run.from_dataframe(a_table(run) | {"psi": np.array(["x"] * 800, dtype=object)}, **LAB)
+
+
+def test_arrays_take_what_a_run_file_takes():
+    gaps = np.zeros(800, bool)
+    gaps[[100, 500]] = True
+    run = a_run(
+        labels=["up", "down"],
+        gaps=gaps,
+        temperature=np.full(800, 293.0),
+        uncertainty={"reference_scale": "10 ppm"},
+        model={"terms": ["scale_factor", "tan_beta"]},
+        estimation={"method": "rate"},
+    )
+    assert run.labels == ("up", "down")
+    assert np.flatnonzero(run.begins).tolist() == [0, 100, 400, 500]
+    found = piga.calibrate(run)
+    assert found.terms == ("scale_factor", "tan_beta")
+    assert found.method == "rate"
+    assert any(row.source == "reference_scale" for row in found.budget)
+
+
+def test_segments_have_names():
+    names = np.array(["a"] * 300 + ["b"] * 300 + ["a"] * 200)
+    run = a_run(segment=names)
+    assert run.labels == ("a", "b", "a#2")
+    assert run.segment_edges().tolist() == [0, 300, 600, 800]
+
+
+def test_a_stand_gives_the_reference_of_arrays():
+    stand = {
+        "kind": "dividing-head", "latitude": "40 deg", "gravity": "9.80166 m/s^2",
+        "positions": {"up": "0 deg", "level": "90 deg"}, "dwell": "20 s",
+    }  # fmt: skip
+    t = np.arange(800) * 0.05
+    run = piga.Run.from_arrays(
+        t, 0.8 * t, None, scale_factor=SCALE, segment=np.repeat(["up", "level"], 400), stand=stand
+    )
+    assert np.linalg.norm(run.f[0]) == pytest.approx(9.80166, rel=1e-9)
+    assert abs(abs(run.f[0, 0]) - abs(run.f[-1, 0])) > 9.0
+    assert run.base_rate is not None
+    with pytest.raises(piga.ArgumentError, match="neither a reference nor a stand"):
+        piga.Run.from_arrays(t, t, None, scale_factor=SCALE)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"labels": ["one"]}, "1 names for 2 segments"),
+        ({"gaps": np.zeros(3, bool)}, "gaps: shape"),
+        ({"gaps": np.zeros(800)}, "gaps: shape"),
+        ({"model": {"terms": ["k99"]}}, "unknown term 'k99'"),
+        ({"estimation": {"method": "best"}}, "estimation: Invalid enum"),
+        ({"uncertainty": {"reference_size": 1}}, "reference_scale': '10 ppm"),
+    ],
+)
+def test_wrong_tables_and_marks_are_refused(settings, said):
+    with pytest.raises(piga.PigaError, match=said):
+        a_run(**settings)
+
+
+def test_a_run_is_cut_by_time(run):
+    part = run.between(5.0, "0.5 min")
+    assert (part.t[0], part.t[-1]) == (5.0, 30.0)
+    assert part.labels == ("0", "1")
+    assert part.begins[0]
+    assert part.begins.sum() == 2
+    assert part.row[0] == run.row[100]
+    assert (part.quality.used, part.quality.masked) == (part.size, 800 - part.size)
+    assert part.quality.events[-1].detail == "between 5 and 30 s"
+    assert run.between(0, 1e9).quality == run.quality
+    assert piga.calibrate(part, TERMS)["scale_factor"].value == pytest.approx(0.8884, abs=2e-3)
+    with pytest.raises(piga.ArgumentError, match="0 of 800 samples are left"):
+        run.between(100.0, 200.0)
+
+
+def test_a_run_is_cut_by_segment(run):
+    part = run.part("1")
+    assert part.labels == ("1",)
+    assert part.size == 400
+    assert set(part.segment.tolist()) == {0}
+    assert run.part("0", "1") == replace(run)
+    with pytest.raises(piga.ArgumentError, match=r"no segment '7'\n  remedy: segments: 0, 1"):
+        run.part("7")
+
+
+def test_rows_are_left_out_and_no_increment_crosses_them(run):
+    part = run.without([11, 12, 401])
+    assert part.size == 797
+    assert not np.isin([11, 12, 401], part.row).any()
+    assert np.flatnonzero(part.begins).tolist() == [0, 10, 398]
+    assert part == run.without(np.isin(run.row, [11, 12, 401]))
+    assert np.array_equal(run.without(11).row, np.delete(run.row, 10))
+    with pytest.raises(piga.ArgumentError, match="row 9000 is not in the record"):
+        run.without([9000])
+    with pytest.raises(piga.ArgumentError, match="3 truth values for 800 samples"):
+        run.without(np.zeros(3, bool))
