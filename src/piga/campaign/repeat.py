@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,13 +40,22 @@ def write_record(plan: Plan, record: RecordName, folder: Path) -> list[str]:
     if isinstance(made, ConstantForce):
         run = made.record(np.random.default_rng(plan.sequence(record)))
         return _write_run(made, run, folder, "run")
-    seeded = document | {"run": document["run"] | {"seed": seed_of(plan, record)}}
+    seeded = _plain(document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}})
     text = "".join(f"{key} = {_value(value)}\n" for key, value in seeded.items() if not isinstance(value, dict))
     text += "\n".join(toml_table(key, value) for key, value in seeded.items() if isinstance(value, dict))
     (folder / "scenario.toml").write_text(text, encoding="utf-8", newline="\n")
     if isinstance(made, Scenario):
         write_lab_files(made, run_scenario(made, seed=seed_of(plan, record)), folder)
     return sorted(path.name for path in folder.iterdir())
+
+
+def _plain(value: Any) -> Any:
+    """Tables as they can be written again: dates become text."""
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_plain(part) for part in value]
+    return value.isoformat() if isinstance(value, dt.date | dt.time) else value
 
 
 def _value(value: Any) -> str:
