@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from piga._kernels.compensation.layout import TERMS as COMPENSATED
 from piga._kernels.estimation.regressors import CODES
 from piga.calibration.joint.summary import STATIC_TERMS
-from piga.calibration.remarks.missing_terms import SINGLE
+from piga.calibration.remarks.missing_terms import SINGLE, term_values
 from piga.instrument import ErrorModel
+from piga.instrument.parameters import _ERROR_UNITS
 from piga.records.terms import MEANING, SERVO_TERMS, UNITS
 
 MOTION = ("scale_factor", "tan_beta", "phi")
@@ -25,11 +27,26 @@ def test_every_term_has_its_inverse() -> None:
 
 @pytest.mark.parametrize("name", TERMS)
 def test_a_term_stands_everywhere(name: str) -> None:
-    assert name in SINGLE, "suggested where it is missing"
-    if name in SERVO_TERMS:
-        return
-    assert name in CODES or name == "k1", "its column; k1 is that of a_x"
-    assert name in ErrorModel.__dataclass_fields__, "the simulated instrument"
-    assert name in STATIC_TERMS or name in ("k1", "k0_T", "k1_T"), (
-        "stored summaries; those of temperature apart"
+    """All places that lack the term are named at once."""
+    servo, warm = name in SERVO_TERMS, name in ("k0_T", "k1_T")
+    places = {
+        "CODES in _kernels/estimation/regressors.py": servo or name == "k1" or name in CODES,
+        "TERMS in _kernels/compensation/layout.py": name in COMPENSATED,
+        "ErrorModel in instrument/parameters.py": servo or name in ErrorModel.__dataclass_fields__,
+        "_ERROR_UNITS in instrument/parameters.py": servo or name in _ERROR_UNITS,
+        "SINGLE in calibration/remarks/missing_terms.py": name in SINGLE,
+        "STATIC_TERMS in calibration/joint/summary.py": servo or warm or name == "k1" or name in STATIC_TERMS,
+    }
+    assert all(places.values()), f"{name} is missing in " + ", ".join(
+        place for place, there in places.items() if not there
     )
+
+
+@pytest.mark.parametrize("name", [name for name in SINGLE if name not in SERVO_TERMS])
+def test_a_suggested_term_has_the_column_of_the_simulated_one(name: str) -> None:
+    """``term_values`` (calibration/remarks/missing_terms.py) and ``ErrorModel`` are one error."""
+    rng = np.random.default_rng(1)
+    t, warm, a = rng.normal(size=5), rng.normal(size=5), rng.normal(size=(3, 5))
+    model = ErrorModel(**{name: 1.0, "T_ref": 0.0})
+    simulated = model.specific_force(t, a.T, warm)
+    assert term_values(name, a, t, warm, a, t) == pytest.approx(simulated, rel=1e-14)
