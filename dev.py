@@ -1,13 +1,15 @@
 """Set up and run: ``python3 dev.py demo`` or ``python3 dev.py test``. Needs nothing but Python 3.11 or later.
 
 Each task makes its own virtual environment, installs the pinned requirements with their hashes, and runs. Further tasks:
-compiled (all tests of compiled kernels), slow (long statistical tests), docs (the site, in site/), coverage (by room, JIT
-off), mutation (of the numerics), package (wheel and sdist, installed and run on every Python there is).
+ui (the workbench on the shipped record), compiled (all tests of compiled kernels), slow (long statistical tests), docs (the
+site, in site/), coverage (by room, JIT off), mutation (of the numerics), package (wheel and sdist, installed and run on
+every Python there is).
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import os
 import shutil
 import subprocess
@@ -53,6 +55,18 @@ def demo(arguments: list[str]) -> None:
     """Calibrate the shipped record, compensate it and write the report."""
     programs = environment(".venv", "requirements.txt")
     call([str(programs / "piga"), "demo", *arguments])
+
+
+def ui(arguments: list[str]) -> None:
+    """Open the workbench on the shipped record, in a folder of its own."""
+    programs = environment(".venv-ui", "requirements-ui.txt")
+    folder = ROOT / "piga-workbench"
+    folder.mkdir(exist_ok=True)
+    data = ROOT / "src" / "piga" / "data"
+    if not (folder / "tumble-a.toml").exists():
+        (folder / "tumble-a.csv").write_bytes(gzip.decompress((data / "tumble-a.csv.gz").read_bytes()))
+        shutil.copy(data / "tumble-a.toml", folder)
+    call([str(programs / "piga"), "ui", str(folder), *arguments])
 
 
 def test(arguments: list[str]) -> None:
@@ -163,6 +177,7 @@ def main() -> None:
     """Pick the task."""
     tasks = {
         "demo": demo,
+        "ui": ui,
         "test": test,
         "compiled": compiled,
         "slow": slow,

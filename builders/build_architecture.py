@@ -19,6 +19,7 @@ TARGET = ROOT / "docs" / "figures" / "architecture.svg"
 SENTENCES = {
     "cli": "the command line",
     "campaign": "thousands of tests, one machine or many",
+    "workbench": "the same in the browser",
     "studies": "the publications reproduced",
     "certificate": "ISO/IEC 17025, DCC",
     "ledger": "calibrations kept and recomputed",

@@ -87,6 +87,8 @@ EXTRAS = {
     "signxml": "certificate",
     "cryptography": "certificate",
     "distributed": "campaign",
+    "starlette": "ui",
+    "uvicorn": "ui",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 

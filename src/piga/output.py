@@ -23,6 +23,8 @@ from typing import Any
 from piga.errors import ArgumentError, PigaError
 
 _MARK, _JOURNAL = ".piga-part", "-journal"
+CALIBRATION_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
+"""Names of the result files of a calibration."""
 MOST_NAME = 100
 """Most bytes of a file's name, and of its ending, that are used in the name of its temporary file. The limit of file
 systems is 255 in all."""

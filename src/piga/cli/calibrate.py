@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piga.cli.common import ForceOption, JsonOption, files_named_in, print_json, progress, say
-from piga.output import results
+from piga.output import CALIBRATION_RESULTS, results
 
 if TYPE_CHECKING:
     from piga.calibration.joint.summary import RunSummary
     from piga.records import Calibration, Run
 
-RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
-"""Names of the result files."""
 RunFilesArgument = Annotated[
     list[Path],
     typer.Argument(
@@ -75,7 +73,7 @@ def calibrate(
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].with_name(default)
     inputs = [path for run in runs for path in files_named_in(run)]
-    with results(directory, "calibrate", RESULTS, inputs, force=force) as stage:
+    with results(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force) as stage:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating"):
             calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
@@ -203,7 +201,7 @@ def demo(
     from piga.reports.calibration.page import calibration_text
     from piga.stand import read_run
 
-    names = (*RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
+    names = (*CALIBRATION_RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
     with results(out, "demo", names, (), force=force) as folder:
         run = copy_example(folder)
         calibration = run_calibration(run, None, None, None, None)

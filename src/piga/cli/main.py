@@ -7,6 +7,7 @@ import os
 import sys
 import traceback
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import typer
@@ -21,6 +22,7 @@ from piga.cli.init import init
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
+from piga.cli.ui import ui
 from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -63,7 +65,7 @@ def _options(
     pass
 
 
-for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce):
+for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce, ui):
     app.command()(command)
 app.add_typer(platform.app)
 app.add_typer(campaign.app)
@@ -88,14 +90,14 @@ def main() -> None:
                 show(message, category, *where, **more)
 
         warnings.showwarning = one_line
-        _run()
+        guarded(lambda: app(standalone_mode=True))
 
 
-def _run() -> None:
-    """Run the command line; errors end the process with an exit code."""
+def guarded(action: Callable[[], object]) -> None:
+    """Do the work of a command; errors end the process with an exit code."""
     prepare_output()
     try:
-        app(standalone_mode=True)
+        action()
     except PigaError as error:
         note(f"piga: {error}")
         sys.exit(2)

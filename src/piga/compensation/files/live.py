@@ -57,19 +57,32 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     DataError
         Gives the number of the line that is wrong, too long, or cut off.
     """
-    header = [name.strip() for name in _line(source, 1).split(",")]
-    _check_names(header)
-    rows, number = 0, 1
-    while line := _line(source, number := number + 1):
-        if not line.strip():
-            continue
-        columns = _pushed(stream, _row(line, header, number), f"line {number}").columns()
+    rows = 0
+    for _, result in answered_lines(source, stream):
+        columns = result.columns()
         if rows == 0:
             sink.write(",".join(columns) + "\n")
         sink.write(",".join(repr(column[0].item()) for column in columns.values()) + "\n")
         sink.flush()
         rows += 1
     return rows
+
+
+def answered_lines(source: IO[str], stream: Compensator) -> Iterator[tuple[dict[str, float], Compensated]]:
+    """Each row of a stream of comma-separated lines, with its compensated values, as soon as it comes.
+
+    Raises
+    ------
+    DataError
+        Gives the number of the line that is wrong, too long, or cut off.
+    """
+    header = [name.strip() for name in _line(source, 1).split(",")]
+    _check_names(header)
+    number = 1
+    while line := _line(source, number := number + 1):
+        if line.strip():
+            row = _row(line, header, number)
+            yield row, _pushed(stream, row, f"line {number}")
 
 
 def _line(source: IO[str], number: int) -> str:

@@ -1,0 +1,67 @@
+"""Screenshots of the workbench for README and docs: ``python -m builders.build_workbench_images [--chromium PATH]``.
+
+Needs the packages of the tests and a Chromium on this machine. It goes the path of the main job on the shipped record,
+as ``tests/workbench/test_browser.py`` does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+ROOT = Path(__file__).resolve().parent.parent
+IMAGES = ROOT / "docs" / "images"
+SIZE = {"width": 1200, "height": 760}
+
+
+def main() -> None:
+    """Take the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--chromium", default=shutil.which("chromium") or "chromium")
+    chromium = parser.parse_args().chromium
+    with tempfile.TemporaryDirectory(prefix="tests-") as name:
+        folder = Path(name) / "stand-3"
+        folder.mkdir()
+        data = ROOT / "src" / "piga" / "data"
+        (folder / "tumble-a.csv").write_bytes(gzip.decompress((data / "tumble-a.csv.gz").read_bytes()))
+        shutil.copy(data / "tumble-a.toml", folder)
+        server = subprocess.Popen(
+            [sys.executable, "-m", "piga", "ui", str(folder), "--no-browser"], stdout=subprocess.PIPE, text=True
+        )
+        assert server.stdout is not None
+        address = re.search(r"http\S+", server.stdout.readline())
+        assert address is not None
+        home = address[0].partition("/?")[0]
+        try:
+            with sync_playwright() as play:
+                browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+                page = browser.new_page(viewport=SIZE, color_scheme="light")
+                page.set_default_timeout(120_000)
+                page.goto(address[0])
+                page.goto(f"{home}/signals/tumble-a.toml")
+                page.locator("figure.signal[data-points] canvas").first.wait_for()
+                page.wait_for_timeout(1500)
+                page.screenshot(path=IMAGES / "workbench-signals.png")
+                page.goto(f"{home}/calibrate/tumble-a.toml")
+                page.get_by_role("button", name="Calibrate").click()
+                page.get_by_role("button", name="Keep this result").wait_for()
+                page.frame_locator("iframe").get_by_role("heading", name="Calibration of tumble-a").wait_for()
+                page.screenshot(path=IMAGES / "workbench-result.png")
+                page.goto(f"{home}/explore")
+                page.screenshot(path=IMAGES / "workbench-explore.png")
+                browser.close()
+        finally:
+            server.terminate()
+            server.wait(timeout=60)
+
+
+if __name__ == "__main__":
+    main()

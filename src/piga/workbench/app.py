@@ -1,0 +1,123 @@
+"""The server of the workbench: one Starlette application on the loopback address."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+from piga.errors import ArgumentError
+from piga.workbench.folder import Folder
+from piga.workbench.jobs import Jobs
+from piga.workbench.live import Live
+from piga.workbench.pages import all_routes
+from piga.workbench.pages.common import Workbench, error_page
+from piga.workbench.security import Door, Guard
+
+WAITING = 128
+"""Connections that may wait to be accepted."""
+GRACE = 2
+"""Time [s] that open requests have when the server ends."""
+
+
+def application(
+    folder: Folder, door: Door, ready: Callable[[], None] = lambda: None, live: Live | None = None
+) -> Any:
+    """The ASGI application for a folder.
+
+    Parameters
+    ----------
+    folder:
+        The opened folder.
+    door:
+        Who may come in.
+    ready:
+        Called once when the application has started.
+    live:
+        The stream of the page Live, or None.
+    """
+    from starlette.applications import Starlette
+    from starlette.exceptions import HTTPException
+
+    from piga.errors import PigaError
+
+    bench = Workbench(folder, Jobs(folder.state / "jobs", folder.root), live)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_app: Starlette) -> AsyncIterator[None]:
+        ready()
+        yield
+        bench.jobs.stop_all()
+
+    app = Starlette(
+        routes=all_routes(),
+        lifespan=lifespan,
+        exception_handlers={
+            PigaError: error_page,
+            HTTPException: error_page,
+            OSError: error_page,
+            Exception: error_page,
+        },
+    )
+    app.state.bench = bench
+    return Guard(app, door)
+
+
+def serve(folder: Path, port: int = 0, *, ready: Callable[[Door], None], live: Live | None = None) -> None:
+    """Serve the workbench of a folder until SIGINT or SIGTERM. Running jobs are then ended.
+
+    Parameters
+    ----------
+    folder:
+        The folder to open.
+    port:
+        Port on 127.0.0.1; 0 takes a free one.
+    ready:
+        Called with the door once the server answers.
+    live:
+        The stream of the page Live, or None.
+
+    Raises
+    ------
+    ArgumentError
+        If ``folder`` is not a folder, or the port is taken.
+    """
+    import uvicorn
+
+    opened = Folder(folder)
+    try:
+        listening = socket.create_server(("127.0.0.1", port), backlog=WAITING)
+    except (OSError, OverflowError) as error:
+        raise ArgumentError(
+            f"--port {port}: cannot be used ({error})", remedy="choose another port, or leave it out"
+        ) from None
+    door = Door(listening.getsockname()[1])
+    config = uvicorn.Config(
+        application(opened, door, lambda: ready(door), live),
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=GRACE,
+        lifespan="on",
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _ended)  # uvicorn raises the signal again when it has ended
+    with listening:
+        uvicorn.Server(config).run(sockets=[listening])
+
+
+def _ended(_number: int, _frame: Any) -> None:
+    """The server has ended by itself."""
+
+
+def open_browser(address: str) -> bool:
+    """Open the address in the user's browser. False if there is none."""
+    import webbrowser
+
+    try:
+        return webbrowser.open(address)
+    except webbrowser.Error:
+        return False

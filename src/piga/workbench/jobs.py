@@ -1,0 +1,233 @@
+"""Jobs: commands of piga that run beside the server, each in a process of its own.
+
+A job is a command line. So its results are those of the command, to the byte, and the page shows how to repeat it in
+a terminal. The folder of a job holds ``job.json`` (what it is), ``out`` and ``err`` (what it printed), ``progress``
+(how far it is), ``stop`` if it was asked to end and, once it has ended, ``end.json`` (its exit code). Whatever happens to
+the server, these files tell what became of the job.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from piga.errors import ArgumentError
+from piga.output import write_whole
+
+MOST_RUNNING = 4
+"""Jobs that may run at the same time."""
+MOST_KEPT = 200
+"""Jobs that are kept. The oldest that have ended are removed."""
+PATIENCE = 5.0
+"""Time [s] that a stopped job has to end by itself."""
+_WINDOWS = os.name == "nt"
+"""On Windows a process is not asked for by its number; only the server that started a job knows that it runs."""
+MOST_TEXT = 200_000
+"""Bytes of printed text that a page shows."""
+
+State = Literal["running", "done", "failed", "stopped", "lost"]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job as it was started.
+
+    Attributes
+    ----------
+    key:
+        Name of its folder.
+    command:
+        Arguments of ``piga``; paths are relative to the opened folder.
+    title, subject:
+        What it does, and the record it is for.
+    result:
+        Folder or file of the results below the opened folder, or "".
+    pid, born:
+        Process number, and the time at which that process began, which tells it from a later one of the same number.
+    started:
+        Time of the start [s since 1970].
+    """
+
+    key: str
+    command: tuple[str, ...]
+    title: str
+    subject: str
+    result: str = ""
+    pid: int = 0
+    born: str = ""
+    started: float = 0.0
+
+
+@dataclass(frozen=True)
+class Status:
+    """What became of a job: its state, exit code, seconds, progress (0 to 1, or None) and what it does now."""
+
+    state: State
+    code: int | None
+    seconds: float
+    share: float | None = None
+    doing: str = ""
+
+
+class Jobs:
+    """The jobs of one folder."""
+
+    def __init__(self, folder: Path, root: Path) -> None:
+        self._folder, self._root = folder, root
+        folder.mkdir(exist_ok=True)
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, command: Sequence[str], title: str, subject: str, result: str = "") -> Job:
+        """Start ``piga`` with these arguments in the opened folder.
+
+        A job that runs already with the same results is not started again; it is returned.
+
+        Raises
+        ------
+        ArgumentError
+            If too many jobs run.
+        """
+        running = [job for job in self.all() if self.status(job).state == "running"]
+        for job in running:
+            if result and job.result == result:
+                return job
+        if len(running) >= MOST_RUNNING:
+            raise ArgumentError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
+        key = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+        place = self._folder / key
+        place.mkdir()
+        environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
+        with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
+            child = subprocess.Popen(  # noqa: S603  piga's own command line, as a list
+                [sys.executable, "-P", "-m", "piga.cli.job", str(place), *command],
+                cwd=self._root, stdin=subprocess.DEVNULL, stdout=out, stderr=err, env=environment,
+                start_new_session=True,
+            )  # fmt: skip
+        self._children[key] = child
+        job = Job(key, tuple(command), title, subject, result, child.pid, _born(child.pid), time.time())
+        text = json.dumps(asdict(job))
+        write_whole(place / "job.json", lambda path: path.write_text(text, encoding="utf-8"))
+        self._tidy()
+        return job
+
+    def all(self) -> list[Job]:
+        """All jobs, the newest first."""
+        jobs = []
+        for place in sorted(self._folder.iterdir(), reverse=True):
+            with suppress(OSError, ValueError, TypeError):
+                fields = json.loads((place / "job.json").read_text(encoding="utf-8"))
+                jobs.append(Job(**fields | {"command": tuple(fields["command"]), "key": place.name}))
+        return jobs
+
+    def get(self, key: str) -> Job | None:
+        """The job with this key, or None."""
+        return next((job for job in self.all() if job.key == key), None)
+
+    def latest(self, subject: str) -> Job | None:
+        """The newest job for a record, or None."""
+        return next((job for job in self.all() if job.subject == subject), None)
+
+    def status(self, job: Job) -> Status:
+        """What became of the job."""
+        child = self._children.get(job.key)
+        place = self._folder / job.key
+        there = child is not None if _WINDOWS else _alive(job)  # asked before: a job writes its end and goes
+        end = _document(place / "end.json")
+        if child is not None:
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(PATIENCE if end is not None else 0.0)
+                del self._children[job.key]
+        if end is not None:
+            code = int(end.get("code", 1))
+            state: State = "stopped" if end.get("stopped") else "failed" if code else "done"
+            return Status(state, code, float(end.get("seconds", 0.0)))
+        if not there:
+            asked = (place / "stop").exists()  # it ended before it could say so
+            return Status("stopped" if asked else "lost", None, 0.0)
+        progress = _document(place / "progress") or {}
+        share = progress.get("share")
+        return Status(
+            "running", None, time.time() - job.started,
+            share if isinstance(share, float) else None, str(progress.get("what", "")),
+        )  # fmt: skip
+
+    def text(self, job: Job, name: Literal["out", "err"]) -> str:
+        """What the job printed on standard output or standard error (the last part of a long text)."""
+        with suppress(OSError), (self._folder / job.key / name).open("rb") as stream:
+            stream.seek(max(stream.seek(0, os.SEEK_END) - MOST_TEXT, 0))
+            return stream.read().decode("utf-8", "replace")
+        return ""
+
+    def stop(self, job: Job) -> None:
+        """End a running job. Its results are then absent, as after Ctrl-C in a terminal."""
+        if self.status(job).state != "running":
+            return
+        (self._folder / job.key / "stop").touch()
+        _signal(job, signal.SIGINT)
+        limit = time.monotonic() + PATIENCE
+        while time.monotonic() < limit and self.status(job).state == "running":
+            time.sleep(0.05)
+        if self.status(job).state == "running":
+            _signal(job, signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
+
+    def stop_all(self) -> None:
+        """End all running jobs (when the server ends)."""
+        running = [job for job in self.all() if self.status(job).state == "running"]
+        for job in running:
+            (self._folder / job.key / "stop").touch()
+            _signal(job, signal.SIGINT)
+        for job in running:
+            self.stop(job)
+
+    def forget(self, job: Job) -> None:
+        """Remove a job that has ended."""
+        if self.status(job).state != "running":
+            shutil.rmtree(self._folder / job.key, ignore_errors=True)
+
+    def _tidy(self) -> None:
+        for job in self.all()[MOST_KEPT:]:
+            self.forget(job)
+
+
+def _document(path: Path) -> dict[str, Any] | None:
+    with suppress(OSError, ValueError):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return document if isinstance(document, dict) else None
+    return None
+
+
+def _born(pid: int) -> str:
+    """Start time of a process as the system tells it; "" where it does not."""
+    with suppress(OSError, IndexError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
+    return ""
+
+
+def _alive(job: Job) -> bool:
+    """True if the job's process runs. A later process with the same number does not count."""
+    if job.pid <= 0:
+        return False
+    try:
+        os.kill(job.pid, 0)
+    except (OSError, OverflowError):
+        return False
+    with suppress(OSError, IndexError):
+        fields = Path(f"/proc/{job.pid}/stat").read_text().rpartition(")")[2].split()
+        return fields[0] != "Z" and fields[19] == job.born
+    return True
+
+
+def _signal(job: Job, number: int) -> None:
+    with suppress(OSError):
+        os.kill(job.pid, number)

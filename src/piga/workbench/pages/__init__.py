@@ -1,0 +1,36 @@
+"""The pages of the workbench. Each module holds the routes of one page; its template lies beside it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def all_routes() -> list[Any]:
+    """The routes of all pages, and of the files that they load."""
+    from piga.workbench.pages import (
+        calibrate,
+        common,
+        compensate,
+        describe,
+        explore,
+        instrument,
+        jobs,
+        live,
+        records,
+        scenario,
+        signals,
+    )
+
+    return [
+        *common.routes(),
+        *records.routes(),
+        *describe.routes(),
+        *signals.routes(),
+        *calibrate.routes(),
+        *compensate.routes(),
+        *instrument.routes(),
+        *scenario.routes(),
+        *explore.routes(),
+        *live.routes(),
+        *jobs.routes(),
+    ]

@@ -1,0 +1,192 @@
+"""Calibrate: choose terms, run, look at the result, keep it or throw it away."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piga.errors import ArgumentError, CalibrationError
+from piga.output import CALIBRATION_RESULTS, results
+from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES, RunFile, read_run_file
+from piga.records.terms import UNITS, check_terms, meaning_of
+from piga.records.text_files import files_named_in
+from piga.workbench.folder import OutsideError
+from piga.workbench.jobs import Job
+from piga.workbench.pages.common import Workbench, bench_of, form_of, only, redirect, render
+from piga.workbench.pages.jobs import command_line, job_of
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+_HARMONICS = re.compile(r"[,;\s]+")
+METHOD_WORDS = {
+    "information": "full data, with time stamps (recommended)",
+    "rate": "mean rate of each segment",
+    "recursive": "recursive least squares, for comparison",
+    "published": "the published recursion, for comparison",
+    "revolutions": "whole revolutions of the output",
+}
+
+
+def show(request: Request) -> Response:
+    """The form of a record, and its calibrations so far."""
+    bench, name = bench_of(request), request.path_params["name"]
+    run_file = read_run_file(bench.folder.toml(name))
+    known = [term for term in UNITS if term != "phi"]
+    chosen = list(run_file.model.terms)
+    tried = [
+        (job, bench.jobs.status(job))
+        for job in bench.jobs.all()
+        if job.subject == name and job.command[0] == "calibrate"
+    ]
+    adopted = _adopted_folder(bench, name)
+    return render(
+        request,
+        "calibrate.html.jinja",
+        name=name,
+        run_file=run_file,
+        terms=[(term, UNITS[term], meaning_of(term), term in chosen) for term in known],
+        harmonics=" ".join(term for term in chosen if term not in UNITS),
+        methods=[(method, METHOD_WORDS.get(method, "")) for method in METHODS],
+        phases=PHASES,
+        sources=PHASE_SOURCES,
+        tried=tried,
+        adopted=bench.folder.name(adopted) if (adopted / "calibration.json").is_file() else "",
+    )
+
+
+async def start(request: Request) -> Response:
+    """Start a calibration as the form asks for it."""
+    from starlette.concurrency import run_in_threadpool
+
+    bench, name = bench_of(request), request.path_params["name"]
+    fields = await form_of(request)
+    run_file = read_run_file(bench.folder.toml(name))
+    terms = tuple(fields.get("term", []))
+    terms += tuple(word for word in _HARMONICS.split(only(fields, "harmonics")) if word)
+    check_terms(terms)
+    job = await run_in_threadpool(_start, bench, name, [*_options(run_file, terms, fields)])
+    return redirect(request, f"/result/{job.key}")
+
+
+def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[str]]) -> list[str]:
+    """Options of the command, where the form differs from the run file."""
+    options = [] if terms == run_file.model.terms else ["--terms", ",".join(terms)]
+    asked = {
+        "--method": (only(fields, "method"), run_file.estimation.method, METHODS),
+        "--phase": (only(fields, "phase"), run_file.model.phase, PHASES),
+        "--phase-source": (only(fields, "phase_source"), run_file.model.phase_source, PHASE_SOURCES),
+    }
+    for option, (value, written, allowed) in asked.items():
+        if value and value not in allowed:
+            raise ArgumentError(f"{option}: {value!r} is not known", remedy=f"one of {', '.join(allowed)}")
+        options += [option, value] if value and value != written else []
+    return options
+
+
+def _start(bench: Workbench, name: str, options: list[str]) -> Job:
+    import secrets
+
+    trials = bench.folder.state / "trials"
+    trials.mkdir(exist_ok=True)
+    trial = trials / secrets.token_hex(6)
+    return bench.jobs.start(
+        ("calibrate", name, *options, "--out", bench.folder.name(trial)),
+        "Calibrate",
+        name,
+        bench.folder.name(trial),
+    )
+
+
+def _trial(bench: Workbench, job: Job) -> Path:
+    """Folder of a calibration's results."""
+    if job.command[0] != "calibrate":
+        raise OutsideError("this job is not a calibration", remedy="choose a calibration")
+    return bench.folder.root / job.result
+
+
+def _adopted_folder(bench: Workbench, name: str) -> Path:
+    """Folder in which the command would have written the results."""
+    run = bench.folder.path(name)
+    return run.with_name(f"{run.stem}-calibration")
+
+
+def result(request: Request) -> Response:
+    """The result of a calibration, or how far it is."""
+    bench, job = job_of(request)
+    trial = _trial(bench, job)
+    status = bench.jobs.status(job)
+    values: dict[str, Any] = {"job": job, "status": status, "line": _shown_line(job), "name": job.subject}
+    if status.state == "running":
+        return render(
+            request, "job-part.html.jinja" if _is_part(request) else "result-wait.html.jinja", **values
+        )
+    if _is_part(request):
+        return redirect(request, request.url.path)
+    if status.state != "done" or not (trial / "calibration.json").is_file():
+        text = bench.jobs.text(job, "err")
+        return render(request, "result-failed.html.jinja", text=text, **values)
+    return render(request, "result.html.jinja", **_result_parts(trial), **values)
+
+
+def _is_part(request: Request) -> bool:
+    return request.headers.get("hx-request") is not None
+
+
+def _shown_line(job: Job) -> str:
+    """The command in a terminal. Its results go to the usual place."""
+    kept = job.command[: job.command.index("--out")]
+    return command_line(Job(job.key, kept, job.title, job.subject))
+
+
+def _result_parts(trial: Path) -> dict[str, Any]:
+    """Verdict and tables of a result: those of the report."""
+    from piga.records import Calibration
+    from piga.reports.calibration.tables import coefficient_table, judgement
+
+    calibration = Calibration.from_json(trial / "calibration.json")
+    return {
+        "judgement": judgement(calibration),
+        "table": coefficient_table(calibration),
+        "notes": calibration.notes,
+    }
+
+
+def adopt(request: Request) -> Response:
+    """Keep the result: its files go where the command would have written them."""
+    bench, job = job_of(request)
+    trial = _trial(bench, job)
+    if bench.jobs.status(job).state != "done" or not (trial / "calibration.json").is_file():
+        raise CalibrationError("this calibration has no result", remedy="calibrate again")
+    target = _adopted_folder(bench, job.subject)
+    run = bench.folder.toml(job.subject)
+    with results(target, "calibrate", CALIBRATION_RESULTS, files_named_in(run), force=True) as stage:
+        for pattern in CALIBRATION_RESULTS:
+            for path in trial.glob(pattern):
+                shutil.copyfile(path, stage / path.name)
+    return redirect(request, f"/calibrate/{job.subject}")
+
+
+def discard(request: Request) -> Response:
+    """Throw the result away."""
+    bench, job = job_of(request)
+    bench.jobs.stop(job)
+    shutil.rmtree(_trial(bench, job), ignore_errors=True)
+    bench.jobs.forget(job)
+    return redirect(request, f"/calibrate/{job.subject}")
+
+
+def routes() -> list[Any]:
+    """Routes of this page."""
+    from starlette.routing import Route
+
+    return [
+        Route("/calibrate/{name:path}", show, methods=["GET"]),
+        Route("/calibrate/{name:path}", start, methods=["POST"]),
+        Route("/result/{key}", result),
+        Route("/result/{key}/adopt", adopt, methods=["POST"]),
+        Route("/result/{key}/discard", discard, methods=["POST"]),
+    ]

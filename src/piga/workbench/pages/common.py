@@ -1,0 +1,199 @@
+"""What all pages share: the opened folder, templates, form data, files, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl
+
+from piga._version import __version__
+from piga.errors import ArgumentError, PigaError
+from piga.workbench.folder import Folder, OutsideError
+from piga.workbench.jobs import Jobs
+from piga.workbench.live import Live
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+MOST_FORM = 2 << 20
+"""Largest form [bytes]."""
+MOST_FIELDS = 2000
+ASSETS = {
+    "workbench.css": "text/css",
+    "uplot.min.css": "text/css",
+    "workbench.js": "text/javascript",
+    "signals.js": "text/javascript",
+    "live.js": "text/javascript",
+    "htmx.min.js": "text/javascript",
+    "uplot.min.js": "text/javascript",
+}
+"""Files that pages load, and their types."""
+MENU = (
+    ("/", "Records"),
+    ("/instrument", "Instruments"),
+    ("/plan", "Plan"),
+    ("/explore", "Explore"),
+    ("/twin", "Twin"),
+    ("/platform", "Platform"),
+    ("/live", "Live"),
+    ("/jobs", "Jobs"),
+)
+"""Pages that need no record."""
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """What the pages work on."""
+
+    folder: Folder
+    jobs: Jobs
+    live: Live | None = None
+
+
+def bench_of(request: Request) -> Workbench:
+    """The workbench that serves the request."""
+    bench: Workbench = request.app.state.bench
+    return bench
+
+
+@lru_cache(maxsize=1)
+def _environment() -> Any:
+    import jinja2
+
+    def text(name: str) -> str:
+        package = "piga.reports" if name == "blocks.html.jinja" else "piga.workbench"
+        folder = "templates" if package == "piga.reports" else "pages"
+        return resources.files(package).joinpath(folder, name).read_text(encoding="utf-8")
+
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(text), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )  # fmt: skip
+    environment.tests["block"] = lambda block, kind: type(block).__name__ == kind
+    environment.filters["bytes"] = in_bytes
+    return environment
+
+
+def render(request: Request, template: str, code: int = 200, **values: Any) -> Response:
+    """A page from its template. Every value is escaped."""
+    from starlette.responses import HTMLResponse
+
+    bench = bench_of(request)
+    text = (
+        _environment()
+        .get_template(template)
+        .render(menu=MENU, at=request.url.path, folder=bench.folder.root.name, version=__version__, **values)
+    )
+    return HTMLResponse(text, status_code=code)
+
+
+async def form_of(request: Request) -> dict[str, list[str]]:
+    """The fields of a sent form, each with its values.
+
+    Raises
+    ------
+    ArgumentError
+        If the form is too large or is not one.
+    """
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_FORM:
+            raise ArgumentError("the form is too large", remedy=f"send at most {MOST_FORM >> 20} MiB")
+    try:
+        pairs = parse_qsl(
+            body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=MOST_FIELDS,
+            errors="strict",
+        )  # fmt: skip
+    except ValueError:
+        raise ArgumentError("the form cannot be read", remedy="reload the page") from None
+    fields: dict[str, list[str]] = {}
+    for name, value in pairs:
+        fields.setdefault(name, []).append(value)
+    return fields
+
+
+def only(fields: Mapping[str, list[str]], name: str, default: str = "") -> str:
+    """The value of a field that is sent once."""
+    values = fields.get(name, [default])
+    return values[-1]
+
+
+def error_page(request: Request, error: Exception) -> Response:
+    """The page of a refusal: what is wrong, and what to do."""
+    from starlette.exceptions import HTTPException
+
+    status = 404 if isinstance(error, OutsideError) else 422
+    text, remedy = str(error), ""
+    if isinstance(error, HTTPException):
+        status = error.status_code
+        text = {404: "There is no such page.", 405: "This page does not take that."}.get(status, error.detail)
+    elif isinstance(error, PigaError):
+        text, _, remedy = str(error).partition("\n  remedy: ")
+    elif isinstance(error, OSError):
+        status, text = 500, f"{error.filename or 'a file'}: {error.strerror or error}"
+    else:
+        status, text = 500, "This is an error of the workbench. The terminal of piga ui shows more."
+    template = "message.html.jinja" if request.headers.get("hx-request") else "error.html.jinja"
+    return render(request, template, status, text=text, remedy=remedy)
+
+
+def in_bytes(size: int) -> str:
+    """A size in words."""
+    value = float(size)
+    for unit in ("bytes", "kB", "MB"):
+        if value < 1000.0:
+            return f"{value:.3g} {unit}"
+        value /= 1000.0
+    return f"{value:.3g} GB"
+
+
+def redirect(request: Request, to: str) -> Response:
+    """Go to another page, with or without scripts in the browser."""
+    from starlette.responses import RedirectResponse, Response
+
+    if request.headers.get("hx-request"):
+        return Response(status_code=200, headers={"hx-redirect": to})
+    return RedirectResponse(to, status_code=303)
+
+
+def asset(request: Request) -> Response:
+    """A script or style sheet of the workbench."""
+    from starlette.exceptions import HTTPException
+    from starlette.responses import Response
+
+    name = request.path_params["name"]
+    if name not in ASSETS:
+        raise HTTPException(404)
+    text = _asset(name)
+    headers = {"cache-control": "max-age=3600"}
+    return Response(text, media_type=ASSETS[name], headers=headers)
+
+
+@lru_cache(maxsize=len(ASSETS))
+def _asset(name: str) -> str:
+    text = resources.files("piga.workbench").joinpath("assets", name).read_text(encoding="utf-8")
+    if name != "workbench.css":
+        return text
+    from piga.reports.render.figure import css_variables
+
+    dark = f"@media (prefers-color-scheme: dark) {{ :root {{ {css_variables(dark=True)} }} }}"
+    return f":root {{ {css_variables(dark=False)} }}\n{dark}\n{text}"
+
+
+def health(_request: Request) -> Response:
+    """The server answers."""
+    from starlette.responses import PlainTextResponse
+
+    return PlainTextResponse("ok\n")
+
+
+def routes() -> list[Any]:
+    """Routes that belong to no page."""
+    from starlette.routing import Route
+
+    return [Route("/healthz", health), Route("/assets/{name}", asset)]

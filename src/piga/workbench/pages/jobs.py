@@ -1,0 +1,101 @@
+"""Jobs: what runs and what ran, how far it is, what it printed; stop one."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piga.workbench.folder import OutsideError
+from piga.workbench.jobs import Job
+from piga.workbench.pages.common import Workbench, bench_of, redirect, render
+from piga.workbench.security import REPORT_POLICY
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+
+def job_of(request: Request) -> tuple[Workbench, Job]:
+    """The job that the address names."""
+    bench = bench_of(request)
+    job = bench.jobs.get(request.path_params["key"])
+    if job is None:
+        raise OutsideError("there is no such job", remedy="choose one of the list")
+    return bench, job
+
+
+def command_line(job: Job) -> str:
+    """The command that does the same in a terminal."""
+    return f"piga {shlex.join(job.command)}"
+
+
+def show_all(request: Request) -> Response:
+    """The list of jobs."""
+    bench = bench_of(request)
+    jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all()]
+    return render(request, "jobs.html.jinja", jobs=jobs)
+
+
+def show(request: Request) -> Response:
+    """One job: its state, and what it printed. The page asks for it again while the job runs."""
+    bench, job = job_of(request)
+    status = bench.jobs.status(job)
+    values: dict[str, Any] = {
+        "job": job,
+        "status": status,
+        "line": command_line(job),
+        "out": bench.jobs.text(job, "out"),
+        "err": bench.jobs.text(job, "err"),
+        "files": result_files(bench, job) if status.state == "done" else [],
+    }
+    part = "job-part.html.jinja" if request.headers.get("hx-request") else "job.html.jinja"
+    response = render(request, part, **values)
+    if request.headers.get("hx-request") and status.state != "running":
+        response.headers["hx-refresh"] = "true"
+    return response
+
+
+def stop(request: Request) -> Response:
+    """End a job."""
+    bench, job = job_of(request)
+    bench.jobs.stop(job)
+    return redirect(request, f"/jobs/{job.key}")
+
+
+def file(request: Request) -> Response:
+    """A result file of a job: a page in a frame without any rights, everything else to save."""
+    from starlette.responses import FileResponse
+
+    bench, job = job_of(request)
+    name = request.path_params["file"]
+    place = bench.folder.root / job.result
+    path = place / name if place.is_dir() else place.with_name(name)
+    allowed = {item.name for item in result_files(bench, job)}
+    if not job.result or name not in allowed or path.is_symlink() or not path.is_file():
+        raise OutsideError(f"{name}: is no result of this job", remedy="choose a listed file")
+    if path.suffix == ".html":
+        return FileResponse(path, headers={"content-security-policy": REPORT_POLICY}, media_type="text/html")
+    return FileResponse(path, filename=name, media_type="application/octet-stream")
+
+
+def result_files(bench: Workbench, job: Job) -> list[Path]:
+    """The files that a job wrote: those of its folder, or its file and the page beside it."""
+    place = bench.folder.root / job.result
+    if not job.result or job.result.startswith("signals/"):
+        return []
+    if place.is_dir():
+        return sorted(path for path in place.iterdir() if path.is_file() and not path.name.startswith("."))
+    return [path for path in (place, place.with_suffix(".html")) if path.is_file()]
+
+
+def routes() -> list[Any]:
+    """Routes of this page."""
+    from starlette.routing import Route
+
+    return [
+        Route("/jobs", show_all),
+        Route("/jobs/{key}", show),
+        Route("/jobs/{key}/stop", stop, methods=["POST"]),
+        Route("/jobs/{key}/file/{file}", file),
+    ]

@@ -1,0 +1,137 @@
+"""Plan, Twin and Platform: a scenario as text, and the commands that run it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piga.errors import ArgumentError, PigaError
+from piga.output import write_whole
+from piga.records.text_files import toml_document
+from piga.workbench.folder import MOST_TOML, Folder
+from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of scenario: its page, the tables that tell it, and its commands by the words of their buttons."""
+
+    key: str
+    title: str
+    purpose: str
+    tables: tuple[str, ...]
+    commands: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+KINDS = {
+    kind.key: kind
+    for kind in (
+        Kind(
+            "plan", "Plan", "Which positions, how long in each, and which uncertainty that gives.",
+            ("plan",), (("Plan the test", ("plan",)),),
+        ),
+        Kind(
+            "twin", "Twin", "A test with a known truth: stand, instrument, electronics and noise.",
+            ("electronics", "stand"), (("Simulate the test", ("simulate",)),),
+        ),
+        Kind(
+            "platform", "Platform", "A platform with turning gyro cases: gimbal and navigation errors over days.",
+            ("site", "case_rotation"),
+            (
+                ("Navigate", ("platform", "navigate")), ("Compare models", ("platform", "compare")),
+                ("Simulate", ("platform", "simulate")), ("Identify", ("platform", "identify")),
+                ("Align", ("platform", "align")),
+            ),
+        ),
+    )
+}  # fmt: skip
+
+
+def _files(folder: Folder, kind: Kind) -> list[str]:
+    """The scenarios of a kind that lie in the folder."""
+    names = []
+    for path in sorted(folder.root.glob("**/*.toml"))[:500]:
+        name = folder.name(path)
+        if name.startswith(".") or "/." in name or path.stat().st_size > MOST_TOML or path.is_symlink():
+            continue
+        try:
+            document = toml_document(path)
+        except PigaError:
+            continue
+        fits = all(table in document for table in kind.tables)
+        if fits and "data" not in document and (kind.key == "plan" or "plan" not in document):
+            names.append(name)
+    return names
+
+
+def _page(kind: Kind) -> Callable[[Request], Response]:
+    def show(request: Request) -> Response:
+        bench = bench_of(request)
+        names = _files(bench.folder, kind)
+        name = request.query_params.get("file", names[0] if names else "")
+        text = bench.folder.file(name).read_text(encoding="utf-8") if name else ""
+        jobs = [
+            (job, bench.jobs.status(job)) for job in bench.jobs.all() if any(
+                job.command[: len(words)] == words for _, words in kind.commands
+            )
+        ]  # fmt: skip
+        return render(
+            request, "scenario.html.jinja", kind=kind, names=names, name=name, text=text, jobs=jobs[:20]
+        )
+
+    return show
+
+
+def _runner(kind: Kind) -> Callable[[Request], Any]:
+    async def run(request: Request) -> Response:
+        from starlette.concurrency import run_in_threadpool
+
+        bench = bench_of(request)
+        fields = await form_of(request)
+        path = _saved(bench.folder, only(fields, "name"), only(fields, "text"))
+        name = bench.folder.name(path)
+        word = only(fields, "do")
+        if word == "save":
+            return redirect(request, f"/{kind.key}?file={name}")
+        words = next((words for words in (item[1] for item in kind.commands) if " ".join(words) == word), None)
+        if words is None:
+            raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")
+        out = bench.folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
+        command = [*words, name, "--out", out, "--force"]
+        job = await run_in_threadpool(bench.jobs.start, command, " ".join(words).capitalize(), name, out)
+        return redirect(request, f"/jobs/{job.key}")
+
+    return run
+
+
+def _saved(folder: Folder, name: str, text: str) -> Path:
+    """Write the text of a scenario, if it is TOML.
+
+    Raises
+    ------
+    RunFileError
+        If the text is not TOML; the message names the line. The file is then as before.
+    """
+    name = name if name.endswith(".toml") else f"{name}.toml"
+    path = folder.path(name)
+    raw = text.replace("\r\n", "\n").encode("utf-8")
+    toml_document(path, raw)
+    if not path.is_file() or path.read_bytes() != raw:
+        write_whole(path, lambda part: part.write_bytes(raw))
+    folder.check_named(path)
+    return path
+
+
+def routes() -> list[Any]:
+    """Routes of these pages."""
+    from starlette.routing import Route
+
+    shown = [Route(f"/{kind.key}", _page(kind), methods=["GET"]) for kind in KINDS.values()]
+    run = [Route(f"/{kind.key}", _runner(kind), methods=["POST"]) for kind in KINDS.values()]
+    return [*shown, *run]

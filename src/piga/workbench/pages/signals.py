@@ -1,0 +1,98 @@
+"""Signals: the record as it would be calibrated, to zoom and to pan, with what the check noticed marked where it is."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from piga.errors import ArgumentError
+from piga.records.text_files import files_named_in
+from piga.workbench.jobs import Job
+from piga.workbench.pages.common import Workbench, bench_of, redirect, render
+from piga.workbench.signals import Outline, cache_key, picture, read_outline
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+READ = "envelopes"
+"""Name of the job that reads a record."""
+
+
+def cache_of(bench: Workbench, name: str) -> Path:
+    """Folder of the envelopes of a record, whether they exist or not."""
+    run = bench.folder.toml(name)
+    record = hashlib.sha256(name.encode()).hexdigest()[:12]
+    return bench.folder.state / "signals" / f"{record}-{cache_key(files_named_in(run))}"
+
+
+def reading(bench: Workbench, name: str, *, again: bool = False) -> tuple[Outline | None, Job | None]:
+    """The outline of a record; if it is not read yet, the job that reads it or that failed to."""
+    cache = cache_of(bench, name)
+    outline = read_outline(cache)
+    if outline is not None:
+        return outline, None
+    mark = f"signals/{cache.name}"
+    last = next((job for job in bench.jobs.all() if job.result == mark), None)
+    if last is not None and not again and bench.jobs.status(last).state in ("running", "failed", "stopped"):
+        return None, last
+    return None, bench.jobs.start((READ, name, str(cache)), "Read the record", name, mark)
+
+
+def show(request: Request) -> Response:
+    """The page of a record's signals."""
+    bench, name = bench_of(request), request.path_params["name"]
+    outline, job = reading(bench, name)
+    if job is not None:
+        status = bench.jobs.status(job)
+        text = bench.jobs.text(job, "err") if status.state != "running" else ""
+        return render(request, "reading.html.jinja", name=name, job=job, status=status, text=text)
+    assert outline is not None  # noqa: S101  a record is read, or a job reads it
+    groups: dict[str, list[Any]] = {}
+    for signal in outline.signals:
+        groups.setdefault(signal.group, []).append(signal)
+    return render(request, "signals.html.jinja", name=name, outline=outline, groups=groups)
+
+
+def read_again(request: Request) -> Response:
+    """Read a record once more after a failure."""
+    bench, name = bench_of(request), request.path_params["name"]
+    reading(bench, name, again=True)
+    return redirect(request, f"/signals/{name}")
+
+
+def data(request: Request) -> Response:
+    """Rows of time, then least and largest value of each asked signal, as 64-bit floats."""
+    from starlette.responses import Response
+
+    bench, name = bench_of(request), request.path_params["name"]
+    outline, _ = reading(bench, name)
+    if outline is None:
+        raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
+    query = request.query_params
+    try:
+        first, last, width = float(query["from"]), float(query["to"]), int(query["width"])
+    except (KeyError, ValueError):
+        raise ArgumentError("the span of the picture is not valid", remedy="reload the page") from None
+    factors = {signal.key: signal.factor for signal in outline.signals}
+    columns: list[Any] = []
+    for key in query.get("keys", "").split(","):
+        rows = picture(cache_of(bench, name), key, first, last, width)
+        columns += [rows[:, 1:] * factors[key]] if columns else [rows[:, :1], rows[:, 1:] * factors[key]]
+    table = np.ascontiguousarray(np.hstack(columns), dtype="<f8")
+    headers = {"x-columns": str(table.shape[1])}
+    return Response(table.tobytes(), media_type="application/octet-stream", headers=headers)
+
+
+def routes() -> list[Any]:
+    """Routes of this page."""
+    from starlette.routing import Route
+
+    return [
+        Route("/signals/{name:path}", show, methods=["GET"]),
+        Route("/signals/{name:path}", read_again, methods=["POST"]),
+        Route("/signal-data/{name:path}", data),
+    ]

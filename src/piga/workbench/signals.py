@@ -1,0 +1,329 @@
+"""Envelopes of a record: its least and largest values at several widths, from which any zoom is drawn at once.
+
+A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with
+envelopes of 16, 64, 256, ... samples. A picture of any span then needs a few thousand values. No block crosses the
+begin of a stretch, so a gap is drawn as a gap.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.errors import ArgumentError
+from piga.records.run import Run
+from piga.records.spool import spans
+from piga.units import G0
+
+Array = NDArray[np.float64]
+
+FIRST_BLOCK, FACTOR = 16, 4
+"""Samples per block of the finest envelope, and the ratio of one envelope's blocks to the next finer one's."""
+COARSEST = 2048
+"""Blocks at which no coarser envelope is made."""
+MOST_STRETCHES = 20_000
+"""Longest breaks that are drawn as gaps. More of them would not be seen."""
+MOST_WIDTH = 4096
+"""Largest width of a picture [pixels]."""
+FORM = 1
+"""Version of the cache's files."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One column of a record.
+
+    Attributes
+    ----------
+    key, title, unit:
+        Name in the cache, words for the page, and the unit that it is shown in.
+    factor:
+        Factor from SI to ``unit``.
+    group:
+        Signals of one group share a picture.
+    """
+
+    key: str
+    title: str
+    unit: str
+    factor: float
+    group: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that the check noticed, and the time [s] of its first row; None if it has no row."""
+
+    kind: str
+    count: int
+    detail: str
+    time: float | None
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a page needs to know before it draws: signals, duration [s], samples, segments with times, findings."""
+
+    signals: tuple[Signal, ...]
+    duration: float
+    samples: int
+    rows: int
+    segments: tuple[tuple[str, float, float], ...]
+    findings: tuple[Finding, ...]
+    serial: str = ""
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+def cache_key(paths: list[Path]) -> str:
+    """Name of the cache of a record: changes with any file it is made from."""
+    states = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths if path.is_file()]
+    return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
+
+
+def write_envelopes(run: Run, folder: Path) -> Outline:
+    """Write the columns and envelopes of a record.
+
+    Parameters
+    ----------
+    run:
+        The record as read.
+    folder:
+        New folder, ``RECORD-KEY``. It appears when it is complete; older ones of the same record are removed.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
+    try:
+        outline = _write_all(run, part)
+        shutil.rmtree(folder, ignore_errors=True)
+        part.rename(folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
+        if place != folder:
+            shutil.rmtree(place, ignore_errors=True)
+    return outline
+
+
+def _write_all(run: Run, folder: Path) -> Outline:
+    begins = _breaks(run)
+    t = _shown_time(run, folder / "t.npy")
+    np.save(folder / "breaks.npy", begins[1:])
+    levels = _levels(run.size, begins)
+    for number, edges in enumerate(levels):
+        np.save(folder / f"edges-{number}.npy", edges)
+    columns = _columns(run)
+    for signal, values in columns:
+        _write_column(folder, signal.key, values, run.size, levels)
+    outline = _outline(run, t, tuple(signal for signal, _ in columns))
+    (folder / "outline.json").write_text(json.dumps(asdict(outline)), encoding="utf-8")
+    return outline
+
+
+def read_outline(folder: Path) -> Outline | None:
+    """The outline of a complete cache; None if there is none."""
+    try:
+        document = json.loads((folder / "outline.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return Outline(
+        tuple(Signal(**item) for item in document["signals"]),
+        document["duration"], document["samples"], document["rows"],
+        tuple((name, first, last) for name, first, last in document["segments"]),
+        tuple(Finding(**item) for item in document["findings"]),
+        document["serial"], document["summary"],
+    )  # fmt: skip
+
+
+def picture(folder: Path, key: str, first: float, last: float, width: int) -> Array:
+    """Least and largest values of a signal in a span of time.
+
+    Parameters
+    ----------
+    folder:
+        The cache of the record.
+    key:
+        The signal's key.
+    first, last:
+        The span [s].
+    width:
+        Width of the picture [pixels]. About one block per pixel is returned.
+
+    Returns
+    -------
+    Array
+        Rows of time, least and largest value in SI, shape (n, 3). A row of NaN separates stretches.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such signal, or the span is not one.
+    """
+    outline = read_outline(folder)
+    if outline is None or key not in {signal.key for signal in outline.signals}:
+        raise ArgumentError(f"{key!r}: there is no such signal", remedy="choose one of the page")
+    if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= MOST_WIDTH):
+        raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
+    t = np.load(folder / "t.npy", mmap_mode="r")
+    low = max(int(np.searchsorted(t, first)) - 1, 0)
+    high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
+    if high - low <= 4 * width:
+        return _samples(folder, key, t, low, high)
+    return _blocks(folder, key, t, low, high, width)
+
+
+def _samples(folder: Path, key: str, t: Array, low: int, high: int) -> Array:
+    values = np.load(folder / f"{key}.npy", mmap_mode="r")[low:high]
+    edges = np.load(folder / "edges-0.npy", mmap_mode="r")
+    inside = edges[np.searchsorted(edges, low + 1) : np.searchsorted(edges, high)] - low
+    rows = np.column_stack((t[low:high], values, values))
+    return _with_gaps(rows, inside[_are_breaks(folder, inside + low)])
+
+
+def _blocks(folder: Path, key: str, t: Array, low: int, high: int, width: int) -> Array:
+    """About one to four blocks per pixel, from the coarsest envelope that has as many."""
+    level = 0
+    while (folder / f"edges-{level + 1}.npy").exists():
+        coarser = np.load(folder / f"edges-{level + 1}.npy", mmap_mode="r")
+        if np.searchsorted(coarser, high) - np.searchsorted(coarser, low) < width:
+            break
+        level += 1
+    edges = np.load(folder / f"edges-{level}.npy", mmap_mode="r")
+    start = max(int(np.searchsorted(edges, low, side="right")) - 1, 0)
+    stop = int(np.searchsorted(edges, high))
+    envelope = np.load(folder / f"{key}-{level}.npy", mmap_mode="r")[start:stop]
+    at = np.asarray(edges[start:stop])
+    rows = np.column_stack((t[at], envelope))
+    return _with_gaps(rows, np.flatnonzero(_are_breaks(folder, at)))
+
+
+def _are_breaks(folder: Path, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    breaks = np.load(folder / "breaks.npy", mmap_mode="r")
+    at = np.minimum(np.searchsorted(breaks, rows), max(breaks.size - 1, 0))
+    return breaks[at] == rows if breaks.size else np.zeros(rows.size, np.bool_)
+
+
+def _with_gaps(rows: Array, at: NDArray[np.int64]) -> Array:
+    """The rows with a row of NaN before each index ``at``; its time is that of the row before."""
+    at = at[(at > 0) & (at < len(rows))]
+    gaps = np.full((at.size, 3), np.nan)
+    gaps[:, 0] = rows[at - 1, 0]
+    return np.insert(rows, at, gaps, axis=0)
+
+
+def _breaks(run: Run) -> NDArray[np.int64]:
+    """First samples of the stretches that follow the longest breaks, and sample 0."""
+    rows = np.concatenate([part.start + np.flatnonzero(run.begins[part]) for part in spans(run.size)])
+    rows = rows[rows > 0]
+    if rows.size > MOST_STRETCHES:
+        size = np.abs(run.t[rows] - run.t[rows - 1])
+        rows = np.sort(rows[np.argsort(size)[-MOST_STRETCHES:]])
+    return np.concatenate(([0], rows)).astype(np.int64)
+
+
+def _shown_time(run: Run, path: Path) -> Array:
+    """Write the time axis of the page: seconds since the first sample.
+
+    Where the time of a record goes back (at the begin of a segment with a clock of its own), the segment is shown
+    after the one before.
+    """
+    t = np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=(run.size,))
+    shift, last = -float(run.t[0]), 0.0
+    for part in spans(run.size):
+        values = np.asarray(run.t[part])
+        cuts = np.flatnonzero(np.diff(values, prepend=values[:1]) < 0.0)
+        if part.start and values[0] + shift < last:
+            cuts = np.concatenate(([0], cuts[cuts > 0]))
+        begin = 0
+        for cut in [*cuts.tolist(), values.size]:
+            t[part.start + begin : part.start + cut] = values[begin:cut] + shift
+            if cut > begin:
+                last = float(values[cut - 1] + shift)
+            if cut < values.size:
+                shift = last + run.median_step - float(values[cut])
+            begin = cut
+    return t
+
+
+def _levels(size: int, breaks: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """First samples of the blocks of each envelope, from the finest to the coarsest."""
+    ends = np.append(breaks[1:], size)
+    levels, block = [], FIRST_BLOCK
+    while True:
+        counts = -(-(ends - breaks) // block)
+        first = np.repeat(breaks - block * np.concatenate(([0], np.cumsum(counts)[:-1])), counts)
+        levels.append(first + block * np.arange(first.size, dtype=np.int64))
+        if first.size <= max(COARSEST, 2 * breaks.size):
+            return levels
+        block *= FACTOR
+
+
+def _columns(run: Run) -> list[tuple[Signal, Any]]:
+    turn = 2.0 * np.pi
+    output = (
+        Signal("output", "output angle", "rev", 1.0 / turn, "output")
+        if run.kind == "angle"
+        else Signal("output", "output rate", "deg/s", 360.0 / turn, "output")
+    )
+    columns: list[tuple[Signal, Any]] = [(output, run.output)]
+    for index, axis in enumerate("XYZ"):
+        columns.append((Signal(f"f{axis}", f"a_{axis}", "g", 1.0 / G0, "specific force"), run.f[:, index]))
+    if run.base_rate is not None:
+        for index, axis in enumerate("XYZ"):
+            signal = Signal(f"rate{axis}", f"Omega_{axis}", "deg/s", 360.0 / turn, "base rate")
+            columns.append((signal, run.base_rate[:, index]))
+    if run.temperature is not None:
+        columns.append((Signal("temperature", "temperature", "K", 1.0, "temperature"), run.temperature))
+    return columns
+
+
+def _write_column(folder: Path, key: str, values: Any, size: int, levels: list[NDArray[np.int64]]) -> None:
+    """Write a column and its envelopes. The finest is made from the samples, each other one from the one before."""
+    whole = np.lib.format.open_memmap(folder / f"{key}.npy", mode="w+", dtype=np.float64, shape=(size,))
+    for part in spans(size):
+        whole[part] = values[part]
+    low, high = _extremes(whole, whole, levels[0], size)
+    np.save(folder / f"{key}-0.npy", np.column_stack((low, high)))
+    for number, edges in enumerate(levels[1:], start=1):
+        starts = np.searchsorted(levels[number - 1], edges)
+        low, high = _extremes(low, high, starts, low.size)
+        np.save(folder / f"{key}-{number}.npy", np.column_stack((low, high)))
+
+
+def _extremes(low: Array, high: Array, starts: NDArray[np.int64], size: int) -> tuple[Array, Array]:
+    """Least of ``low`` and largest of ``high`` in the blocks that begin at ``starts``; a million blocks' samples at a time."""
+    least, largest = np.empty(starts.size), np.empty(starts.size)
+    step = 1 << 16
+    for begin in range(0, starts.size, step):
+        blocks = starts[begin : begin + step]
+        stop = int(starts[begin + step]) if begin + step < starts.size else size
+        part = slice(int(blocks[0]), stop)
+        least[begin : begin + step] = np.fmin.reduceat(low[part], blocks - blocks[0])
+        largest[begin : begin + step] = np.fmax.reduceat(high[part], blocks - blocks[0])
+    return least, largest
+
+
+def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> Outline:
+    edges = run.segment_edges()
+    segments = tuple(
+        (run.labels[int(run.segment[first])], float(t[first]), float(t[last - 1]))
+        for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    )
+    findings = []
+    for event in run.quality.events:
+        at = None
+        if event.first_row is not None:
+            index = min(int(np.searchsorted(run.row, event.first_row)), run.size - 1)
+            at = float(t[index])
+        findings.append(Finding(event.kind, event.count, event.detail, at))
+    return Outline(
+        signals, float(t[-1]), run.size, run.quality.rows, segments, tuple(findings), run.serial,
+        {"interval": run.median_step, "kind": run.kind},
+    )  # fmt: skip

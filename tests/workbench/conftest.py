@@ -1,0 +1,144 @@
+"""A real server on a folder with the shipped record, and a client that behaves as the browser does."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import http.client
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from pathlib import Path
+from urllib.parse import urlencode
+
+import pytest
+
+READY = re.compile(r"piga ui: http://127\.0\.0\.1:(\d+)/\?token=(\S+)")
+
+
+class Client:
+    """Requests as a browser sends them, with the session's cookie."""
+
+    def __init__(self, port: int, token: str) -> None:
+        self.port, self.token, self.cookie = port, token, ""
+
+    def ask(
+        self,
+        path: str,
+        method: str = "GET",
+        body: bytes | None = None,
+        headers: dict[str, str] | None = None,
+        *,
+        host: str = "",
+    ) -> tuple[int, dict[str, str], bytes]:
+        """Status, headers and body of the answer."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        sent = {"Host": host or f"127.0.0.1:{self.port}"}
+        sent |= {"Cookie": self.cookie} if self.cookie else {}
+        sent |= headers or {}
+        with contextlib.closing(connection):
+            connection.request(method, path, body=body, headers=sent)
+            answer = connection.getresponse()
+            return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+    def enter(self) -> None:
+        """Exchange the token for the cookie."""
+        status, headers, _ = self.ask(f"/?token={self.token}")
+        assert status == 303
+        self.cookie = headers["set-cookie"].partition(";")[0]
+
+    def page(self, path: str, status: int = 200) -> str:
+        """A page as text."""
+        got, _, body = self.ask(path)
+        assert got == status, body.decode()
+        return body.decode()
+
+    def post(self, path: str, fields: dict[str, object] | None = None) -> tuple[int, dict[str, str], bytes]:
+        """Send a form."""
+        body = urlencode(fields or {}, doseq=True).encode()
+        headers = {
+            "Origin": f"http://127.0.0.1:{self.port}",
+            "Content-Type": "application/x-www-form-urlencoded",
+        }
+        return self.ask(path, "POST", body, headers)
+
+    def until(self, path: str, done: Callable[[str], bool], seconds: float = 120.0) -> str:
+        """The page once ``done`` holds of it."""
+        limit = time.monotonic() + seconds
+        while True:
+            text = self.page(path)
+            if done(text):
+                return text
+            assert time.monotonic() < limit, text
+            time.sleep(0.2)
+
+
+class Server:
+    """``piga ui`` in a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "piga", "ui", str(folder), "--no-browser"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        match = READY.search(line)
+        if match is None:
+            self.process.kill()
+            assert match is not None, line + (self.process.stderr.read() if self.process.stderr else "")
+        self.client = Client(int(match[1]), match[2])
+
+    def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
+        """Exit code and messages."""
+        self.process.send_signal(number)
+        _, errors = self.process.communicate(timeout=60)
+        return self.process.returncode, errors
+
+
+def shipped_record(folder: Path) -> Path:
+    """The shipped record in a folder; its run file."""
+    data = files("piga.data")
+    (folder / "tumble-a.csv").write_bytes(gzip.decompress(data.joinpath("tumble-a.csv.gz").read_bytes()))
+    run = folder / "tumble-a.toml"
+    run.write_bytes(data.joinpath("tumble-a.toml").read_bytes())
+    return run
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lab")
+    shipped_record(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(lab: Path) -> Iterator[Server]:
+    running = Server(lab)
+    running.client.enter()
+    yield running
+    if running.process.poll() is None:
+        running.end()
+
+
+@pytest.fixture
+def client(server: Server) -> Client:
+    return server.client
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("no Chromium on this machine")
+    return path

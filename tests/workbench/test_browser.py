@@ -1,0 +1,238 @@
+"""The whole path as a person goes it, in a real browser; no request may leave this machine."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.workbench.conftest import Server, shipped_record
+
+pytestmark = pytest.mark.only_compiled
+WIDTHS = (1300, 400)
+
+
+class Browser:
+    """A page of a browser that notes every fault."""
+
+    def __init__(self, context: Any, server: Server) -> None:
+        self.page = context.new_page()
+        self.server = server
+        self.faults: list[str] = []
+        self.page.on("console", lambda entry: self._note(entry.type, entry.text))
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("request", lambda request: self._from(request.url))
+        self.page.set_default_timeout(60_000)
+
+    def _note(self, kind: str, text: str) -> None:
+        if kind in ("error", "warning"):
+            self.faults.append(text)
+
+    def _from(self, url: str) -> None:
+        home = f"http://127.0.0.1:{self.server.client.port}/"
+        if not url.startswith((home, "data:", "blob:", "about:")):
+            self.faults.append(f"a request to {url}")
+
+    def open(self, path: str) -> None:
+        self.page.goto(f"http://127.0.0.1:{self.server.client.port}{path}")
+
+    def until(self, expression: str) -> None:
+        """Wait until an expression is true. The page's policy forbids the browser's own way of waiting."""
+        limit = time.monotonic() + 60.0
+        from playwright.sync_api import Error
+
+        while True:
+            try:
+                if self.page.evaluate(expression):
+                    return
+            except Error:  # the page is just being replaced
+                pass
+            assert time.monotonic() < limit, expression
+            time.sleep(0.05)
+
+    def is_accessible(self) -> None:
+        """No violation by axe, and nothing wider than the window."""
+        from axe_playwright_python.sync_playwright import Axe
+
+        result = Axe().run(
+            self.page, options={"runOnly": ["wcag2a", "wcag2aa", "best-practice"], "iframes": False}
+        )
+        problems = [
+            f"{item['id']}: {item['help']}: {item['nodes'][0]['html'][:120]}"
+            for item in result.response["violations"]
+        ]
+        assert not problems, (self.page.url, problems)
+        width = self.page.evaluate(
+            "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        )
+        assert width <= 0, self.page.url
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bench")
+    shipped_record(folder)
+    for name in ("plan-dividing-head.toml", "platform-published.toml", "twin.toml", "certificate.toml"):
+        shutil.copy(Path("examples") / name, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def running(place: Path) -> Iterator[Server]:
+    server = Server(place)
+    server.client.enter()
+    yield server
+    assert server.end() == (0, "")
+
+
+@pytest.fixture(scope="module")
+def program(chromium: str) -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(params=[(1300, "light"), (400, "dark")], ids=["wide-light", "narrow-dark"])
+def browser(request: pytest.FixtureRequest, program: Any, running: Server) -> Iterator[Browser]:
+    width, scheme = request.param
+    context = program.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    name, _, value = running.client.cookie.partition("=")
+    context.add_cookies([{"name": name, "value": value, "url": f"http://127.0.0.1:{running.client.port}"}])
+    opened = Browser(context, running)
+    yield opened
+    context.close()
+    assert not opened.faults, opened.faults
+
+
+def test_every_page_is_clean(browser: Browser) -> None:
+    for path in (
+        "/",
+        "/calibrate/tumble-a.toml",
+        "/compensate/tumble-a.toml",
+        "/instrument",
+        "/plan",
+        "/twin",
+        "/platform",
+        "/explore",
+        "/live",
+        "/jobs",
+    ):
+        browser.open(path)
+        browser.is_accessible()
+
+
+def test_the_main_job_by_mouse(browser: Browser, place: Path, tmp_path: Path) -> None:
+    page = browser.page
+    browser.open("/")
+    page.get_by_role("link", name="Signals").first.click()
+    browser.until("document.querySelectorAll('figure.signal[data-points]').length >= 3")
+    browser.is_accessible()
+    page.get_by_role("button", name="Zoom in").click()
+    browser.until("document.getElementById('span').textContent.startsWith('532.5')")
+    page.get_by_role("button", name="3", exact=True).click()
+    browser.until("document.getElementById('span').textContent.startsWith('270')")
+    page.get_by_role("link", name="Calibrate").click()
+    page.get_by_role("button", name="Calibrate").click()
+    page.get_by_role("button", name="Keep this result").wait_for()
+    assert "0.88850659" in page.inner_text("main")
+    frame = page.frame_locator("iframe")
+    frame.get_by_role("heading", name="Calibration of tumble-a").wait_for()
+    browser.is_accessible()
+    page.get_by_role("button", name="Keep this result").click()
+    page.get_by_text("Kept results lie in").wait_for()
+    results = place / "tumble-a-calibration"
+    command = tmp_path / "by-command"
+    command.mkdir()
+    shipped_record(command)
+    subprocess.run([sys.executable, "-m", "piga", "calibrate", "tumble-a.toml"], cwd=command, check=True)
+    for name in ("calibration.json", "report.html", "residuals.parquet"):
+        assert _timeless(results / name) == _timeless(command / "tumble-a-calibration" / name), name
+    page.get_by_role("link", name="Compensate").click()
+    page.get_by_role("button", name="Compensate").click()
+    page.get_by_role("heading", name="Files").wait_for()
+    assert (place / "tumble-a-compensated.parquet").is_file()
+    browser.open("/instrument")
+    page.get_by_role("button", name="Issue").click()
+    page.get_by_role("heading", name="Files").wait_for()
+    assert (place / "certificate-tumble-a-calibration" / "certificate.html").is_file()
+    browser.is_accessible()
+
+
+def _timeless(path: Path) -> Any:
+    """The contents but for the times of the run."""
+    if path.suffix == ".parquet":
+        import pyarrow.parquet as pq
+
+        return pq.read_table(path).replace_schema_metadata(None)
+    if path.suffix == ".json":
+        document = json.loads(path.read_text(encoding="utf-8"))
+        document["provenance"].pop("created", None)
+        return document
+    document = json.loads(path.with_name("calibration.json").read_text(encoding="utf-8"))
+    return path.read_text(encoding="utf-8").replace(document["provenance"]["created"], "")
+
+
+def test_one_is_stopped_and_one_is_discarded(browser: Browser, place: Path) -> None:
+    page = browser.page
+    browser.open("/platform?file=platform-published.toml")
+    page.get_by_role("button", name="Navigate").click()
+    page.get_by_role("button", name="Stop").click()
+    page.get_by_text("stopped").first.wait_for()
+    assert not (place / "platform-published-navigate").exists()
+    browser.open("/calibrate/tumble-a.toml")
+    before = set((place / ".piga-ui" / "trials").glob("*"))
+    page.get_by_label("k2 ").first.uncheck()
+    page.get_by_role("button", name="Calibrate").click()
+    page.get_by_role("button", name="Discard").wait_for()
+    page.get_by_role("button", name="Discard").click()
+    page.wait_for_url("**/calibrate/tumble-a.toml")
+    assert set((place / ".piga-ui" / "trials").glob("*")) == before
+
+
+def test_two_tabs_see_one_job_and_a_reload_keeps_it(browser: Browser, running: Server) -> None:
+    page = browser.page
+    browser.open("/calibrate/tumble-a.toml")
+    page.get_by_role("button", name="Calibrate").click()
+    page.wait_for_url("**/result/*")
+    address = page.url
+    other = page.context.new_page()
+    other.goto(address)
+    page.reload()
+    for tab in (page, other):
+        tab.get_by_role("button", name="Keep this result").wait_for(timeout=90_000)
+    page.get_by_role("button", name="Discard").click()
+
+
+def test_sliders_draw_the_regimes_anew(browser: Browser) -> None:
+    page = browser.page
+    browser.open("/explore")
+    assert "locked" in page.inner_text("#picture")
+    page.fill("#a_x", "0.03")
+    browser.until("document.getElementById('picture').innerText.includes('running')")
+    assert page.get_attribute("[data-pair=a_x]", "max") == "2.0"
+    browser.is_accessible()
+
+
+def test_a_file_is_added_and_a_wrong_one_is_refused(browser: Browser, place: Path, tmp_path: Path) -> None:
+    page = browser.page
+    log = tmp_path / "new log.csv"
+    log.write_text("t,x\n0,1\n1,2\n", encoding="utf-8")
+    browser.open("/")
+    page.set_input_files("#file", log)
+    page.get_by_text("new-log.csv").first.wait_for()
+    (place / "new-log.csv").unlink()
+    wrong = tmp_path / "tool.exe"
+    wrong.write_bytes(b"MZ")
+    page.set_input_files("#file", wrong)
+    page.get_by_text("files of this kind are not taken").wait_for()
+    browser.faults = [fault for fault in browser.faults if "404" not in fault]

@@ -1,0 +1,243 @@
+"""Hostile requests: each is refused by a real server."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+from pathlib import Path
+
+import pytest
+
+from piga.errors import ArgumentError
+from piga.workbench.folder import Folder, OutsideError
+from piga.workbench.security import SESSION_AGE, Door
+from tests.workbench.conftest import Client, Server
+
+
+def test_a_foreign_host_name_is_refused(client: Client) -> None:
+    for host in (
+        "evil.example",
+        f"evil.example:{client.port}",
+        "127.0.0.1",
+        f"127.0.0.1.evil.example:{client.port}",
+        "",
+    ):
+        status, _, _ = client.ask("/", headers={"Host": host}) if host else client.ask("/", host=" ")
+        assert status in (400, 421), host
+    assert client.ask("/", host=f"localhost:{client.port}")[0] == 200
+
+
+def test_two_host_headers_are_refused(client: Client) -> None:
+    with socket.create_connection(("127.0.0.1", client.port), timeout=10) as raw:
+        name = f"127.0.0.1:{client.port}"
+        raw.sendall(
+            f"GET / HTTP/1.1\r\nHost: {name}\r\nHost: {name}\r\nCookie: {client.cookie}\r\n\r\n".encode()
+        )
+        assert raw.recv(100).split()[1] in (b"400", b"421")
+
+
+def test_every_change_names_its_origin(client: Client) -> None:
+    run = "/calibrate/tumble-a.toml"
+    for headers in (
+        {},
+        {"Origin": "null"},
+        {"Origin": "http://evil.example"},
+        {"Origin": f"https://127.0.0.1:{client.port}"},
+        {"Origin": f"http://127.0.0.1:{client.port + 1}"},
+        {"Origin": f"http://127.0.0.1:{client.port}.evil.example"},
+    ):
+        for method in ("POST", "PUT", "DELETE"):
+            assert client.ask(run, method, b"term=k0", headers)[0] == 403, (method, headers)
+    assert client.ask("/", headers={"Origin": "http://evil.example"})[0] == 403
+
+
+def test_other_sites_cannot_load_pages_or_data(client: Client) -> None:
+    for site in ("cross-site", "same-site"):
+        assert client.ask("/jobs", headers={"Sec-Fetch-Site": site})[0] == 403
+        assert client.ask("/jobs", headers={"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "navigate"})[0] == 403
+    assert client.ask("/jobs", headers={"Sec-Fetch-Site": "same-origin"})[0] == 200
+
+
+def test_websockets_are_checked_too(client: Client) -> None:
+    with socket.create_connection(("127.0.0.1", client.port), timeout=10) as raw:
+        raw.sendall(
+            (
+                f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+                "Origin: http://evil.example\r\n\r\n"
+            ).encode()
+        )
+        assert raw.recv(200).split()[1] == b"403"
+
+
+def test_the_token_is_good_once_and_the_cookie_is_out_of_reach(server: Server) -> None:
+    stranger = Client(server.client.port, server.client.token)
+    assert stranger.ask("/")[0] == 403
+    assert stranger.ask(f"/?token={server.client.token}")[0] == 403  # used by the fixture
+    assert stranger.ask("/?token=wrong")[0] == 403
+    assert stranger.ask("/?token=%FF%C3%A9")[0] == 403
+    assert stranger.ask("/healthz")[::2] == (200, b"ok\n")
+    stranger.cookie = f"other=a b; piga-{stranger.port}=wrong"
+    assert stranger.ask("/")[0] == 403
+
+
+def test_cookie_flags_and_age() -> None:
+    now = [0.0]
+    door = Door(8000, clock=lambda: now[0])
+    assert door.open_session("é") is None
+    session = door.open_session(door.token)
+    assert session is not None
+    assert door.has_session(session)
+    assert door.open_session(session) is None
+    now[0] = SESSION_AGE + 1.0
+    assert not door.has_session(session)
+
+
+def test_policies_of_pages_and_of_reports(client: Client) -> None:
+    _, headers, body = client.ask("/")
+    policy = headers["content-security-policy"]
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert (rules["script-src"], rules["style-src"], rules["connect-src"]) == ("'self'", "'self'", "'self'")
+    assert "unsafe-eval" not in policy
+    assert "default-src 'none'" in policy
+    assert headers["x-content-type-options"] == "nosniff"
+    assert b"<script>" not in body
+    assert b"onclick" not in body
+    assert b" style=" not in body
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.toml", "/etc/passwd", "..%2f..%2fetc/passwd", ".piga-ui/jobs", ".hidden.toml", "link.toml",
+        "pipe.toml", "a\\b.toml", "nul%00.toml", "names-outside.toml", "names-device.toml", "missing.toml", "%2e%2e/secret.toml",
+    ],
+)  # fmt: skip
+def test_only_regular_files_of_the_folder(client: Client, server: Server, name: str) -> None:
+    lab = server.folder
+    (lab.parent / "secret.toml").write_text("secret = 'k7Qz'\n", encoding="utf-8")
+    run = (lab / "tumble-a.toml").read_text(encoding="utf-8")
+    for file, named in (("names-outside.toml", "../secret.toml"), ("names-device.toml", "/dev/zero")):
+        (lab / file).write_text(run.replace('"tumble-a.csv"', f'"{named}"'), encoding="utf-8")
+    if not (lab / "link.toml").is_symlink():
+        (lab / "link.toml").symlink_to(lab.parent / "secret.toml")
+        os.mkfifo(lab / "pipe.toml")
+    try:
+        for page in ("signals", "calibrate"):
+            status, _, body = client.ask(f"/{page}/{name}")
+            assert status in (404, 422), (page, name)
+            assert b"k7Qz" not in body
+        assert client.post(f"/calibrate/{name}", {"term": "k0"})[0] in (404, 422)
+        assert "k7Qz" not in client.page("/")
+    finally:
+        for path in ("link.toml", "pipe.toml", "names-outside.toml", "names-device.toml"):
+            (lab / path).unlink()
+
+
+def test_names_and_words_of_files_are_text_never_markup(client: Client, server: Server) -> None:
+    evil = "<script>alert(1)<\\u002fscript>"
+    text = (server.folder / "tumble-a.toml").read_text(encoding="utf-8")
+    path = server.folder / "<img src=x onerror=alert(1)>.toml"
+    path.write_text(text.replace('serial = "tumble-a"', f'serial = "{evil}"'), encoding="utf-8")
+    try:
+        page = client.page("/")
+        assert "<script>alert" not in page
+        assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+        assert "<img src=x" not in page
+        refused = client.ask("/signals/%3Cimg%20src=x%3E.toml")[2].decode()
+        assert "<img" not in refused
+    finally:
+        path.unlink()
+
+
+def test_uploads_get_a_plain_free_name(client: Client, server: Server) -> None:
+    origin = {"Origin": f"http://127.0.0.1:{client.port}"}
+    for wanted in (
+        "log.csv",
+        "log.csv",
+        "../../up.csv",
+        "C:\\data\\messung 1.csv",
+        ".hidden.csv",
+        "ключ<b>.csv",
+    ):
+        status, _, body = client.ask(f"/upload?name={wanted.encode().hex()}.csv", "POST", b"t,x\n0,1\n", origin)
+        assert status == 200
+        from urllib.parse import quote
+
+        status, _, body = client.ask(f"/upload?name={quote(wanted)}", "POST", b"t,x\n0,1\n", origin)
+        assert status == 200
+        name = json.loads(body)["name"]
+        path = server.folder / name
+        assert path.parent == server.folder
+        assert path.read_bytes() == b"t,x\n0,1\n"
+        assert not name.startswith(".")
+        assert "<" not in name
+    for wanted in ("run.exe", "page.html", "", "x" * 400):
+        assert client.ask(f"/upload?name={wanted}", "POST", b"MZ", origin)[0] in (404, 422)
+    assert not (server.folder.parent / "up.csv").exists()
+    for path in server.folder.glob("*.csv"):
+        if path.name != "tumble-a.csv":
+            path.unlink()
+
+
+def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
+    for name in ("json.py", "piga.py", "numpy.py"):
+        (tmp_path / name).write_text("open('owned', 'w').close()\n", encoding="utf-8")
+    (tmp_path / "run.toml").write_text("[data]\n", encoding="utf-8")
+    running = Server(tmp_path)
+    running.client.enter()
+    running.client.post("/calibrate/run.toml", {"term": "k0"})
+    assert running.end()[0] == 0
+    from piga.workbench.jobs import Jobs
+
+    jobs = Jobs(tmp_path / "jobs", tmp_path)
+    job = jobs.start(("calibrate", "run.toml"), "Calibrate", "run.toml")
+    while jobs.status(job).state == "running":
+        pass
+    assert jobs.status(job).code == 2
+    assert "run.toml" in jobs.text(job, "err")
+    assert not (tmp_path / "owned").exists()
+
+
+def test_forms_that_are_none(client: Client) -> None:
+    origin = {"Origin": f"http://127.0.0.1:{client.port}"}
+    for body in (
+        b"%",
+        b"\xff=1",
+        b"a" * 100,
+        b"term=k0&method=__import__('os')",
+        b"term=nonsense",
+        b"x=1&" * 3000,
+        b"",
+    ):
+        status, _, answer = client.ask("/calibrate/tumble-a.toml", "POST", body, origin)
+        assert status == 422, body[:40]
+        assert b"Traceback" not in answer
+    assert client.ask("/calibrate/tumble-a.toml", "POST", b"a=" + b"x" * (3 << 20), origin)[0] == 422
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_server_and_its_jobs(tmp_path: Path, number: int) -> None:
+    from tests.workbench.conftest import shipped_record
+
+    shipped_record(tmp_path)
+    running = Server(tmp_path)
+    running.client.enter()
+    running.client.post("/calibrate/tumble-a.toml", {"term": ["scale_factor", "tan_beta", "k0"]})
+    code, errors = running.end(number)
+    assert (code, errors) == (0, "")
+    from piga.workbench.jobs import Jobs
+
+    jobs = Jobs(tmp_path / ".piga-ui" / "jobs", tmp_path)
+    assert [jobs.status(job).state for job in jobs.all()] in (["stopped"], ["done"])
+    assert not list(tmp_path.glob("*-calibration"))
+
+
+def test_what_is_no_folder_or_port(tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="is not a folder"):
+        Folder(tmp_path / "none")
+    (tmp_path / ".piga-ui").symlink_to(tmp_path.parent)
+    with pytest.raises(OutsideError, match="piga-ui"):
+        _ = Folder(tmp_path).state
