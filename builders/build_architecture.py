@@ -62,8 +62,8 @@ def layers() -> list[list[str]]:
 
 
 def graph() -> dict[str, list[str]]:
-    """Each room with the rooms that it imports, lazy imports included."""
-    modules = grimp.build_graph("piga", cache_dir=None)
+    """Each room with the rooms that it imports, lazy imports included, imports for types alone not."""
+    modules = grimp.build_graph("piga", cache_dir=None, exclude_type_checking_imports=True)
     rooms = [room for row in layers() for room in row]
     found: dict[str, set[str]] = {room: set() for room in rooms}
     for module in modules.modules:
