@@ -74,7 +74,7 @@ def api_pages() -> dict[str, str]:
 def cli_page() -> str:
     """Every command with its arguments and options, from the command objects themselves."""
     root = typer.main.get_command(command_line)
-    codes = "Exit codes: 0 done, 2 wrong use or bad input (one message on stderr), 1 internal error."
+    codes = "Exit codes: 0 done, 2 wrong use or bad input (one message on stderr), 1 internal error, 130 stopped with Ctrl-C."
     parts = [
         f"# Command line\n\n{codes} `piga --version` prints the version; `--help` stands behind every command.\n"
     ]

@@ -78,6 +78,9 @@ def write_whole(
         raise kind(f"{target}: exists already", remedy="choose another name") from None
     except OSError as error:
         raise _unwritable(target, error, remedy, kind) from None
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"{target}: not written")
+        raise
     finally:
         _remove(temporary)
         if not _WINDOWS:
@@ -232,11 +235,23 @@ def results(
             stage.rename(whole)
             sync_directory(folder)
             settle(folder)
+    except KeyboardInterrupt as stop:
+        stop.add_note(_what_is_there(folder))
+        raise
     except OSError as error:
         raise PigaError(
             f"{option} {folder}: cannot be written ({error.strerror or error})",
             remedy="name a directory you may write to, with room",
         ) from None
+
+
+def _what_is_there(folder: Path) -> str:
+    """What a folder of results holds after a stop, in words."""
+    if any(path.name.endswith(_WHOLE) for path in folder.glob(f"{_STAGE}*")):
+        return f"{folder}: the results are complete; the next command there puts the last of them in place"
+    if folder.is_dir():
+        return f"{folder}: as before; nothing of this run was kept"
+    return f"{folder}: not made; nothing of this run was kept"
 
 
 def _check_places(paths: Iterable[Path]) -> None:

@@ -32,6 +32,10 @@ LOCK = "compiling.lock"
 """Lock file in the folder of compiled kernels; the compiling process holds it."""
 PATIENCE = 60.0
 """Longest wait for another process [s]; a stopped process delays others no longer than this."""
+LOADING = 0.5
+"""A kernel that takes longer is compiled and not loaded [s]."""
+RECENT = 2.0
+"""Time after a compilation within which the next one is expected [s]."""
 
 
 class _SoundCacheFile(IndexDataCacheFile):
@@ -44,6 +48,7 @@ class _SoundCacheFile(IndexDataCacheFile):
 
     def save(self, key: Any, data: Any) -> None:
         """Store a compiled kernel if there is space."""
+        _Turn.saved = time.monotonic()
         with suppress(OSError):
             super().save(key, data)  # type: ignore[no-untyped-call]
 
@@ -118,6 +123,8 @@ class _Turn:
     """Compiles a kernel, and all that it calls, while no other process does."""
 
     depth = 0
+    since = 0.0
+    saved = -1e9
 
     def __init__(self, compile_: Callable[[Any], Any], folder: Path) -> None:
         self._compile, self._folder = compile_, folder
@@ -127,6 +134,7 @@ class _Turn:
             if _Turn.depth:
                 return self._compile(signature)
             _Turn.depth += 1
+            _Turn.since = time.monotonic()
             held = _hold(self._folder)
             try:
                 return self._compile(signature)
@@ -134,6 +142,12 @@ class _Turn:
                 _Turn.depth -= 1
                 if held is not None:
                     held.close()
+
+
+def compiling() -> bool:
+    """True while kernels are compiled, not only loaded: the first command after an installation does so."""
+    now = time.monotonic()
+    return (_Turn.depth > 0 and now - _Turn.since > LOADING) or now - _Turn.saved < RECENT
 
 
 def _compiled(function: F, fastmath: bool | set[str]) -> F:

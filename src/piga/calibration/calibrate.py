@@ -81,7 +81,7 @@ from piga.records.calibration import (
 )
 from piga.records.run import Run
 from piga.records.spool import extent
-from piga.records.terms import si_factor, unit_of
+from piga.records.terms import si_factor, term_names, unit_of
 from piga.threads import one_thread
 
 Array = NDArray[np.float64]
@@ -89,12 +89,12 @@ Array = NDArray[np.float64]
 
 def calibrate(
     run: Run | RunSummary | Sequence[Run | RunSummary],
-    terms: list[str] | tuple[str, ...] | None = None,
+    terms: str | list[str] | tuple[str, ...] | None = None,
     method: str | None = None,
     *,
     phase: str | None = None,
     phase_source: str | None = None,
-    per_run: list[str] | tuple[str, ...] | None = None,
+    per_run: str | list[str] | tuple[str, ...] | None = None,
 ) -> Calibration:
     """Estimate the coefficients of an instrument from a recorded test, or from several together.
 
@@ -108,7 +108,8 @@ def calibrate(
         The record, from :func:`piga.read_run` or :meth:`piga.Run.from_arrays`; or a list of records and
         :class:`piga.calibration.RunSummary` of one instrument, calibrated jointly.
     terms, method, phase, phase_source, per_run:
-        Replace the settings of the run files. ``per_run`` names terms that may differ between the runs.
+        Replace the settings of the run files. ``per_run`` names terms that may differ between the runs. Terms are a list or
+        one text, ``"scale_factor, tan_beta, k0"``.
 
     Returns
     -------
@@ -127,8 +128,9 @@ def calibrate(
     CalibrationError, ArgumentError
         If the request does not fit the record.
     """
+    wanted, own = (None if names is None else list(term_names(names)) for names in (terms, per_run))
     with one_thread():
-        result = _calibration(run, terms, method, phase, phase_source, per_run)
+        result = _calibration(run, wanted, method, phase, phase_source, own)
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
     return result

@@ -77,8 +77,9 @@ def calibrate(
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
         with progress("calibrating"):
             calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
-        written = write_results(calibration, stage, report=report)
-        written += write_summaries(items, stage) if summary else []
+        with progress("writing the report" if report else "writing"):
+            written = write_results(calibration, stage, report=report)
+            written += write_summaries(items, stage) if summary else []
     if as_json:
         from piga.records.calibration_json import to_document
 
@@ -205,8 +206,10 @@ def demo(
     with results(out, "demo", names, (), force=force) as folder:
         run = copy_example(folder)
         calibration = run_calibration(run, None, None, None, None)
-        written = [*write_results(calibration, folder), folder / "compensated.parquet"]
-        compensate(read_run(run), calibration).to_parquet(written[-1])
+        with progress("writing the report"):
+            written = [*write_results(calibration, folder), folder / "compensated.parquet"]
+        with progress("compensating"):
+            compensate(read_run(run), calibration).to_parquet(written[-1])
     say(calibration_text(calibration))
     say("")
     run = out / run.name

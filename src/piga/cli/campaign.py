@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import CommandGroup, ForceOption, JsonOption, note, print_json, say, write_text
+from piga.cli.common import App, CommandGroup, ForceOption, JsonOption, note, print_json, say, write_text
 from piga.output import results
 
 if TYPE_CHECKING:
     from piga.campaign.manifest import Campaign
     from piga.campaign.run import Progress, RunReport
 
-app = typer.Typer(
+app = App(
     name="campaign",
     cls=CommandGroup,
     no_args_is_help=True,
@@ -123,7 +123,7 @@ def status(folder: Folder, as_json: JsonOption = False) -> None:
 
 @app.command()
 def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = False) -> None:
-    """Judge the records: coverage, bias, variance, NEES and the worst cases.
+    """Judge the records: coverage, bias, variance and worst cases.
 
     Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards were set aside.
     """

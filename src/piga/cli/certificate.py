@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga.cli.common import (
+    App,
     CommandGroup,
     ForceOption,
     JsonOption,
@@ -40,7 +41,7 @@ class _IssueByDefault(CommandGroup):
         return super().parse_args(ctx, args)
 
 
-app = typer.Typer(
+app = App(
     name="certificate",
     cls=_IssueByDefault,
     no_args_is_help=True,

@@ -77,7 +77,8 @@ def convert(
     check_outputs([out], files_named_in(run), force=force)
     with progress("reading"):
         record = read_run(run)
-    write_by_rename(out, lambda path: write_run_parquet(record, path))
+    with progress("writing"):
+        write_by_rename(out, lambda path: write_run_parquet(record, path))
     say(f"wrote {out}: {record.size} of {record.quality.rows} rows; a run file reads it with")
     say("")
     say(data_table(record, out.name))

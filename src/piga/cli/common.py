@@ -9,13 +9,15 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, TypeVar
 
 import typer
-from typer.core import TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from piga.errors import PigaError
 from piga.output import write_whole
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -164,37 +166,99 @@ class Advance(Protocol):
     def __call__(self, count: int, total: int | None = None, /) -> None:
         """``count`` more of ``total`` are done."""
 
+    def show(self, done: float, total: float, what: str) -> None:
+        """``done`` of ``total`` are done, and ``what`` comes now. Library functions take it as ``progress``."""
+
+
+class _Silent:
+    """A bar that is not drawn: stderr is not a terminal."""
+
+    def __call__(self, _count: int, _total: int | None = None, /) -> None:
+        """Draw nothing."""
+
+    def show(self, _done: float, _total: float, _what: str) -> None:
+        """Draw nothing."""
+
 
 @contextmanager
 def progress(title: str, total: int | None = None) -> Iterator[Advance]:
-    """Progress bar on stderr, shown only on a terminal and after one second. Yields ``advance(n, total)``."""
-    if not sys.stderr.isatty():
-        yield lambda _count, _total=None: None
-        return
-    import time
+    """Progress bar on stderr, shown at once, and only on a terminal. Yields ``advance(n, total)``.
 
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    started = time.monotonic()
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = bar.add_task(title, total=total)
-
-    def advance(count: int, total: int | None = None) -> None:
-        bar.update(task, advance=count, total=total)
-        if not bar.live.is_started and time.monotonic() - started > 1.0:
-            bar.start()
-
+    While kernels are compiled, which only the first command after an installation does, the line says so. If the command
+    is stopped, the message names ``title``.
+    """
     try:
-        yield advance
-    finally:
-        bar.stop()
+        if sys.stderr is None or not sys.stderr.isatty():
+            yield _Silent()
+            return
+        from piga.cli.bar import Bar
+
+        with Bar(title, total) as bar:
+            yield bar
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"{DOING}{title}")
+        raise
+
+
+DOING = "while "
+"""Start of the note on a stop that names what was being done."""
 
 
 RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
+
+
+_TYPES = {
+    "path": "FILE",
+    "PATH": "FILE",
+    "str": "WORD",
+    "TEXT": "WORD",
+    "float": "X",
+    "FLOAT": "X",
+    "DIRECTORY": "DIR",
+}
+_TYPE = re.compile(r" <([^>]+)>| (TEXT|PATH|FLOAT|INTEGER RANGE|INTEGER)(?![\w.])")
+
+
+def without_types(words: str, named: bool) -> str:
+    """The names of an option in help, without the type that Python has for its value.
+
+    ``named``: the value has a name of its own, such as ``DIR``. Else a short word stands for it; choices stay as they are.
+    """
+
+    def word(match: re.Match[str]) -> str:
+        kind = match.group(1) or match.group(2)
+        if named:
+            return ""
+        return f" {_TYPES.get(kind, 'N' if kind.lower().startswith('int') else kind)}"
+
+    return _TYPE.sub(word, words)
+
+
+class PlainCommand(TyperCommand):
+    """A command whose help names values as its user does, not by their Python types."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the sections of arguments and options."""
+        sections: dict[str, list[tuple[str, str]]] = {"argument": [], "option": []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if record is not None:
+                named = getattr(param, "metavar", None) is not None
+                sections[param.param_type_name].append((without_types(record[0], named), record[1]))
+        for title, name in (("Arguments", "argument"), ("Options", "option")):
+            if sections[name]:
+                with formatter.section(title):
+                    formatter.write_dl(sections[name])
+
+
+class App(typer.Typer):
+    """A Typer application whose commands are :class:`PlainCommand`."""
+
+    def command(self, name: str | None = None, **options: Any) -> Callable[[Command], Command]:
+        """Decorator that adds a command."""
+        return super().command(name, **({"cls": PlainCommand} | options))
 
 
 class CommandGroup(TyperGroup):

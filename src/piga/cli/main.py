@@ -1,4 +1,4 @@
-"""Entry point of the command ``piga``. Exit codes: 0 done, 2 wrong use or bad input, 1 internal error."""
+"""Entry point of the command ``piga``. Exit codes: 0 done, 2 wrong use or bad input, 1 internal error, 130 stopped with Ctrl-C."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from piga._version import __version__
 from piga.cli import campaign, certificate, platform, records, trend
 from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert
-from piga.cli.common import CommandGroup, note, prepare_output
+from piga.cli.common import DOING, App, CommandGroup, note, prepare_output
 from piga.cli.compensate import compensate
+from piga.cli.completion import completion
 from piga.cli.init import init
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
@@ -28,6 +29,10 @@ from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, miss
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""
 
+COMPLETE = "_PIGA_COMPLETE"
+"""Environment variable by which a shell asks for completions."""
+STOPPED = 130
+"""Exit code of a command that was stopped with Ctrl-C, as shells have it."""
 _ROOM = "make room on the disk (TMPDIR names the folder for temporary files), then run the command again"
 _RIGHTS = "name a file or folder that you may use"
 _DISK = {
@@ -38,7 +43,7 @@ _DISK = {
 }
 """Disk errors that can occur wherever a command writes, and their remedies."""
 
-app = typer.Typer(
+app = App(
     name="piga",
     cls=CommandGroup,
     no_args_is_help=True,
@@ -65,7 +70,7 @@ def _options(
     pass
 
 
-for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce, ui):
+for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce, ui, completion):
     app.command()(command)
 app.add_typer(platform.app)
 app.add_typer(campaign.app)
@@ -90,12 +95,24 @@ def main() -> None:
                 show(message, category, *where, **more)
 
         warnings.showwarning = one_line
-        guarded(lambda: app(standalone_mode=True))
+        guarded(lambda: app(standalone_mode=True, prog_name="piga"))
+
+
+def stopped_words(stop: KeyboardInterrupt) -> str:
+    """What was stopped and what is on disk, from the notes of a stop."""
+    notes = list(dict.fromkeys(getattr(stop, "__notes__", [])))
+    doing = next((text for text in notes if text.startswith(DOING)), "")
+    disk = [text for text in notes if not text.startswith(DOING)] or ["nothing was written"]
+    return "\n".join([f"piga: stopped{' ' if doing else ''}{doing}", *(f"  on disk: {text}" for text in disk)])
 
 
 def guarded(action: Callable[[], object]) -> None:
     """Do the work of a command; errors end the process with an exit code."""
     prepare_output()
+    if COMPLETE in os.environ:
+        from typer._completion_classes import completion_init
+
+        completion_init()
     try:
         action()
     except PigaError as error:
@@ -115,8 +132,16 @@ def guarded(action: Callable[[], object]) -> None:
         name = f"{error.filename}: " if error.filename else ""
         note(f"piga: {name}{error.strerror or error}\n  remedy: {_DISK[error.errno]}")
         sys.exit(2)
-    except (KeyboardInterrupt, MemoryError) as error:
-        note(f"piga: stopped ({type(error).__name__})")
+    except KeyboardInterrupt as stop:
+        note(stopped_words(stop))
+        sys.exit(STOPPED)
+    except SystemExit as end:
+        cause = getattr(end.__context__, "__cause__", None)
+        if end.code == STOPPED and isinstance(cause, KeyboardInterrupt):  # typer made an exit of it
+            note(stopped_words(cause))
+        raise
+    except MemoryError:
+        note("piga: stopped: the memory is full\n  remedy: end other programs, or cut the record into parts")
         sys.exit(1)
     except Exception:  # any unexpected error ends here
         traceback.print_exc()

@@ -47,7 +47,8 @@ def plan(
             write_text(stage / "plan.json", text),
         ]
         written.append(stage / "report.html")
-        write_plan_report(planned, mounting, written[-1])
+        with progress("writing the report"):
+            write_plan_report(planned, mounting, written[-1])
     if as_json:
         print_json(document)
         return

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piga.cli.common import CommandGroup, ForceOption, files_named_in, print_json, progress, say, write_text
+from piga.cli.common import (
+    App,
+    CommandGroup,
+    ForceOption,
+    files_named_in,
+    note,
+    print_json,
+    progress,
+    say,
+    write_text,
+)
 from piga.output import results
 from piga.units import ARCSEC
 
@@ -20,7 +30,7 @@ if TYPE_CHECKING:
     from piga.platform.navigation.analysis import Array
     from piga.platform.runs.chain import ModelComparisonRun
 
-app = typer.Typer(
+app = App(
     name="platform",
     cls=CommandGroup,
     no_args_is_help=True,
@@ -29,13 +39,20 @@ app = typer.Typer(
     help="Analyse a space-stable platform with case rotation.",
 )
 
-Scenario = Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)]
+Scenario = Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)]
 Out = Annotated[Path, typer.Option(help="Folder for the results and report.html.")]
+Every = Annotated[
+    int, typer.Option("--every", metavar="N", help="Write every N-th row. The results use all rows.", min=1)
+]
+LARGE_MB = 50.0
+"""Size above which a file is announced before it is written [MB]."""
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @app.command()
-def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
+def simulate(
+    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: Json = False
+) -> None:
     """Simulate the readouts and the truth.
 
     Writes readouts.parquet, truth.parquet and a page.
@@ -44,9 +61,14 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     from piga.reports.platform.page import simulation_page
 
     run = _simulated(scenario)
-    with _results(out, "simulate", scenario, force, "readouts.parquet", "truth.parquet") as folder:
-        _parquet(readouts_table(run.readouts), folder / "readouts.parquet")
-        _parquet(truth_table(run), folder / "truth.parquet")
+    readouts, truth = (_thinned(table, every) for table in (readouts_table(run.readouts), truth_table(run)))
+    _announce([readouts, truth], every)
+    with (
+        _results(out, "simulate", scenario, force, "readouts.parquet", "truth.parquet") as folder,
+        progress("writing data and report"),
+    ):
+        _parquet(readouts, folder / "readouts.parquet")
+        _parquet(truth, folder / "truth.parquet")
         _page(folder, simulation_page(run))
     document = {
         "rows": len(run.readouts.times),
@@ -57,7 +79,12 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     _finish(
         document,
         json,
-        f"{len(run.readouts.times)} rows; wrote {out}/readouts.parquet, truth.parquet, report.html",
+        "\n".join(
+            [
+                f"{len(run.readouts.times)} rows",
+                *_wrote(out, "readouts.parquet", "truth.parquet", "report.html"),
+            ]
+        ),
     )
 
 
@@ -87,11 +114,18 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: Json =
             orders = run.scenario.compensation.orders
             aligned = align_platform(stretch, run.scenario.place, preparation.knowledge, orders=orders)
     document = alignment_document(aligned)
-    with _results(out, "align", scenario, force, "alignment.json") as folder:
+    with (
+        _results(out, "align", scenario, force, "alignment.json") as folder,
+        progress("writing data and report"),
+    ):
         _write_json(folder / "alignment.json", document)
         _page(folder, alignment_page(run, aligned))
     worst = float(aligned.std[:3].max()) / ARCSEC
-    _finish(document, json, f"triad attitude to {worst:.2g} arcsec; wrote {out}/alignment.json, report.html")
+    _finish(
+        document,
+        json,
+        "\n".join([f"triad attitude to {worst:.2g} arcsec", *_wrote(out, "alignment.json", "report.html")]),
+    )
 
 
 @app.command()
@@ -116,16 +150,21 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
         )
         sources = observability(stretch, identification)
     document = identification_document(identification, sources)
-    with _results(out, "identify", scenario, force, "identification.json") as folder:
+    with (
+        _results(out, "identify", scenario, force, "identification.json") as folder,
+        progress("writing data and report"),
+    ):
         _write_json(folder / "identification.json", document)
         _page(folder, identification_page(run, identification, recursive, sources))
     numbers = [(p, rounded(p.value, p.std)) for p in identification.parameters]
     lines = [f"{p.name:<36}{n.value:>16} ± {n.uncertainty} {p.unit}" for p, n in numbers]
-    _finish(document, json, "\n".join([*lines, f"wrote {out}/identification.json, report.html"]))
+    _finish(document, json, "\n".join([*lines, *_wrote(out, "identification.json", "report.html")]))
 
 
 @app.command()
-def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Json = False) -> None:
+def navigate(
+    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: Json = False
+) -> None:
     """Navigate with every model of the scenario.
 
     Writes navigation-MODEL.parquet and a page.
@@ -134,9 +173,14 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
     from piga.reports.platform.page import navigation_page
 
     comparison = _compared(scenario)
-    with _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder:
-        for name, run in comparison.models.items():
-            _parquet(navigation_table(run), folder / f"navigation-{name}.parquet")
+    tables = {name: _thinned(navigation_table(run), every) for name, run in comparison.models.items()}
+    _announce(list(tables.values()), every)
+    with (
+        _results(out, "navigate", scenario, force, "navigation-*.parquet") as folder,
+        progress("writing data and report"),
+    ):
+        for name, table in tables.items():
+            _parquet(table, folder / f"navigation-{name}.parquet")
         _page(folder, navigation_page(comparison))
     worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
     document = {
@@ -144,7 +188,11 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: Jso
         "notes": list(comparison.preparation.notes),
     }
     lines = [f"{m:<6}largest horizontal position error {v:.4g} m" for m, v in worst.items()]
-    _finish(document, json, "\n".join([*lines, f"wrote {out}/navigation-*.parquet, report.html"]))
+    _finish(
+        document,
+        json,
+        "\n".join([*lines, *_wrote(out, *(f"navigation-{name}.parquet" for name in tables), "report.html")]),
+    )
 
 
 @app.command()
@@ -176,12 +224,14 @@ def compare(
         from piga.platform.runs.capstone import capstone
         from piga.reports.platform.page import capstone_page, comparison_page
 
-        with _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder:
+        with (
+            _results(out, "compare", scenario, force, "comparison.json", "capstone.html") as folder,
+            progress("writing data and report"),
+        ):
             _write_json(folder / "comparison.json", document)
             _page(folder, comparison_page(comparison, rows, lines))
             if s.sensors.piga is not None:
-                with progress("gyro accelerometers"):
-                    _page(folder, capstone_page(capstone(s)), "capstone.html")
+                _page(folder, capstone_page(capstone(s)), "capstone.html")
     _finish(document, json, _lines_text(comparison, out))
 
 
@@ -211,7 +261,8 @@ def _lines_text(comparison: ModelComparisonRun, out: Path | None) -> str:
         lines.append(_day_table(equatorial, "east velocity line of the equatorial gyro's case [m/s]"))
     lines += [f"note: {text}" for text in comparison.preparation.notes]
     if out is not None:
-        lines.append(f"wrote {out}/comparison.json, report.html")
+        gyro = comparison.run.scenario.sensors.piga is not None
+        lines += _wrote(out, "comparison.json", "report.html", *(["capstone.html"] if gyro else []))
     return "\n".join(lines)
 
 
@@ -221,6 +272,11 @@ def _day_table(amplitudes: Mapping[Model, Mapping[str, Array]], heading: str) ->
     for k, values in enumerate(zip(*columns.values(), strict=True), start=1):
         rows.append(f"{k:<6}" + "".join(f"{v:12.3e}" for v in values))
     return "\n".join(rows)
+
+
+def _wrote(out: Path, *names: str) -> list[str]:
+    """A line for every file that was made."""
+    return [f"wrote {out / name}" for name in names]
 
 
 def _finish(document: dict[str, Any], as_json: bool, text: str) -> None:
@@ -251,6 +307,20 @@ def _parquet(table: Any, path: Path) -> None:
     import pyarrow.parquet as pq
 
     pq.write_table(table, path)
+
+
+def _thinned(table: Any, every: int) -> Any:
+    """Every N-th row of a table, from the first."""
+    return table if every == 1 else table.take(range(0, table.num_rows, every))
+
+
+def _announce(tables: list[Any], every: int) -> None:
+    """Say before writing how large the files will be, if they are large. Parquet packs them to at most this size."""
+    size = sum(table.nbytes for table in tables) / 1e6
+    if size > LARGE_MB:
+        rows = tables[0].num_rows
+        more = "" if every > 1 else "; fewer with --every N"
+        note(f"piga: writing {len(tables)} files of {rows} rows, up to {size:.0f} MB together{more}")
 
 
 def _degrees(angle: float) -> float:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga.cli.common import (
+    App,
     CommandGroup,
     JsonOption,
     RunFileArgument,
@@ -220,7 +221,7 @@ def _changes(reproduced: Reproduced) -> str:
     return "; ".join(words) or "the software of then was not recorded in full"
 
 
-app = typer.Typer(
+app = App(
     name="records",
     cls=CommandGroup,
     no_args_is_help=True,
@@ -265,7 +266,10 @@ def add(
         typer.Option("--measured", metavar="DATE", help="Date of the test; UTC if it has no zone."),
     ] = None,
     supersedes: Annotated[
-        str | None, typer.Option("--supersedes", metavar="RECORD", help="Record that this one corrects.")
+        str | None,
+        typer.Option(
+            "--supersedes", metavar="RECORD", help="Name or number of the record that this one corrects."
+        ),
     ] = None,
     terms: Annotated[str | None, typer.Option(metavar="A,B,...", help="As for piga calibrate.")] = None,
     method: Annotated[str | None, typer.Option(help="As for piga calibrate.")] = None,
@@ -284,6 +288,8 @@ def add(
             remedy="leave out --terms, --method and --phase...",
         )
     _check_usable(store)
+    if supersedes is not None:
+        supersedes = _superseded(store, supersedes, run)
     with progress("calibrating"):
         if results is not None:
             prepared = prepare_results(run, results, operator, reason, measured=measured, supersedes=supersedes)
@@ -294,6 +300,27 @@ def add(
             )  # fmt: skip
     with opened(store, create=True) as kept:
         print_added(kept, prepared.keep(kept), as_json=as_json)
+
+
+def _superseded(where: str, record: str, run: Path) -> str:
+    """Name of the record that a new one corrects, checked before the work: it exists, is of this instrument, is not corrected."""
+    from piga.records.run_file import read_run_file
+
+    with opened(where) as kept:
+        old = kept.record(record)
+        serial = read_run_file(run).instrument.serial
+        if old.document.serial != serial:
+            raise PigaError(
+                f"--supersedes {record}: record {old.id} is of instrument '{old.document.serial}', the run is of '{serial}'",
+                remedy="name a record of the same instrument: piga records list",
+            )
+        for other in kept.each(serial):
+            if other.document.supersedes == old.id:
+                raise PigaError(
+                    f"--supersedes {record}: record {old.id} is corrected already, by {other.id}",
+                    remedy=f"correct that one: --supersedes {other.id}",
+                )
+        return str(old.id)
 
 
 def _check_usable(where: str) -> None:

@@ -15,7 +15,9 @@ RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
 
 
 def simulate(
-    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).", show_default=False)],
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)
+    ],
     out: Annotated[Path, typer.Option(help="Folder for run.toml, the data, truth.json and the page.")],
     model: Annotated[
         Literal["quasi-steady", "twin"] | None,
@@ -38,12 +40,14 @@ def simulate(
     with results(out, "simulate", RESULTS, files_named_in(scenario), force=force) as folder:
         with progress("simulating"):
             test = run_scenario(read, model=model, seed=seed, force=unstable)
-        write_data(test, folder / data)
-        write_text(folder / "run.toml", run_file_text(read, test, data))
-        write_text(folder / "truth.json", truth_text(read, test))
-        write_simulation_report(test, read.table.instrument.serial, folder / "report.html")
+        with progress("writing data and report"):
+            write_data(test, folder / data)
+            write_text(folder / "run.toml", run_file_text(read, test, data))
+            write_text(folder / "truth.json", truth_text(read, test))
+            write_simulation_report(test, read.table.instrument.serial, folder / "report.html")
     if json:
         print_json(truth_document(read, test))
         return
     say(simulation_text(test))
-    say(f"wrote {out}/run.toml, {data}, truth.json, report.html")
+    for name in ("run.toml", data, "truth.json", "report.html"):
+        say(f"wrote {out / name}")

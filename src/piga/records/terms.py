@@ -15,6 +15,7 @@ both is 1/(m/s^2)^2. Without base rate ``u/K`` is the specific force. Derived in
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 from piga.errors import RunFileError
 from piga.units import parse_unit
@@ -137,6 +138,17 @@ def meaning_of(name: str) -> str:
     if wave:
         return f"{'sine' if wave[0] == 's' else 'cosine'} of {wave[1]} x output angle"
     return MEANING[base]
+
+
+def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of terms, also when they are one text: ``"scale_factor, tan_beta, k0"``.
+
+    Examples
+    --------
+    >>> term_names("scale_factor, tan_beta k0")
+    ('scale_factor', 'tan_beta', 'k0')
+    """
+    return tuple(terms.replace(",", " ").split()) if isinstance(terms, str) else tuple(terms)
 
 
 def check_terms(terms: tuple[str, ...], *, where: str = "terms") -> None:

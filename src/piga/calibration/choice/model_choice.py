@@ -31,7 +31,7 @@ from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, check_terms
+from piga.records.terms import SERVO_TERMS, check_terms, term_names
 from piga.threads import with_one_thread
 
 Array = NDArray[np.float64]
@@ -151,7 +151,7 @@ PROBE = "k0"
 
 @with_one_thread
 def compare_models(
-    run: Run, term_sets: Sequence[Sequence[str]] | None = None, *, phase: str | None = None
+    run: Run, term_sets: Sequence[str | Sequence[str]] | None = None, *, phase: str | None = None
 ) -> ModelComparison:
     r"""Compare sets of terms on one record.
 
@@ -169,7 +169,7 @@ def compare_models(
     run:
         The record.
     term_sets:
-        Sets of terms; default: ``[model] compare`` of the run file.
+        Sets of terms, each a list or one text; default: ``[model] compare`` of the run file.
     phase:
         Replaces the setting of the run file.
 
@@ -180,7 +180,7 @@ def compare_models(
     CalibrationError
         If the request does not fit the record.
     """
-    wanted = tuple(tuple(terms) for terms in (run.model.compare if term_sets is None else term_sets))
+    wanted = tuple(term_names(terms) for terms in (run.model.compare if term_sets is None else term_sets))
     _check_sets(wanted)
     wanted = _with_servo_first(run, wanted)
     union = _union(wanted)

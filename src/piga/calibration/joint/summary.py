@@ -139,7 +139,9 @@ class RunSummary(Result):
 
     @classmethod
     @with_one_thread
-    def of(cls, run: Run, terms: list[str] | tuple[str, ...] | None = None, *, name: str = "") -> RunSummary:
+    def of(
+        cls, run: Run, terms: str | list[str] | tuple[str, ...] | None = None, *, name: str = ""
+    ) -> RunSummary:
         """Reduce a run to a summary that holds the columns of all terms.
 
         Parameters

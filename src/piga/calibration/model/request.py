@@ -16,7 +16,7 @@ from piga.errors import ArgumentError, CalibrationError
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.spool import arrays_like, exact_median, means, spans, steps
-from piga.records.terms import SERVO_TERMS, check_terms, harmonic
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic, term_names
 from piga.units import to_si
 
 Array = NDArray[np.float64]
@@ -52,11 +52,11 @@ class Request:
 
 def make_request(
     run: Run,
-    terms: list[str] | tuple[str, ...] | None,
+    terms: str | list[str] | tuple[str, ...] | None,
     method: str | None,
     phase: str | None,
     phase_source: str | None,
-    per_run: list[str] | tuple[str, ...] | None = None,
+    per_run: str | list[str] | tuple[str, ...] | None = None,
 ) -> Request:
     """Replace settings of the run file by call arguments and check the request against the record.
 
@@ -69,7 +69,7 @@ def make_request(
     """
     model, estimation = run.model, run.estimation
     request = Request(
-        terms=tuple(terms) if terms is not None else model.terms,
+        terms=term_names(terms) if terms is not None else model.terms,
         phase=phase or model.phase,
         phase_source=phase_source or model.phase_source,
         method=method or estimation.method,

@@ -67,7 +67,7 @@ def is_triad_file(path: Path) -> bool:
         return False
 
 
-def read_triad(path: Path) -> tuple[list[Path], list[Mounted], list[tuple[str, str]]]:
+def read_triad(path: str | Path) -> tuple[list[Path], list[Mounted], list[tuple[str, str]]]:
     """Run files and mounted instruments of a triad file; file names are relative to it.
 
     The last result lists the triad file and the calibrations, each with its name and the SHA-256 of what was read.
@@ -79,6 +79,7 @@ def read_triad(path: Path) -> tuple[list[Path], list[Mounted], list[tuple[str, s
     CalibrationError
         If a calibration it names cannot be read.
     """
+    path = Path(path)
     raw = toml_bytes(path)
     file = read_toml(path, TriadFile, raw)
     items = file.triad.instrument

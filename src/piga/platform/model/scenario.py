@@ -299,7 +299,7 @@ class PlatformScenario:
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
 
 
-def load_scenario(path: Path) -> PlatformScenario:
+def load_scenario(path: str | Path) -> PlatformScenario:
     """Read a scenario file (TOML).
 
     Raises
@@ -309,6 +309,7 @@ def load_scenario(path: Path) -> PlatformScenario:
     UnitError
         If a quantity lacks its unit or has one of another kind.
     """
+    path = Path(path)
     return _Reader(path).scenario(read_toml(path, ScenarioFile))
 
 

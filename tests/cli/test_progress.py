@@ -1,0 +1,132 @@
+"""Long commands show at once what they do, on a terminal only; a stop says what was stopped and what is on disk."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from piga.cli.calibrate import copy_example
+from piga.cli.main import stopped_words
+from piga.output import results, write_whole
+
+SOURCE = str(Path(__file__).resolve().parents[2] / "src")
+ENVIRONMENT = os.environ | {"PYTHONPATH": SOURCE, "NUMBA_DISABLE_JIT": "1", "TERM": "xterm", "COLUMNS": "100"}
+STOPPED = (130, -signal.SIGINT)
+"""Exit by a stop. Python ends itself with the signal if the stop came while it made a class; shells show 130 for both."""
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+
+
+def on_terminal(arguments: list[object], until: str, seconds: float = 60.0) -> tuple[str, int]:
+    """Run a command on a terminal, stop it with Ctrl-C when it has shown ``until``. Text and exit code."""
+    import pty
+
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "piga", *map(str, arguments)],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        env=ENVIRONMENT,
+    )
+    os.close(slave)
+    text, sent, limit = "", False, time.monotonic() + seconds
+    while time.monotonic() < limit:
+        try:
+            part = os.read(master, 4096)
+        except OSError:
+            break
+        if not part:
+            break
+        text += part.decode("utf-8", errors="replace")
+        if until in text and not sent:
+            sent = True
+            time.sleep(0.3)
+            process.send_signal(signal.SIGINT)
+    process.kill() if process.poll() is None and time.monotonic() >= limit else None
+    code = process.wait(timeout=60)
+    os.close(master)
+    return text, code
+
+
+def test_calibrate_shows_what_it_does_and_what_a_stop_left(tmp_path: Path) -> None:
+    run = copy_example(tmp_path)
+    text, code = on_terminal(["calibrate", run], "calibrating")
+    assert "reading" in text
+    assert code in STOPPED, text
+    assert "piga: stopped while calibrating" in text
+    assert f"{tmp_path / 'tumble-a-calibration'}: not made; nothing of this run was kept" in text.replace(
+        "\r\n", ""
+    )
+    assert "Traceback" not in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["tumble-a.csv", "tumble-a.toml"]
+
+
+def test_platform_navigate_is_not_silent(tmp_path: Path) -> None:
+    scenario = Path(SOURCE).parent / "examples" / "platform-wobble.toml"
+    text, code = on_terminal(["platform", "navigate", scenario, "--out", tmp_path / "out"], "simulating")
+    assert code in STOPPED, text
+    assert "stopped while simulating" in text
+
+
+def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
+    run = copy_example(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "piga", "check", str(run)],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+        check=True,
+    )
+    assert done.stderr == ""
+
+
+def test_words_of_a_stop(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "a.txt").write_text("before")
+    with pytest.raises(KeyboardInterrupt) as caught, results(tmp_path / "old", "x", ("a.txt",), (), force=True):
+        raise KeyboardInterrupt
+    assert (
+        stopped_words(caught.value)
+        == f"piga: stopped\n  on disk: {tmp_path / 'old'}: as before; nothing of this run was kept"
+    )
+    assert (tmp_path / "old" / "a.txt").read_text() == "before"
+
+    def write(_path: Path) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        write_whole(tmp_path / "b.txt", write)
+    assert f"on disk: {tmp_path / 'b.txt'}: not written" in stopped_words(caught.value)
+    assert stopped_words(KeyboardInterrupt()) == "piga: stopped\n  on disk: nothing was written"
+
+
+def test_a_bar_follows_the_library(capsys: pytest.CaptureFixture[str]) -> None:
+    from piga.cli.bar import Bar
+
+    with Bar("working", 10) as bar:
+        bar(3)
+        assert bar._bar.tasks[0].completed == 3
+        bar.show(5, 20, "segment 5")
+        assert (bar._bar.tasks[0].completed, bar._bar.tasks[0].total) == (5, 20)
+        assert bar._bar.tasks[0].description == "working: segment 5"
+    capsys.readouterr()
+
+
+def test_compiling_is_told_from_loading(monkeypatch: pytest.MonkeyPatch) -> None:
+    from piga._kernels import jit
+
+    assert not jit.compiling()
+    monkeypatch.setattr(jit._Turn, "depth", 1)
+    monkeypatch.setattr(jit._Turn, "since", time.monotonic())
+    assert not jit.compiling()
+    monkeypatch.setattr(jit._Turn, "since", time.monotonic() - 1.0)
+    assert jit.compiling()
+    monkeypatch.setattr(jit._Turn, "depth", 0)
+    monkeypatch.setattr(jit._Turn, "saved", time.monotonic())
+    assert jit.compiling()
