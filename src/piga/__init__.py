@@ -46,6 +46,24 @@ The model
 Specific force samples are linear between sample times; increments are exact. Numbers handed to
 the library are SI; text such as ``"0.8884 rad/s/g"`` carries its unit.
 
+Tasks
+-----
+Each takes about five lines; the first page of the Python interface (docs/reference/api) has them all.
+
+======================  ==============================================================================
+Calibrate a record      ``cal = piga.calibrate(piga.read_run("run.toml"))``; ``cal.summary()``
+From arrays or a table  ``piga.Run.from_arrays(...)``, ``piga.Run.from_dataframe(...)``
+Compensate              ``piga.compensate(run, cal)``; live: ``piga.Compensator(cal)``
+A set of instruments    ``piga.compensate_triad(runs, mounted)``
+Simulate a test         ``piga.run_scenario(piga.read_scenario("scenario.toml"))``
+Plan a test             ``piga.plan_test(piga.read_plan("plan.toml"))``
+Follow over years       ``piga.find_trend([(name, date, cal), ...])``
+Motion and regimes      ``piga.propagate``, ``piga.closed_form``, ``piga.regime``
+Keep as evidence        ``piga.open_store("records.sqlite")``
+Certificate             ``piga.certificate``
+The platform            ``piga.platform``
+======================  ==============================================================================
+
 A first look
 ------------
 >>> import piga
@@ -77,31 +95,88 @@ from piga.errors import (
 )
 
 if TYPE_CHECKING:
-    from piga.calibration import compare_models
+    from piga.calibration import RunSummary, allan_deviation, compare_models
     from piga.calibration.calibrate import calibrate
-    from piga.compensation import Compensated, Compensator, compensate
-    from piga.instrument import Instrument, closed_form, propagate, regime
+    from piga.compensation import (
+        Compensated,
+        CompensatedSet,
+        Compensator,
+        Limits,
+        Mounted,
+        Phase,
+        compensate,
+        compensate_triad,
+        identify_phase,
+    )
+    from piga.instrument import ErrorModel, Instrument, closed_form, mean_rate, propagate, regime
     from piga.ledger.store import open_store
-    from piga.records import Calibration, Run
-    from piga.stand import read_run
+    from piga.planning import plan_test, read_plan
+    from piga.records import Calibration, Coefficient, Residuals, Run
+    from piga.stand import read_run, read_scenario, run_scenario, simulate_test
+    from piga.trend import find_trend
 
 _LAZY = {
+    "RunSummary": "piga.calibration",
+    "allan_deviation": "piga.calibration",
+    "compare_models": "piga.calibration",
+    "calibrate": "piga.calibration.calibrate",
+    "Compensated": "piga.compensation",
+    "CompensatedSet": "piga.compensation",
+    "Compensator": "piga.compensation",
+    "Limits": "piga.compensation",
+    "Mounted": "piga.compensation",
+    "Phase": "piga.compensation",
+    "compensate": "piga.compensation",
+    "compensate_triad": "piga.compensation",
+    "identify_phase": "piga.compensation",
+    "ErrorModel": "piga.instrument",
     "Instrument": "piga.instrument",
     "closed_form": "piga.instrument",
+    "mean_rate": "piga.instrument",
     "propagate": "piga.instrument",
     "regime": "piga.instrument",
+    "open_store": "piga.ledger.store",
+    "plan_test": "piga.planning",
+    "read_plan": "piga.planning",
+    "Calibration": "piga.records",
+    "Coefficient": "piga.records",
+    "Residuals": "piga.records",
     "Run": "piga.records",
     "read_run": "piga.stand",
-    "Calibration": "piga.records",
-    "calibrate": "piga.calibration.calibrate",
-    "compare_models": "piga.calibration",
-    "compensate": "piga.compensation",
-    "Compensated": "piga.compensation",
-    "Compensator": "piga.compensation",
-    "open_store": "piga.ledger.store",
+    "read_scenario": "piga.stand",
+    "run_scenario": "piga.stand",
+    "simulate_test": "piga.stand",
+    "find_trend": "piga.trend",
 }
 
-_NEEDS = {"read_run": "pyarrow", "calibrate": "scipy", "compare_models": "scipy"}
+ROOMS = (
+    "calibration",
+    "campaign",
+    "certificate",
+    "compensation",
+    "instrument",
+    "ledger",
+    "planning",
+    "platform",
+    "records",
+    "reports",
+    "stand",
+    "studies",
+    "trend",
+)
+"""Rooms with further public names; ``piga.platform`` is imported on first use."""
+
+_NEEDS = {
+    "allan_deviation": "scipy",
+    "calibrate": "scipy",
+    "compare_models": "scipy",
+    "find_trend": "scipy",
+    "plan_test": "scipy",
+    "read_plan": "scipy",
+    "read_run": "pyarrow",
+    "read_scenario": "pyarrow",
+    "run_scenario": "pyarrow",
+}
 """Packages beyond the small core that a public name cannot do without."""
 
 __all__ = [
@@ -109,27 +184,45 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "CalibrationWarning",
+    "Coefficient",
     "Compensated",
+    "CompensatedSet",
     "Compensator",
     "DataError",
+    "ErrorModel",
     "IdentifiabilityError",
     "Instrument",
+    "Limits",
     "MissingPackageError",
+    "Mounted",
+    "Phase",
     "PigaError",
     "PigaWarning",
+    "Residuals",
     "Run",
     "RunFileError",
+    "RunSummary",
     "StoreError",
     "UnitError",
     "__version__",
+    "allan_deviation",
     "calibrate",
     "closed_form",
     "compare_models",
     "compensate",
+    "compensate_triad",
+    "find_trend",
+    "identify_phase",
+    "mean_rate",
     "open_store",
+    "plan_test",
     "propagate",
+    "read_plan",
     "read_run",
+    "read_scenario",
     "regime",
+    "run_scenario",
+    "simulate_test",
 ]
 
 
@@ -139,8 +232,10 @@ def __getattr__(name: str) -> Any:
         if name in _NEEDS and find_spec(_NEEDS[name]) is None:
             raise missing_package(_NEEDS[name])
         return getattr(import_module(_LAZY[name]), name)
+    if name in ROOMS:
+        return import_module(f"piga.{name}")
     raise AttributeError(f"module 'piga' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, *ROOMS])

@@ -236,3 +236,19 @@ def test_rows_are_left_out_and_no_increment_crosses_them(run):
         run.without([9000])
     with pytest.raises(piga.ArgumentError, match="3 truth values for 800 samples"):
         run.without(np.zeros(3, bool))
+
+
+@pytest.mark.parametrize("kind", ["counts", "angle", "rate"])
+def test_a_simulated_test_is_a_run_without_a_file(kind):
+    from piga.earth import Site
+    from piga.instrument import Electronics
+    from piga.stand import DividingHead, Specimen
+
+    inst = piga.Instrument(scale_factor=SCALE, beta="500 arcsec", alpha0=0.2)
+    head = DividingHead(Site(0.7), positions=(0.1, 0.9, 2.2, 3.9), dwell=20.0)
+    test = piga.simulate_test(head, Specimen(inst), Electronics(sample_rate=10.0, kind=kind))
+    run = test.to_run("S-1")
+    assert run.serial == "S-1"
+    assert len(run.labels) == 4
+    found = piga.calibrate(run, ["scale_factor", "tan_beta"])
+    assert found["tan_beta"].value == pytest.approx(inst.tan_beta, abs=max(6.0 * found["tan_beta"].std, 2e-5))

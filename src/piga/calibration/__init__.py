@@ -7,11 +7,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from piga.calibration.allan import AllanDeviation, allan_deviation
     from piga.calibration.choice.model_choice import ModelComparison, TermSet, compare_models
     from piga.calibration.joint.summary import RunSummary
     from piga.calibration.model.reduction import Reduction
 
 _LAZY = {
+    "AllanDeviation": "allan",
+    "allan_deviation": "allan",
     "ModelComparison": "choice.model_choice",
     "Reduction": "model.reduction",
     "RunSummary": "joint.summary",
@@ -19,7 +22,15 @@ _LAZY = {
     "compare_models": "choice.model_choice",
 }
 
-__all__ = ["ModelComparison", "Reduction", "RunSummary", "TermSet", "compare_models"]
+__all__ = [
+    "AllanDeviation",
+    "ModelComparison",
+    "Reduction",
+    "RunSummary",
+    "TermSet",
+    "allan_deviation",
+    "compare_models",
+]
 
 
 def __getattr__(name: str) -> Any:

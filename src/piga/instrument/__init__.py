@@ -23,9 +23,11 @@ from piga.instrument.regimes import (
     revolution_period,
     separatrix_distance,
 )
+from piga.instrument.twin.electronics import Electronics
 
 __all__ = [
     "SENSITIVITY_NAMES",
+    "Electronics",
     "ErrorModel",
     "Instrument",
     "Regime",

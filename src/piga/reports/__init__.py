@@ -12,6 +12,9 @@ quantity and unit on every axis. Second, a :class:`Page` of sections and blocks.
 True
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.page import (
     Cell,
@@ -28,6 +31,23 @@ from piga.reports.render.page import (
 )
 from piga.reports.render.static import figure_svg, write_figure
 
+if TYPE_CHECKING:
+    from piga.reports.calibration.page import calibration_page, write_calibration_report
+    from piga.reports.check import write_check
+    from piga.reports.planning import write_plan_report
+    from piga.reports.render.axes import draw
+    from piga.reports.trend import write_trend_report
+
+_LAZY = {
+    "calibration_page": "calibration.page",
+    "draw": "render.axes",
+    "write_calibration_report": "calibration.page",
+    "write_check": "check",
+    "write_plan_report": "planning",
+    "write_trend_report": "trend",
+}
+"""Pages of the subjects, and Matplotlib, are imported when they are used."""
+
 __all__ = [
     "Axis",
     "Cell",
@@ -42,8 +62,20 @@ __all__ = [
     "TableColumn",
     "Text",
     "Tile",
+    "calibration_page",
+    "draw",
     "figure_svg",
     "page_html",
+    "write_calibration_report",
+    "write_check",
     "write_figure",
     "write_page",
+    "write_plan_report",
+    "write_trend_report",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(f"piga.reports.{_LAZY[name]}"), name)
+    raise AttributeError(f"module 'piga.reports' has no attribute '{name}'")

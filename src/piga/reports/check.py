@@ -173,5 +173,5 @@ def calibration_words(run: Run) -> str:
 
 
 def write_check(run: Run, path: Path) -> Path:
-    """Write the page."""
+    """Write the page of ``piga check`` for the record ``run`` to ``path``."""
     return write_page(check_page(run), path)

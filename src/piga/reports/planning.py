@@ -226,7 +226,7 @@ _CRITERIA = {
 
 
 def write_plan_report(plan: Plan, mounting: Mounting | None, path: Path) -> None:
-    """Write the page of a plan as one HTML file that opens offline."""
+    """Write the page of ``plan`` to ``path``; ``mounting`` adds how to mount the instrument, or is None."""
     write_page(plan_page(plan, mounting), path)
 
 

@@ -168,7 +168,7 @@ def _control(trend: CoefficientTrend, start: dt.datetime) -> Panel:
 
 
 def write_trend_report(drifts: Trend, path: Path, *, at: dt.datetime | None = None) -> Path:
-    """Write the page as one HTML file that opens offline; ``at`` is the date of the forecast."""
+    """Write the page of the trend ``drifts`` to ``path``; ``at`` is the date of the forecast."""
     return write_page(trend_page(drifts, at=at), path)
 
 

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from piga.records.run import Run
+    from piga.records.run_file import ModelTable
+
 Array = NDArray[np.float64]
 Model = Literal["quasi-steady", "twin"]
 Harmonics = Mapping[int, tuple[float, float]]
@@ -116,6 +119,15 @@ class SimulatedTest(Result, Reported):
     motion: TwinMotion | None
     phases: tuple[float, ...]
     log: Log
+
+    def to_run(self, serial: str = "simulated", *, model: ModelTable | dict[str, object] | None = None) -> Run:
+        """The log as a run, for :func:`piga.calibrate`. The nominal scale factor is the true one.
+
+        ``model`` is the run file's ``[model]``.
+        """
+        from piga.stand.table_run import run_of_test
+
+        return run_of_test(self, serial, model)
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
         """Specific force and base rate of the reference: two panels. See :class:`piga.results.Plots`."""

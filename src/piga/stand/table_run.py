@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from piga.errors import ArgumentError, RunFileError, UnitError
 from piga.formats.tables import WHERE, TableStream, stated_units
 from piga.reading.read_run import read_stream
 from piga.records.run import Run
-from piga.records.run_file import RunFile, check_run_file
+from piga.records.run_file import ModelTable, RunFile, check_run_file
 from piga.stand.run_reference import stand_reference
+from piga.stand.simulate import SimulatedTest
 
 SI = {
     "time": "s",
@@ -77,3 +79,26 @@ def _data(columns: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:
         if columns[name] is not None:
             data[name] = columns[name]
     return data
+
+
+def run_of_test(test: SimulatedTest, serial: str, model: ModelTable | dict[str, object] | None) -> Run:
+    """The log of a simulated test as a run: :meth:`piga.stand.SimulatedTest.to_run`."""
+    log, kind = test.log, test.electronics.kind
+    columns: dict[str, np.ndarray] = {"t": log.t, "output": log.output, "temperature": log.temperature}
+    columns |= {f"f{axis}": log.reference[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
+    columns["segment"] = np.array(log.labels, dtype=object)[log.segment]
+    counts = kind == "counts"
+    return Run.from_dataframe(
+        columns,
+        scale_factor=test.specimen.instrument.scale_factor,
+        output="output",
+        kind=kind,
+        base_rate=("wx", "wy", "wz"),
+        temperature="temperature",
+        segment="segment",
+        serial=serial,
+        counts_per_revolution=test.electronics.counts_per_revolution if counts else None,
+        counter_bits=test.electronics.counter_bits if counts else None,
+        model=model,
+    )

@@ -24,7 +24,7 @@ choose and no count of turns. :func:`published_closed_form` keeps them for compa
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -155,13 +155,32 @@ def closed_form_turns(
     return shaped[0], shaped[1], shaped[2]
 
 
+@overload
 def closed_form(
+    inst: Instrument, t: ArrayLike, f: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> tuple[Array, Array]: ...
+
+
+@overload
+def closed_form(
+    inst: Instrument, t: ArrayLike, a_x: float, a_Y: float, a_Z: float, *, base_rate: ArrayLike | None = None
+) -> tuple[Array, Array]: ...
+
+
+@overload
+def closed_form(
+    inst: Instrument, t: ArrayLike, *, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
+) -> tuple[Array, Array]: ...
+
+
+def closed_form(  # type: ignore[misc]  # the first place holds f, or a_x of three scalars
     inst: Instrument,
     t: ArrayLike,
-    a_x: float,
-    a_Y: float,
-    a_Z: float,
+    f: ArrayLike | None = None,
+    a_Y: float | None = None,
+    a_Z: float | None = None,
     *,
+    a_x: float | None = None,
     base_rate: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
     """Angle and rate under constant input, in any regime and on its borders.
@@ -176,8 +195,9 @@ def closed_form(
         The instrument; ``inst.alpha0`` is the angle at ``t = 0``.
     t:
         Time since the start [s], scalar or any shape; negative times run backwards.
-    a_x, a_Y, a_Z:
-        Constant specific force in base axes [m/s^2].
+    f, a_x, a_Y, a_Z:
+        Constant specific force in base axes [m/s^2]: ``f`` with shape (3,), as :func:`propagate` takes it for each sample,
+        or three scalars.
     base_rate:
         Constant inertial rate of the base in base axes, shape (3,) [rad/s]; None: none.
 
@@ -191,14 +211,36 @@ def closed_form(
     Raises
     ------
     ArgumentError
-        If a value is not finite, or ``t`` is empty.
+        If a value is not finite, ``t`` is empty, or ``f`` has another shape.
 
     Examples
     --------
     >>> inst = Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec", alpha0="45 deg")
-    >>> alpha, rate = closed_form(inst, 10.0, a_x=9.80665, a_Y=49.03325, a_Z=0.0)
+    >>> alpha, rate = closed_form(inst, 10.0, [9.80665, 49.03325, 0.0])
     >>> round(float(alpha), 9), round(float(rate), 9)
     (9.707147027, 0.882399502)
     """
-    turns, rest, rate = closed_form_turns(inst, t, a_x, a_Y, a_Z, base_rate=base_rate)
+    force = _force(f, a_x, a_Y, a_Z)
+    turns, rest, rate = closed_form_turns(inst, t, *force, base_rate=base_rate)
     return np.asarray(turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest)), rate
+
+
+def _force(
+    f: ArrayLike | None, a_x: float | None, a_Y: float | None, a_Z: float | None
+) -> tuple[float, float, float]:
+    """The three components, given as one array or as scalars."""
+    scalars = a_Y is not None or a_Z is not None
+    if scalars and a_x is None and f is not None and np.ndim(f) == 0:
+        f, a_x = None, float(np.asarray(f))
+    if f is None and a_x is not None and a_Y is not None and a_Z is not None:
+        return a_x, a_Y, a_Z
+    if f is None or scalars or a_x is not None:
+        raise ArgumentError("f: give the specific force once", remedy="f=[a_x, a_Y, a_Z], or a_x, a_Y and a_Z")
+    force = np.asarray(f, dtype=float)
+    if force.shape != (3,):
+        raise ArgumentError(
+            f"f: shape {force.shape}, (3,) is needed",
+            remedy="a constant force; propagate takes one for each sample",
+        )
+    x, y, z = force.tolist()
+    return x, y, z

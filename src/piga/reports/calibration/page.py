@@ -210,12 +210,12 @@ _METHODS = {
 
 
 def write_calibration_report(cal: Calibration, path: Path) -> Path:
-    """Write the calibration report as one HTML file that opens offline."""
+    """Write the report of the calibration ``cal`` to ``path``: one HTML file that opens offline."""
     return write_page(calibration_page(cal), path)
 
 
 def calibration_page(cal: Calibration) -> Page:
-    """The calibration report as a page."""
+    """The report of the calibration ``cal`` as a page."""
     figures = {figure.key: figure for figure in calibration_figures(cal)}
     sections = (
         _tested(cal),
