@@ -230,3 +230,50 @@ def test_what_is_left_stands_in_the_uncertainty_of_a_set(force, turn):
     error, u = left_of_set(5.0, 20.0, force, turn)
     assert 0.5 < np.mean((error[3:] / u[3:]) ** 2) < 1.6
     assert np.abs(error[3:]).max() > 20.0 * QUIET * 5.0 / K_G
+
+
+def surging(s: float) -> np.ndarray:
+    """``a_x`` swings by 0.3 g; the force across it is large and changes slowly."""
+    return G0 * np.array([1.0 + 0.3 * np.sin(VIBRATION * s + 0.4), 4.0 + 0.01 * s, 3.0 - 0.02 * s])
+
+
+def starting(s: float) -> np.ndarray:
+    """``a_x`` grows from nothing in every 0.4 s."""
+    return G0 * np.array([2.0 * (s % 0.4), 4.0 + 0.01 * s, 3.0 - 0.02 * s])
+
+
+def surging_set(s: float) -> np.ndarray:
+    return surging(s) + G0 * np.array([0.0, 0.3 * np.cos(VIBRATION * s), 0.0])
+
+
+@pytest.mark.parametrize("rate", [5.0, 20.0, 100.0])
+def test_a_change_within_the_first_two_intervals_of_a_stretch_stands_in_the_uncertainty(rate):
+    """78 micro-g at 5 Hz in the first, 45 in the second."""
+    columns = record(rate, 6.0, surging, still)
+    t, psi, f, omega, mean = columns
+    begins = np.arange(t.size) % 3 == 0
+    first = np.flatnonzero(begins[:-1])
+    second = first[first < t.size - 2] + 1
+    single = piga.Compensator(calibration(QUIET)).push(
+        {"t": t, "output": psi, "f": f, "base_rate": omega, "begins": begins}
+    )
+    error, u = (single.ax[1:] - mean) / G0, single.u_ax[1:] / G0
+    errors, sizes = left_of_set(rate, 6.0, surging_set, still, begins=begins)
+    for e, s in ((error, u), (errors, sizes)):
+        assert (np.abs(e[first]) < 2.0 * s[first]).all()
+        assert np.mean(e[second] ** 2) < np.mean(s[second] ** 2)
+    assert rate > 20.0 or np.abs(error[first]).max() > 20.0 * QUIET * rate / K_G
+    assert np.median(u[first]) < 60.0 * np.abs(error[first]).max()
+
+
+def test_an_input_that_starts_from_nothing_is_held():
+    """The change within the first interval is twice its mean."""
+    t, psi, f, omega, mean = record(5.0, 6.0, starting, still)
+    begins = np.arange(t.size) % 2 == 0
+    first = np.flatnonzero(begins[:-1])
+    found = piga.Compensator(calibration(QUIET)).push(
+        {"t": t, "output": psi, "f": f, "base_rate": omega, "begins": begins}
+    )
+    ratio = np.abs(found.ax[1:] - mean)[first] / found.u_ax[1:][first]
+    assert ratio.max() < 2.05
+    assert ratio.max() > 1.0

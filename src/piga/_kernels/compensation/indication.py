@@ -470,14 +470,23 @@ def find_doubt(n: int, K: float, state: Array, w: Array) -> None:
 
     It includes the uncertainties of the bows, and the bend of the angle between samples beyond the change of ``u_x``
     predicted from earlier intervals. The first interval of a stretch passes nothing on, because its neighbour has a
-    second derivative.
+    second derivative. It shows no change of ``u_x``: where the sampled input changes, a change by the mean of ``u_x`` is
+    assumed. In the second interval the change itself is taken.
     """
     inverse, before, slope = 1.0 / K, state[at.S_DOUBT], state[at.S_SLOPE]
     for j in range(1, n + 1):
-        settled = (w[at.STEP + j - 1] != 0.0) & (w[at.STEP + j - 2] != 0.0)
-        bend = w[at.STEP + j] * abs(w[at.ACROSS + j - 1] + w[at.ACROSS + j]) * (1.0 / 24.0 if settled else 0.0)
+        joined = w[at.STEP + j - 1] != 0.0
+        settled = joined & (w[at.STEP + j - 2] != 0.0)
+        coupling = abs(w[at.ACROSS + j - 1] + w[at.ACROSS + j])
+        bend = w[at.STEP + j] * coupling * (1.0 / 24.0)
         across = w[at.LEFT_Y + j] * abs(w[at.SINE + j]) + w[at.LEFT_Z + j] * abs(w[at.COSINE + j])
-        here = (w[at.LEFT_X + j] + across) * inverse + bend * abs(w[at.SLOPE + j] - slope)
+        here = (w[at.LEFT_X + j] + across) * inverse
+        if settled:
+            here += bend * abs(w[at.SLOPE + j] - slope)
+        else:
+            still = here == 0.0
+            change = w[at.SLOPE + j] if joined else (0.0 if still else w[at.INPUT + j])
+            here += min(bend * abs(change), 0.5 * coupling * inverse)
         w[at.DOUBT + j] = max(here, FADING * before) if w[at.STEP + j] != 0.0 else 0.0
         before = w[at.DOUBT + j] if w[at.STEP + j - 1] != 0.0 else 0.0
         slope = w[at.SLOPE + j]
@@ -489,7 +498,9 @@ def find_set_doubt(n: int, K: float, tangent: float, bend: Array, state: Array, 
     """Like :func:`find_doubt`, for an instrument of a set. Its transverse force is an unknown of the solution.
 
     ``bend`` (3, rows) is what the change of the force over an interval may be off by, in the instrument's axes [m/s^2].
-    The rows RATE hold all of the transverse input.
+    The rows RATE hold all of the transverse input. In the first interval of a stretch nothing shows a change: twice the
+    uncertainty holds one as large as the force itself, in any direction. In the second one the parts of the bend are
+    added by their sizes.
     """
     before = state[at.S_DOUBT]
     for j in range(1, n + 1):
@@ -497,8 +508,18 @@ def find_set_doubt(n: int, K: float, tangent: float, bend: Array, state: Array, 
         left = w[at.LEFT_X + j] + w[at.LEFT_Y + j] * abs(sine) + w[at.LEFT_Z + j] * abs(cosine)
         across = w[at.RATE_Y + j] * cosine + w[at.RATE_Z + j] * sine
         turn = tangent * (w[at.PSI + j] - w[at.PSI + j - 1])
-        force = w[at.STEP + j] * across * bend[0, j] - turn * (bend[1, j] * cosine + bend[2, j] * sine)
-        here = left / K + abs(force) * (1.0 / 12.0)
+        joined = w[at.STEP + j - 1] != 0.0
+        along, beside = w[at.STEP + j] * across * bend[0, j], turn * (bend[1, j] * cosine + bend[2, j] * sine)
+        if joined & (w[at.STEP + j - 2] != 0.0):
+            force = abs(along - beside) * (1.0 / 12.0)
+        elif joined:
+            force = (abs(along) + abs(beside)) * (1.0 / 12.0)
+        else:
+            x, y, z = w[at.FORCE + j], w[at.MEAN_Y + j], w[at.MEAN_Z + j]
+            size = math.sqrt(x * x + y * y + z * z)
+            reach = abs(w[at.STEP + j] * across) + abs(turn)
+            force = min(reach * (1.0 / 24.0), 2.0 * tangent) * size
+        here = left / K + force
         w[at.DOUBT + j] = max(here, FADING * before) if w[at.STEP + j] != 0.0 else 0.0
         before = w[at.DOUBT + j] if w[at.STEP + j - 1] != 0.0 else 0.0
     state[at.S_DOUBT] = before
