@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from piga.campaign.collect import EDGES, Coefficient, Collected, GroupResult
+from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.numbers import pretty_unit, printed, short, signed
 from piga.reports.render.page import (
@@ -50,7 +51,7 @@ def campaign_page(collected: Collected) -> Page:
     compared = [result for result in collected.groups if result.group.subject == "archive"]
     if compared:
         sections.append(Section("Compared with the store", "store", tuple(_compared(compared))))
-    plain = [result for result in collected.groups if not _has_truth(result) and result not in compared]
+    plain = [r for r in collected.groups if r.coefficients and not _has_truth(r) and r not in compared]
     if plain:
         sections.append(Section("Results", "results", tuple(_plain_tables(plain))))
     grid = _grid_figures(collected)
@@ -87,6 +88,10 @@ def _judgement(collected: Collected) -> tuple[Block, ...]:
     waiting = len(collected.missing) - len(collected.set_aside)
     if waiting > 0:
         blocks.append(Notice("warning", f"{waiting} of {collected.shards} shards are not computed yet."))
+    empty = [r.group.label for r in collected.groups if r.failed and not r.coefficients]
+    if empty:
+        named = "; ".join(empty[:3]) + (f" and {len(empty) - 3} more" if len(empty) > 3 else "")
+        blocks.append(Notice("problem", f"Not one record could be computed of: {named}."))
     if collected.failed:
         blocks.append(
             Notice(
@@ -95,9 +100,9 @@ def _judgement(collected: Collected) -> tuple[Block, ...]:
             )
         )
     off = [(r, c) for r in collected.groups for c in r.coefficients if _tone(c) == "bad"]
-    named = "; ".join(f"{c.name} of {r.group.label} ({_percent(c.coverage)})" for r, c in off[:8])
+    named = "; ".join(f"{c.name} of {r.group.label} ({_percent(c.coverage)})" for r, c in off[:3])
     if off:
-        more = f" and {len(off) - 8} more" if len(off) > 8 else ""
+        more = f" and {len(off) - 3} more, marked below" if len(off) > 3 else ""
         blocks.append(
             Notice("warning", f"Coverage is away from 95 % by more than chance explains: {named}{more}.")
         )
@@ -175,11 +180,11 @@ def _interval_table(result: GroupResult) -> Table:
     rows = [
         (
             c.name,
-            pretty_unit(c.unit) or "1",
+            _unit(c),
             str(c.tests),
             Cell(_with_error(c), _tone(c)),
-            _number(c.spread),
-            _number(c.bias),
+            _number(c, c.spread),
+            _number(c, c.bias),
             "–" if c.bias_over_sigma is None else printed(signed(c.bias_over_sigma, 3)),
             "–" if c.variance_over_bound is None else f"{c.variance_over_bound:.2f}",
             "–" if c.nees is None else f"{c.nees:.2f} ({c.nees_expected:.2f})",
@@ -187,12 +192,10 @@ def _interval_table(result: GroupResult) -> Table:
         )
         for c in result.coefficients
     ]
-    notes = [f"{result.records} records, {sum(result.failed.values())} failed."]
+    note = f"{result.records} records, {sum(result.failed.values())} failed."
     if result.nees is not None:
-        notes.append(
-            f"NEES of all coefficients together: {result.nees:.3f}; expected {result.nees_expected:.3f}."
-        )
-    return Table(columns, tuple(rows), result.group.label, tuple(notes))
+        note += f" NEES of all coefficients together: {result.nees:.3f}; expected {result.nees_expected:.3f}."
+    return Table(columns, tuple(rows), result.group.label, (note,))
 
 
 def _percent(share: float | None) -> str:
@@ -205,8 +208,16 @@ def _with_error(c: Coefficient) -> str:
     return f"{100 * c.coverage:.1f} ± {100 * c.coverage_std_error:.1f}"
 
 
-def _number(value: float | None) -> str:
-    return "–" if value is None or not math.isfinite(value) else printed(short(value, 3))
+def _unit(c: Coefficient) -> str:
+    """Unit in which a coefficient is shown, as on all pages."""
+    return pretty_unit(shown_unit(c.name, c.unit)[1]) or "1"
+
+
+def _number(c: Coefficient, value: float | None) -> str:
+    """A value of a coefficient in the unit that is shown."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return printed(short(value * shown_unit(c.name, c.unit)[0], 3))
 
 
 def coverage_figure(judged: list[GroupResult]) -> Figure:
@@ -299,11 +310,11 @@ def _compared(results: list[GroupResult]) -> list[Block]:
                 tuple(
                     (
                         c.name,
-                        pretty_unit(c.unit) or "1",
+                        _unit(c),
                         str(c.tests),
-                        _number(c.mean),
-                        _number(c.std),
-                        _number(c.bias),
+                        _number(c, c.mean),
+                        _number(c, c.std),
+                        _number(c, c.bias),
                         "–" if c.largest_z is None else printed(short(c.largest_z, 2)),
                     )
                     for c in result.coefficients
@@ -330,9 +341,9 @@ def _plain_tables(results: list[GroupResult]) -> list[Block]:
         rows = tuple(
             (
                 c.name,
-                pretty_unit(c.unit) or "1",
+                _unit(c),
                 str(c.tests),
-                *map(_number, (c.mean, c.std, c.lowest, c.highest)),
+                *(_number(c, v) for v in (c.mean, c.std, c.lowest, c.highest)),
             )
             for c in result.coefficients
         )
@@ -371,13 +382,13 @@ def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
         x = _as_number(result.group.set.get(key))
         if c is None or x is None:
             continue
-        unit = c.unit
+        scale, unit = shown_unit(c.name, c.unit)
         judged = judged or c.bias is not None
         others = [f"{k} = {v}" for k, v in result.group.set.items() if k != key]
         label = ", ".join([result.group.name] * bool(result.group.name) + others) or name
         middle = c.bias if c.bias is not None else c.mean
         spread = c.spread if c.bias is not None else c.std
-        lines.setdefault(label, []).append((x, middle, 0.0 if spread is None else spread))
+        lines.setdefault(label, []).append((x, scale * middle, 0.0 if spread is None else scale * spread))
     places = sorted({x for line in lines.values() for x, _, _ in line})
     log = places[0] > 0.0 and places[-1] / places[0] > 20.0
     roles = ("data", "model", "before", "after", "x", "y", "z", "muted")
@@ -408,7 +419,7 @@ def _worst_table(collected: Collected) -> Table:
         TableColumn("Repeat it with", align="text"),
     )
     rows = tuple((w.group, w.coefficient, printed(signed(w.z, 1)), w.command) for w in collected.worst)
-    return Table(columns, rows, "The largest errors over their standard uncertainties", code=True)
+    return Table(columns, rows, "The largest errors over their standard uncertainties")
 
 
 def _failure_table(collected: Collected) -> Table:

@@ -38,7 +38,10 @@ EVERY = 10.0
 
 @app.command()
 def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
-    """Check a campaign, list its records and cut them into shards. Nothing is computed but a few records for the time."""
+    """Check a campaign and cut its records into shards.
+
+    A few records are computed, to know how long they take.
+    """
     from piga.campaign.manifest import plan_campaign
 
     planned = plan_campaign(campaign, out)
@@ -123,7 +126,7 @@ def status(folder: Folder, as_json: JsonOption = False) -> None:
 
 @app.command()
 def collect(folder: Folder, force: ForceOption = False, as_json: JsonOption = False) -> None:
-    """Judge the records: coverage, bias, variance and worst cases.
+    """Judge the records: coverage, bias, NEES, worst cases.
 
     Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards were set aside.
     """
