@@ -37,6 +37,7 @@ SENTENCES = {
     "records": "plain data: runs, terms, calibrations",
     "_kernels": "compiled arithmetic",
     "output": "files whole or not there",
+    "progress": "how far a long call is",
     "results": "what every result does in a notebook",
     "frames": "rotations",
     "earth": "gravity, Earth rate",

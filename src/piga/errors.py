@@ -60,6 +60,10 @@ class StoreError(PigaError):
     """A store or an export of records cannot be opened, read, written or trusted."""
 
 
+class CancelledError(PigaError):
+    """A long call was stopped by its ``progress`` function. Nothing is half done."""
+
+
 class PigaWarning(UserWarning):
     """Something was repaired, left out or assumed; the result says so too."""
 

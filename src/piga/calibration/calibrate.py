@@ -69,6 +69,7 @@ from piga.calibration.remarks.all_remarks import find_remarks, with_remarks
 from piga.calibration.remarks.left_out import left_out_of_runs, left_out_terms, odd_square
 from piga.calibration.remarks.temperature import unseen_bias
 from piga.errors import CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
+from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import (
     BudgetEntry,
@@ -87,6 +88,10 @@ from piga.threads import one_thread
 Array = NDArray[np.float64]
 
 
+STEPS = 5
+"""Steps of a calibration that ``progress`` hears of."""
+
+
 def calibrate(
     run: Run | RunSummary | Sequence[Run | RunSummary],
     terms: str | list[str] | tuple[str, ...] | None = None,
@@ -95,6 +100,7 @@ def calibrate(
     phase: str | None = None,
     phase_source: str | None = None,
     per_run: str | list[str] | tuple[str, ...] | None = None,
+    progress: Progress | None = None,
 ) -> Calibration:
     """Estimate the coefficients of an instrument from a recorded test, or from several together.
 
@@ -110,6 +116,8 @@ def calibrate(
     terms, method, phase, phase_source, per_run:
         Replace the settings of the run files. ``per_run`` names terms that may differ between the runs. Terms are a list or
         one text, ``"scale_factor, tan_beta, k0"``.
+    progress:
+        Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
 
     Returns
     -------
@@ -127,10 +135,14 @@ def calibrate(
         If the record cannot determine what is asked; names the terms and a test that could.
     CalibrationError, ArgumentError
         If the request does not fit the record.
+    CancelledError
+        If ``progress`` returns False.
     """
+    steps = Steps(progress, STEPS)
     wanted, own = (None if names is None else list(term_names(names)) for names in (terms, per_run))
     with one_thread():
-        result = _calibration(run, wanted, method, phase, phase_source, own)
+        result = _calibration(run, wanted, method, phase, phase_source, own, steps)
+    steps.finish()
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
     return result
@@ -143,8 +155,10 @@ def _calibration(
     phase: str | None,
     phase_source: str | None,
     per_run: list[str] | tuple[str, ...] | None,
+    steps: Steps,
 ) -> Calibration:
     """The result of :func:`calibrate`."""
+    steps("fitting the model")
     if not isinstance(run, Run):
         runs = check_items(run)
         if len(runs) > 1 or not isinstance(runs[0], Run):
@@ -157,7 +171,9 @@ def _calibration(
         return _revolutions_calibration(run, request)
     stated = stated_scatter(run)
     try:
-        fit = refine_counted(fit_run(run, request))
+        fit = fit_run(run, request)
+        steps("finding the noise")
+        fit = refine_counted(fit)
         fit = include_stated_scatter(fit, stated)
         fit = include_faint_walk(include_slow_noise(fit))
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance)
@@ -165,6 +181,7 @@ def _calibration(
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
     except (IdentifiabilityError, DataError) as error:
         raise with_advice(error, advise(run, request)) from None
+    steps("adding up the budget")
     budget = make_budget(fit, coefficients, covariance)
     doubts = left_out_terms(without_slow(fit), coefficients)
     for doubt in doubts:
@@ -173,7 +190,9 @@ def _calibration(
     degrees = type_a_degrees(fit) * share_of_type_a(type_a, covariance)
     covariance = whole
     coefficients = combined(coefficients, covariance, budget.rows, degrees)
+    steps("checking the intervals")
     coefficients, monte_carlo = put_to_the_test(fit, coefficients, budget, run.estimation.uncertainty)
+    steps("looking for missing terms")
     with beside(run.size) as other:
         remarks = other.submit(find_remarks, fit, coefficients)
         residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)

@@ -14,6 +14,7 @@ from piga.output import CALIBRATION_RESULTS, results
 
 if TYPE_CHECKING:
     from piga.calibration.joint.summary import RunSummary
+    from piga.progress import Progress
     from piga.records import Calibration, Run
 
 RunFilesArgument = Annotated[
@@ -75,8 +76,10 @@ def calibrate(
     inputs = [path for run in runs for path in files_named_in(run)]
     with results(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force) as stage:
         items = read_items(runs) if compare is None else _with_sets(read_items(runs), compare)
-        with progress("calibrating"):
-            calibration = _estimate(items, _names(terms), method, phase, phase_source, _names(per_run))
+        with progress("calibrating") as advance:
+            calibration = _estimate(
+                items, _names(terms), method, phase, phase_source, _names(per_run), advance.show
+            )
         with progress("writing the report" if report else "writing"):
             written = write_results(calibration, stage, report=report)
             written += write_summaries(items, stage) if summary else []
@@ -137,10 +140,13 @@ def _estimate(
     phase: str | None,
     phase_source: str | None,
     per_run: list[str] | None,
+    progress: Progress,
 ) -> Calibration:
     from piga.calibration.calibrate import calibrate as estimate
 
-    return estimate(items, terms, method, phase=phase, phase_source=phase_source, per_run=per_run)
+    return estimate(
+        items, terms, method, phase=phase, phase_source=phase_source, per_run=per_run, progress=progress
+    )
 
 
 def run_calibration(
@@ -148,8 +154,8 @@ def run_calibration(
 ) -> Calibration:
     """Read and calibrate one run, with progress."""
     items = read_items([run])
-    with progress("calibrating"):
-        return _estimate(items, terms, method, phase, phase_source, None)
+    with progress("calibrating") as advance:
+        return _estimate(items, terms, method, phase, phase_source, None, advance.show)
 
 
 def write_summaries(items: list[Run | RunSummary], directory: Path) -> list[Path]:

@@ -37,9 +37,9 @@ def plan(
     folder = out or plan_file.with_name(f"{plan_file.stem}-plan")
     with results(folder, "plan", RESULTS, files_named_in(plan_file), force=force) as stage:
         request = read_plan(plan_file)
-        with progress("planning"):
+        with progress("planning") as advance:
             mounting = plan_mounting(request)
-            planned = plan_test(request)
+            planned = plan_test(request, progress=advance.show)
         document = plan_document(planned, mounting)
         text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         written = [

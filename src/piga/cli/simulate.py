@@ -38,8 +38,8 @@ def simulate(
     read = read_scenario(scenario)
     data = f"run.{read.table.run.format}"
     with results(out, "simulate", RESULTS, files_named_in(scenario), force=force) as folder:
-        with progress("simulating"):
-            test = run_scenario(read, model=model, seed=seed, force=unstable)
+        with progress("simulating") as advance:
+            test = run_scenario(read, model=model, seed=seed, force=unstable, progress=advance.show)
         with progress("writing data and report"):
             write_data(test, folder / data)
             write_text(folder / "run.toml", run_file_text(read, test, data))

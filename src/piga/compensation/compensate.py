@@ -31,6 +31,7 @@ from piga.compensation.model import (
 )
 from piga.compensation.result import Compensated, notes_on
 from piga.errors import CalibrationError
+from piga.progress import Progress, report
 from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.records.spool import spans
@@ -49,6 +50,7 @@ def compensate(
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
+    progress: Progress | None = None,
 ) -> Compensated:
     """Specific force and velocity increments of a record, corrected for the errors of the instrument.
 
@@ -74,6 +76,8 @@ def compensate(
         calibration states, and any age.
     force:
         Accept a calibration of another serial number.
+    progress:
+        Called as ``progress(done, total, what)`` with the rows done; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
@@ -82,8 +86,9 @@ def compensate(
     """
     plan = _plan(record, calibration, method, phase, limits, max_age_days, force)
     result = empty_step(record.size, uncertainty, flags)
-    for _ in plan.run(lambda rows, _: _part(result, rows)):
-        pass
+    report(progress, 0, record.size, "compensating")
+    for rows, _, _ in plan.run(lambda rows, _: _part(result, rows)):
+        report(progress, rows.stop, record.size, "compensating")
     return Compensated(
         record.t, result.ax, result.dv, result.u_ax, result.flags, record.serial, plan.method, notes_on(calibration),
         (record, calibration),

@@ -39,6 +39,7 @@ from piga.planning.criterion import (
 from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
 from piga.planning.prediction import Prediction, Visit, predict, stand_table
+from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.results import Reported, Result, plotted
 from piga.stand.scenario import DividingHeadTable
@@ -163,8 +164,11 @@ class _Search:
 
 
 @with_one_thread
-def plan_test(request: PlanRequest) -> Plan:
+def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan:
     """Plan a test.
+
+    ``progress`` is called as ``progress(done, total, what)`` before each step; it returns False to stop
+    (:mod:`piga.progress`).
 
     Raises
     ------
@@ -173,15 +177,19 @@ def plan_test(request: PlanRequest) -> Plan:
     CalibrationError
         If the time is too short, or every candidate is in the lock zone.
     """
+    steps = Steps(progress, 5)
+    steps("listing positions")
     candidates = find_candidates(request)
     excluded = tuple(_excluded(request, candidates))
     left_out = {id(item.candidate) for item in excluded}
     usable = tuple(c for c in candidates if id(c) not in left_out)
     request = _checked(request, usable)
+    steps("information of each position")
     search = _prepare(request, usable)
     criterion = search.criterion(request.settings.criterion)
     mixture = best_mixture(search.per_second(), criterion)
     begin = best_mixture(search.per_second(), criterion.guarded())
+    steps("standard plans")
     standard = tuple(
         predict(request, name, visits) for name, visits in _standard(request, usable, request.duration)
     )
@@ -190,7 +198,9 @@ def plan_test(request: PlanRequest) -> Plan:
             f"[plan] duration = {request.duration:g} s is too short: no usual test fits into it",
             remedy="lengthen [plan] duration, or shorten minimum_dwell or the moves",
         )
+    steps("choosing visits")
     best, value = _best(search, criterion, begin, standard)
+    steps("other durations")
     shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
     bound = float(criterion.values(mixture.information * (request.duration + request.move)))
     count = criterion.rows.shape[0] if criterion.power == 0.0 else 1

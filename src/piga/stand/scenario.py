@@ -16,6 +16,7 @@ from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.instrument import ErrorModel, Instrument
 from piga.instrument.twin.electronics import Electronics, Temperature
 from piga.instrument.twin.parameters import twin_parameters
+from piga.progress import Progress
 from piga.records.run_file import Column, Columns, Quantity, ServoTable, TomlTable
 from piga.records.terms import UNITS, harmonic, unit_of
 from piga.records.text_files import read_toml
@@ -351,9 +352,16 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
 
 
 def run_scenario(
-    scenario: Scenario, *, model: Model | None = None, seed: int | None = None, force: bool = False
+    scenario: Scenario,
+    *,
+    model: Model | None = None,
+    seed: int | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
 ) -> SimulatedTest:
     """Simulate a scenario. ``model`` and ``seed`` override the file. ``force`` allows an unstable servo loop.
+
+    ``progress`` is that of :func:`simulate_test`.
 
     Raises
     ------
@@ -374,6 +382,7 @@ def run_scenario(
             step=None if run.step is None else to_si(run.step, "s", what="[run] step"),
             force=force,
             tide=_tide(scenario),
+            progress=progress,
         )
     except PigaError as error:
         raise type(error)(f"{scenario.path}: {error.message}", remedy=error.remedy) from None

@@ -25,6 +25,7 @@ from piga.instrument.twin.electronics import (
 from piga.instrument.twin.linear import analyse_loop, require_stable, servo_force
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import Start, TwinMotion, run_twin
+from piga.progress import Progress, Steps
 from piga.results import Reported, Result, plotted
 from piga.stand.imperfections import NONE, Imperfections
 from piga.stand.profile import Profile, Segment, Stand, sample_stand
@@ -146,6 +147,7 @@ def simulate_test(
     step: float | None = None,
     force: bool = False,
     tide: EarthTide | None = None,
+    progress: Progress | None = None,
 ) -> SimulatedTest:
     """Simulate a test.
 
@@ -168,12 +170,16 @@ def simulate_test(
         Simulate an unstable servo loop, too. It has no slow manifold, so it starts with its transient.
     tide:
         Solid Earth tide in gravity; None: no tide.
+    progress:
+        Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
     ArgumentError
         If the parts do not fit each other. :class:`UnstableDesignError` for an unstable loop.
     """
+    steps = Steps(progress, 3)
+    steps("motion of the stand")
     temperature = temperature or Temperature()
     oversample = _oversample(stand, specimen, electronics, model, step)
     grid = electronics.interval / oversample
@@ -185,6 +191,7 @@ def simulate_test(
         extra=_overshoot(stand, electronics, imperfections, grid),
         tide=tide,
     )
+    steps("motion of the gimbal")
     streams = np.random.default_rng(seed).spawn(4)
     kelvin = temperature.at(profile.t)
     if model == "twin":
@@ -193,6 +200,7 @@ def simulate_test(
     else:
         motion = None
         alpha, rate = _quasi_steady(specimen, electronics, profile, kelvin, grid, streams)
+    steps("reading the output")
     log, phases = _read(electronics, profile, alpha, rate, kelvin, oversample, imperfections, streams[3])
     return SimulatedTest(
         model=model,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from piga._version import __version__
 from piga.errors import ArgumentError
+from piga.progress import Progress, Steps
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import pretty_unit, printed, significant
 from piga.reports.render.page import (
@@ -85,20 +86,29 @@ def chosen(only: str | None) -> list[str]:
     return [name]
 
 
-def reproduce(only: str | None = None) -> Reproduction:
+def reproduce(only: str | None = None, *, progress: Progress | None = None) -> Reproduction:
     """Run the published cases.
 
     Parameters
     ----------
     only:
         Id of one chapter, or of one of its cases; None: all chapters.
+    progress:
+        Called as ``progress(done, total, what)`` before each chapter; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
     ArgumentError
         If there is no such chapter.
     """
-    return Reproduction(tuple(chapter for chapter in run_chapters(chosen(only))))
+    names = chosen(only)
+    steps = Steps(progress, len(names))
+    chapters: list[Chapter] = []
+    for name in names:
+        steps(name)
+        chapters += run_chapters([name])
+    steps.finish()
+    return Reproduction(tuple(chapters))
 
 
 def run_chapters(names: list[str]) -> Iterator[Chapter]:

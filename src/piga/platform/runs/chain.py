@@ -24,6 +24,7 @@ from piga.platform.navigation.analysis import (
     theory_lines,
 )
 from piga.platform.navigation.navigator import Errors, Navigation, Start, errors, navigate, true_start
+from piga.progress import Progress, Steps
 from piga.results import Result, plotted
 from piga.units import ARCMIN
 
@@ -135,18 +136,29 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
     return ModelRun(made, navigation, error, lines, theory)
 
 
-def compare(scenario: PlatformScenario) -> ModelComparisonRun:
+def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> ModelComparisonRun:
     """Simulate the scenario and navigate it with every model it names.
+
+    ``progress`` is called as ``progress(done, total, what)`` before each step; it returns False to stop
+    (:mod:`piga.progress`).
 
     Raises
     ------
     PigaError
         If the scenario cannot be simulated, or its misalignments cannot be identified.
     """
+    named = scenario.compensation.models
+    steps = Steps(progress, 2 + len(named))
+    steps("simulating")
     run = simulate(scenario)
+    steps("identifying and aligning")
     preparation = prepare(run)
     every = max(1, round(1.0 / scenario.step))
-    models = {m: run_model(run, preparation, m, every=every) for m in scenario.compensation.models}
+    models = {}
+    for m in named:
+        steps(f"navigating, model {m}")
+        models[m] = run_model(run, preparation, m, every=every)
+    steps.finish()
     return ModelComparisonRun(run, preparation, models)
 
 
