@@ -93,6 +93,7 @@ EXTRAS = {
     "distributed": "campaign",
     "starlette": "ui",
     "uvicorn": "ui",
+    "tomlkit": "ui",
 }
 """Extra of the distribution that brings a package which the core leaves out."""
 

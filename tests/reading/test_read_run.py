@@ -377,3 +377,25 @@ def test_a_slow_counter_rests_where_it_turns(tmp_path: Path, limit: int | None) 
         for i, (n, f) in enumerate(zip(counts, force, strict=True))
     ]
     assert ("stuck-value" in events(read(tmp_path, rows))) == (limit is not None)
+
+
+def test_rows_are_left_out_with_their_reason(tmp_path: Path) -> None:
+    whole = read(tmp_path, lines())
+    left = 'leave_out = [{ rows = [10, 14], reason = "door slammed" }, { rows = [41, 41], reason = "end" }]'
+    run = read(tmp_path, lines(), data=left)
+    assert set(whole.row) - set(run.row) == {10, 11, 12, 13, 14, 41}
+    assert run.begins[run.row == 15]
+    assert [(e.kind, e.count, e.first_row) for e in run.quality.events if e.kind == "left-out"] == [
+        ("left-out", 5, 10),
+        ("left-out", 1, 41),
+    ]
+    assert "door slammed" in next(e.detail for e in run.quality.events if e.kind == "left-out")
+    np.testing.assert_array_equal(run.f, whole.f[np.isin(whole.row, run.row)])
+
+
+@pytest.mark.parametrize("rows", ["[14, 10]", "[1, 1]", "[42, 50]", "[2, 41]"])
+def test_rows_that_cannot_be_left_out(tmp_path: Path, rows: str) -> None:
+    with pytest.raises(piga.DataError, match="row"):
+        read(tmp_path, lines(), data=f'leave_out = [{{ rows = {rows}, reason = "why" }}]')
+    with pytest.raises(piga.RunFileError, match="reason"):
+        read(tmp_path, lines(), data=f"leave_out = [{{ rows = {rows} }}]")

@@ -236,3 +236,69 @@ def test_a_file_is_added_and_a_wrong_one_is_refused(browser: Browser, place: Pat
     page.set_input_files("#file", wrong)
     page.get_by_text("files of this kind are not taken").wait_for()
     browser.faults = [fault for fault in browser.faults if "404" not in fault]
+
+
+def test_a_span_is_left_out_by_mouse(browser: Browser, place: Path) -> None:
+    page = browser.page
+    text = (place / "tumble-a.toml").read_text(encoding="utf-8")
+    (place / "marked.toml").write_text(text, encoding="utf-8")
+    browser.open("/signals/marked.toml")
+    browser.until("document.querySelectorAll('figure.signal[data-points]').length >= 3")
+    page.get_by_role("button", name="Mark a span").click()
+    over = page.locator(".u-over").first.bounding_box()
+    page.mouse.move(over["x"] + 0.5 * over["width"], over["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(over["x"] + 0.52 * over["width"], over["y"] + 40, steps=4)
+    page.mouse.up()
+    page.get_by_label("Leave it out, because").fill('the door "slammed"')
+    browser.is_accessible()
+    page.get_by_role("button", name="Write into the run file").click()
+    page.get_by_text("left-out").first.wait_for()
+    written = (place / "marked.toml").read_text(encoding="utf-8")
+    assert written.startswith(text.partition("segment =")[0])  # comments and all
+    from piga.records.run_file import read_run_file
+
+    (entry,) = read_run_file(place / "marked.toml").data.leave_out
+    assert entry.reason == 'the door "slammed"'
+    share = [(row - 2) / 28824 for row in entry.rows]
+    assert 0.45 < share[0] < share[1] < 0.56
+    (place / "marked.toml").unlink()
+
+
+def test_a_german_log_is_described_and_calibrated(browser: Browser, place: Path) -> None:
+    page = browser.page
+    log = place / "Messung 7.csv"
+    log.write_bytes(german_log().encode("cp1252"))
+    browser.open("/")
+    page.get_by_role("row", name="Messung 7.csv").get_by_role("link", name="Describe").click()
+    browser.is_accessible()
+    page.get_by_label("Nominal scale factor").fill("0.8884 rad/s/g")
+    page.get_by_role("button", name="Apply").click()
+    if page.get_by_label("Counts of the output per revolution").count():
+        page.get_by_label("Counts of the output per revolution").fill("72000")
+        page.get_by_role("button", name="Apply").click()
+    page.get_by_role("button", name="Write and check").click()
+    page.get_by_role("link", name="See its signals").wait_for()
+    browser.is_accessible()
+    page.get_by_role("link", name="Calibrate").last.click()
+    page.get_by_role("button", name="Calibrate").click()
+    page.get_by_role("button", name="Keep this result").wait_for()
+    assert "k0" in page.inner_text("main")
+    (place / "Messung 7.toml").unlink()
+
+
+def german_log() -> str:
+    """Eight positions of a dividing head as a spreadsheet writes them: preamble, units, decimal commas."""
+    import math
+
+    text = "Pr\u00fcfstand 3;Teilkopf\nBediener;M\u00fcller\nZeit;Z\u00e4hlerstand;Position;fx;fy;fz\ns;-;-;g;g;g\n"
+    t = n = 0.0
+    for position in range(8):
+        a = math.radians(45 * position)
+        for _ in range(600):
+            row = (f"{t:.2f}", str(int(n)), str(position), f"{math.cos(a):.9f}", f"{math.sin(a):.9f}", "0.0")
+            text += ";".join(row).replace(".", ",") + "\n"
+            n += 0.8884 * (math.cos(a) + 3e-4) * 0.05 * 72000 / (2 * math.pi)
+            t += 0.05
+        t += 30.0
+    return text

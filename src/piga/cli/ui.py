@@ -29,7 +29,7 @@ def ui(
     phase: Annotated[str | None, typer.Option(help="Live: phase of the output zero, e.g. '0.48 rad'.")] = None,
     browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
 ) -> None:
-    """Open the workbench in the browser: look at records, calibrate, compensate.
+    """Open the workbench in the browser.
 
     It answers on this machine only, to the browser that opens the printed address. Ctrl-C ends it.
     """

@@ -25,6 +25,7 @@ from piga.reading.signal_checks import (
     Extremes,
     beyond_limits,
     largest_size,
+    left_out_rows,
     mistaken_rate,
     mistaken_unit,
     sampled,
@@ -145,6 +146,9 @@ class Assembly:
         if limits:
             self.events += beyond_limits(raw.numbers, limits, usable, raw.rows)
             self._check_masked(usable)
+        if self.run_file.data.leave_out:
+            self.events += left_out_rows(self.run_file.data.leave_out, usable, raw.rows, raw.path)
+            self._check_masked(usable)
         t = self._time()
         self.events += drop_repeats(t, raw.segment, usable, list(raw.numbers.values()), raw.rows)
         if usable.all():
@@ -165,7 +169,7 @@ class Assembly:
             raise DataError(
                 f"{self.raw.path}: no row has all needed values", remedy="check the columns in [data]"
             )
-        reasons = ("missing-value", "saturated", "no-segment", "not-finite")
+        reasons = ("missing-value", "saturated", "no-segment", "not-finite", "left-out")
         if bad and not any(event.kind in reasons for event in self.events):
             row = int(self.raw.rows[int(np.argmin(usable))])
             self.events.append(Event("not-finite", bad, row, "the row is not used"))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.errors import DataError
 from piga.records.calibration import Event
+from piga.records.run_file import LeftOut
 from piga.records.spool import spans, steps
 from piga.units import G0
 
@@ -97,6 +100,31 @@ def beyond_limits(
         if count:
             detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
             events.append(Event("saturated", count, first, detail))
+    return events
+
+
+def left_out_rows(
+    wanted: Sequence[LeftOut], usable: NDArray[np.bool_], rows: NDArray[np.int64], path: Path
+) -> list[Event]:
+    """Clear ``usable`` for the rows that the run file leaves out. Each range is an event with its reason.
+
+    Raises
+    ------
+    DataError
+        If a range ends before it begins, or holds no row of the file.
+    """
+    events = []
+    for entry in wanted:
+        low, high = entry.rows
+        begin, end = np.searchsorted(rows, low), np.searchsorted(rows, high, side="right")
+        if low > high or begin == end:
+            raise DataError(
+                f"{path}: [data] leave_out: rows {low} to {high} are no rows of the file",
+                remedy=f"give the first and the last row to leave out; the file has rows {rows[0]} to {rows[-1]}",
+            )
+        usable[begin:end] = False
+        detail = f"rows {low} to {high} are not used: {entry.reason}"
+        events.append(Event("left-out", int(end - begin), int(rows[begin]), detail))
     return events
 
 

@@ -127,6 +127,13 @@ class Columns(TomlTable, frozen=True):
     unit: str
 
 
+class LeftOut(TomlTable, frozen=True):
+    """Rows of the data file that are not used: the first and the last one, and why."""
+
+    rows: tuple[int, int]
+    reason: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+
+
 class DataTable(TomlTable, frozen=True):
     """``[data]``: the file, its columns and, if the file does not show it, its format."""
 
@@ -148,6 +155,7 @@ class DataTable(TomlTable, frozen=True):
     missing: Annotated[tuple[str, ...], msgspec.Meta(max_length=100)] = ()
     damaged_rows: Literal["refuse", "mask"] = "refuse"
     range: dict[str, tuple[float, float]] | None = None
+    leave_out: Annotated[tuple[LeftOut, ...], msgspec.Meta(max_length=1000)] = ()
     sequence: SequenceColumn | None = None
 
     def number_columns(self) -> list[str]:

@@ -135,16 +135,17 @@ def files_named_in(path: Path) -> list[Path]:
         named |= {sidecar: None} if sidecar.exists() else {}
         if at.suffix == ".toml":
             with suppress(RunFileError, OSError):
-                words = [word for word in _texts(toml_document(at)) if word and len(word) < MAX_NAME]
+                words = [word for word in texts_of(toml_document(at)) if word and len(word) < MAX_NAME]
                 waiting += [at.parent / word for word in words if (at.parent / word).is_file()]
     return list(named)
 
 
-def _texts(value: object) -> list[str]:
+def texts_of(value: object) -> list[str]:
+    """All texts of a document."""
     if isinstance(value, str):
         return [value]
     parts = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
-    return [word for part in parts for word in _texts(part)]
+    return [word for part in parts for word in texts_of(part)]
 
 
 def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:

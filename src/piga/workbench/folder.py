@@ -10,16 +10,17 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from piga.errors import ArgumentError, PigaError
 from piga.formats.containers.container import SUFFIXES
+from piga.output import write_whole
 from piga.reading.raw_columns import TEXT_SUFFIXES, file_kind
 from piga.records.run_file import read_run_file
-from piga.records.text_files import files_named_in, toml_document
+from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
 
 LOG_SUFFIXES = (*TEXT_SUFFIXES, *SUFFIXES, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
@@ -140,6 +141,26 @@ class Folder:
             raise OutsideError(
                 f"{name} is not a regular file of this folder", remedy="copy the file into the opened folder"
             )
+
+    def write_toml(
+        self, path: Path, text: str, check: Callable[[Path, bytes], object], *, new: bool = False
+    ) -> None:
+        """Write a TOML file whole, after ``check`` of its path and bytes; every file that it names must lie here.
+
+        Raises
+        ------
+        PigaError
+            If the text is refused; the file is then as before.
+        """
+        raw = text.replace("\r\n", "\n").encode("utf-8")
+        check(path, raw)
+        if len(raw) > MOST_TOML:
+            raise OutsideError(f"{path.name}: is larger than {MOST_TOML >> 20} MiB", remedy="shorten it")
+        for word in texts_of(toml_document(path, raw)):
+            if word and len(word) < MAX_NAME and "\0" not in word and (path.parent / word).exists():
+                self._check(path.parent / word, f"{path.name} names {word[:80]}, which")
+        if new or not path.is_file() or path.read_bytes() != raw:
+            write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
 
     def entries(self) -> list[Entry]:
         """All records: those with a run file first, then logs without one."""

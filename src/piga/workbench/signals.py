@@ -33,7 +33,7 @@ MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
 MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
-FORM = 1
+FORM = 2
 """Version of the cache's files."""
 
 
@@ -116,6 +116,9 @@ def _write_all(run: Run, folder: Path) -> Outline:
     begins = _breaks(run)
     t = _shown_time(run, folder / "t.npy")
     np.save(folder / "breaks.npy", begins[1:])
+    rows = np.lib.format.open_memmap(folder / "row.npy", mode="w+", dtype=np.int64, shape=(run.size,))
+    for part in spans(run.size):
+        rows[part] = run.row[part]
     levels = _levels(run.size, begins)
     for number, edges in enumerate(levels):
         np.save(folder / f"edges-{number}.npy", edges)
@@ -177,6 +180,22 @@ def picture(folder: Path, key: str, first: float, last: float, width: int) -> Ar
     if high - low <= 4 * width:
         return _samples(folder, key, t, low, high)
     return _blocks(folder, key, t, low, high, width)
+
+
+def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
+    """First and last row of the data file whose samples lie in a span of time [s].
+
+    Raises
+    ------
+    ArgumentError
+        If no sample lies there.
+    """
+    t = np.load(folder / "t.npy", mmap_mode="r")
+    low, high = int(np.searchsorted(t, first)), int(np.searchsorted(t, last, side="right"))
+    if not low < high:
+        raise ArgumentError("no sample lies in this span", remedy="mark a wider span")
+    rows = np.load(folder / "row.npy", mmap_mode="r")[low:high]
+    return int(rows.min()), int(rows.max())
 
 
 def _samples(folder: Path, key: str, t: Array, low: int, high: int) -> Array:

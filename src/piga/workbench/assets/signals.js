@@ -8,6 +8,7 @@
   const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   let shown = [0, duration];
   let wanted = 0;
+  let marked = null;
 
   const pictures = [...page.querySelectorAll("figure.signal")].map((figure) => ({
     figure,
@@ -43,7 +44,8 @@
       cursor: { sync: { key: "signals" }, drag: { x: true, y: false, setScale: false } },
       hooks: {
         setSelect: [(u) => {
-          if (u.select.width > 3) show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
+          const ends = [u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")];
+          if (u.select.width > 3) (marking() ? markSpan : show)(...ends);
           u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
         }],
         draw: [(u) => {
@@ -54,6 +56,13 @@
             if (time < shown[0] || time > shown[1]) continue;
             const x = Math.round(u.valToPos(time, "x", true));
             u.ctx.beginPath(); u.ctx.moveTo(x, u.bbox.top); u.ctx.lineTo(x, u.bbox.top + u.bbox.height); u.ctx.stroke();
+          }
+          if (marked && marking()) {
+            const [a, b] = marked.map((time) => u.valToPos(time, "x", true));
+            const left = Math.max(a, u.bbox.left);
+            u.ctx.fillStyle = style("--bad");
+            u.ctx.globalAlpha = 0.15;
+            u.ctx.fillRect(left, u.bbox.top, Math.min(b, u.bbox.left + u.bbox.width) - left, u.bbox.height);
           }
           u.ctx.restore();
         }],
@@ -87,6 +96,22 @@
     wanted += 1;
     const turn = wanted;
     return Promise.all(pictures.map((picture) => load(picture, turn)));
+  };
+
+  const mark = document.getElementById("mark");
+  const form = document.getElementById("leave-out");
+  const marking = () => mark.getAttribute("aria-pressed") === "true";
+  mark.addEventListener("click", () => {
+    mark.setAttribute("aria-pressed", String(!marking()));
+    if (marking()) markSpan(...shown);  // without a mouse: the span that is shown
+    form.hidden = !marking();
+  });
+  const markSpan = (first, last) => {
+    form.elements.from.value = String(first);
+    form.elements.to.value = String(last);
+    document.getElementById("marked").textContent = `${first.toPrecision(7)} to ${last.toPrecision(7)} s`;
+    marked = [first, last];
+    pictures.forEach((picture) => picture.plot && picture.plot.redraw());
   };
 
   const moves = {

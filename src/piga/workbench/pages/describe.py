@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
 from piga.errors import ArgumentError, PigaError
-from piga.output import write_whole
 from piga.records.run_file import read_run_file
 from piga.workbench.folder import Folder
 from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
@@ -119,10 +118,7 @@ def _save(folder: Folder, name: str, text: str, *, new: bool) -> None:
         raise ArgumentError(f"{name}: the name must end in .toml", remedy="e.g. run.toml")
     if new and path.exists():
         raise ArgumentError(f"{name}: exists already", remedy="choose another name")
-    raw = text.encode("utf-8")
-    read_run_file(path, raw)
-    write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
-    folder.check_named(path)
+    folder.write_toml(path, text, read_run_file, new=new)
 
 
 def routes() -> list[Any]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piga.errors import ArgumentError, PigaError
-from piga.output import write_whole
 from piga.records.text_files import toml_document
 from piga.workbench.folder import MOST_TOML, Folder
 from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
@@ -120,11 +119,7 @@ def _saved(folder: Folder, name: str, text: str) -> Path:
     """
     name = name if name.endswith(".toml") else f"{name}.toml"
     path = folder.path(name)
-    raw = text.replace("\r\n", "\n").encode("utf-8")
-    toml_document(path, raw)
-    if not path.is_file() or path.read_bytes() != raw:
-        write_whole(path, lambda part: part.write_bytes(raw))
-    folder.check_named(path)
+    folder.write_toml(path, text, toml_document)
     return path
 
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from piga.errors import ArgumentError
+from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in
 from piga.workbench.jobs import Job
-from piga.workbench.pages.common import Workbench, bench_of, redirect, render
-from piga.workbench.signals import Outline, cache_key, picture, read_outline
+from piga.workbench.pages.common import Workbench, bench_of, form_of, only, redirect, render
+from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -87,6 +88,40 @@ def data(request: Request) -> Response:
     return Response(table.tobytes(), media_type="application/octet-stream", headers=headers)
 
 
+async def leave_out(request: Request) -> Response:
+    """Leave a marked span out: its rows and the reason go into the run file."""
+    from starlette.concurrency import run_in_threadpool
+
+    bench, name = bench_of(request), request.path_params["name"]
+    fields = await form_of(request)
+    try:
+        first, last = float(only(fields, "from")), float(only(fields, "to"))
+    except ValueError:
+        raise ArgumentError("the marked span is not valid", remedy="mark it again") from None
+    reason = " ".join(only(fields, "reason").split())
+    if not reason:
+        raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
+    rows = rows_between(cache_of(bench, name), first, last)
+    await run_in_threadpool(_leave_out, bench, name, rows, reason)
+    return redirect(request, f"/signals/{name}")
+
+
+def _leave_out(bench: Workbench, name: str, rows: tuple[int, int], reason: str) -> None:
+    """Add an entry to ``[data] leave_out``; everything else in the file, its comments too, stays as it is."""
+    import tomlkit
+
+    path = bench.folder.toml(name)
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    data: Any = document["data"]
+    entry = tomlkit.inline_table()
+    entry.update({"rows": list(rows), "reason": reason})
+    if "leave_out" not in data:
+        data["leave_out"] = tomlkit.array()
+    data["leave_out"].append(entry)
+    data["leave_out"].multiline(multiline=True)
+    bench.folder.write_toml(path, tomlkit.dumps(document), read_run_file)
+
+
 def routes() -> list[Any]:
     """Routes of this page."""
     from starlette.routing import Route
@@ -95,4 +130,5 @@ def routes() -> list[Any]:
         Route("/signals/{name:path}", show, methods=["GET"]),
         Route("/signals/{name:path}", read_again, methods=["POST"]),
         Route("/signal-data/{name:path}", data),
+        Route("/leave-out/{name:path}", leave_out, methods=["POST"]),
     ]
