@@ -557,7 +557,7 @@ def test_words_of_the_command_that_do_not_fit(
     for words, message in (
         ((run, "--calibration", cal, "--out", tmp_path / "o.txt"), "files of kind '.txt' are not written"),
         ((run, "--calibration", cal, "--calibration", cal, "--out", tmp_path / "o.csv"), "is given 2 times"),
-        ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 runs with 1 calibrations"),
+        ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 runs and 1 calibrations"),
     ):
         code, _, text = command(monkeypatch, capsys, *words)
         assert code == 2

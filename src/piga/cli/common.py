@@ -7,7 +7,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeVar
 
@@ -180,6 +180,10 @@ class _Silent:
         """Draw nothing."""
 
 
+outlet: Callable[[str, int | None], AbstractContextManager[Advance]] | None = None
+"""Where progress goes instead of a bar; set by a process that runs a command for another program."""
+
+
 @contextmanager
 def progress(title: str, total: int | None = None) -> Iterator[Advance]:
     """Progress bar on stderr, shown at once, and only on a terminal. Yields ``advance(n, total)``.
@@ -188,13 +192,17 @@ def progress(title: str, total: int | None = None) -> Iterator[Advance]:
     is stopped, the message names ``title``.
     """
     try:
+        if outlet is not None:
+            with outlet(title, total) as bar:
+                yield bar
+            return
         if sys.stderr is None or not sys.stderr.isatty():
             yield _Silent()
             return
         from piga.cli.bar import Bar
 
-        with Bar(title, total) as bar:
-            yield bar
+        with Bar(title, total) as drawn:
+            yield drawn
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise

@@ -9,8 +9,43 @@ import json
 import signal
 import sys
 import time
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
+
+BETWEEN = 0.2
+"""Least time [s] between two notes."""
+
+
+class Note:
+    """Progress as a small file: what is done now, and which share of it is done, if known."""
+
+    def __init__(self, path: Path, title: str, total: float | None) -> None:
+        self._path, self._title, self._total = path, title, total
+        self._done, self._last = 0.0, 0.0
+        self._write(title)
+
+    def __call__(self, count: int, total: int | None = None, /) -> None:
+        """``count`` more of ``total`` are done."""
+        self._done += count
+        self._total = total or self._total
+        self._write(self._title)
+
+    def show(self, done: float, total: float, what: str) -> None:
+        """``done`` of ``total`` are done, and ``what`` comes now."""
+        self._done, self._total = done, total
+        self._write(f"{self._title}: {what}" if what else self._title)
+
+    def _write(self, what: str) -> None:
+        now = time.monotonic()
+        if self._last and now - self._last < BETWEEN:
+            return
+        self._last = now
+        share = min(self._done / self._total, 1.0) if self._total else None
+        part = self._path.with_suffix(".part")
+        with suppress(OSError):
+            part.write_text(json.dumps({"what": what, "share": share}), encoding="utf-8")
+            part.replace(self._path)
 
 
 def run(folder: Path, arguments: list[str]) -> None:
@@ -29,8 +64,10 @@ def run(folder: Path, arguments: list[str]) -> None:
         signal.signal(number, stop)
     code: object = 1
     try:
+        from piga.cli import common
         from piga.cli.main import guarded, main
 
+        common.outlet = lambda title, total: nullcontext(Note(folder / "progress", title, total))
         if arguments[:1] == ["envelopes"]:
             guarded(lambda: _envelopes(Path(arguments[1]), Path(arguments[2])))
         else:

@@ -1,0 +1,112 @@
+"""Jobs: what becomes of them, whatever becomes of the server."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from piga.errors import ArgumentError
+from piga.workbench.jobs import Job, Jobs, Status
+from tests.workbench.conftest import Server, shipped_record
+
+
+def ended(jobs: Jobs, job: Job, seconds: float = 120.0) -> Status:
+    limit = time.monotonic() + seconds
+    while jobs.status(job).state == "running":
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+    return jobs.status(job)
+
+
+@pytest.fixture
+def jobs(tmp_path: Path) -> Jobs:
+    shipped_record(tmp_path)
+    return Jobs(tmp_path / "jobs", tmp_path)
+
+
+def test_a_job_is_the_command(jobs: Jobs, tmp_path: Path) -> None:
+    job = jobs.start(("check", "tumble-a.toml", "--json"), "Check", "tumble-a.toml")
+    status = ended(jobs, job)
+    assert (status.state, status.code) == ("done", 0)
+    assert json.loads(jobs.text(job, "out"))["serial"] == "tumble-a"
+    again = Jobs(tmp_path / "jobs", tmp_path)
+    assert again.all() == [job]
+    assert again.status(job).state == "done"
+    refused = jobs.start(("check", "none.toml"), "Check", "none.toml")
+    assert ended(jobs, refused).code == 2
+    assert "none.toml" in jobs.text(refused, "err")
+    assert "Traceback" not in jobs.text(refused, "err")
+    assert [one.key for one in jobs.all()][-1] == job.key
+
+
+def test_a_stop_leaves_nothing(jobs: Jobs, tmp_path: Path) -> None:
+    job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
+    assert (
+        jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out") == job
+    )
+    jobs.stop(job)
+    assert jobs.status(job).state == "stopped"
+    assert not (tmp_path / "out").exists()
+    assert not list(tmp_path.glob(".out*"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_job_that_is_killed_is_lost_and_another_process_is_not_taken_for_it(jobs: Jobs) -> None:
+    job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
+    os.kill(job.pid, signal.SIGKILL)
+    assert ended(jobs, job).state == "lost"
+    stranger = Job("stranger", ("calibrate",), "Calibrate", "x", pid=os.getpid(), born="1")
+    assert jobs.status(stranger).state == "lost"
+    jobs.stop(stranger)  # does not signal this process
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_the_server_is_killed_and_its_job_goes_on(tmp_path: Path) -> None:
+    shipped_record(tmp_path)
+    first = Server(tmp_path)
+    first.client.enter()
+    status, headers, _ = first.client.post(
+        "/calibrate/tumble-a.toml", {"term": ["scale_factor", "tan_beta", "k0"]}
+    )
+    assert status == 303
+    first.process.kill()
+    first.process.communicate()
+    second = Server(tmp_path)
+    second.client.enter()
+    page = headers["location"].replace("/result/", "/jobs/")
+    assert "lost" not in second.client.page(page)
+    second.client.until(page, lambda text: '"state running"' not in text)
+    assert "state done" in second.client.page(page)
+    assert len(list((tmp_path / ".piga-ui" / "trials").glob("*/calibration.json"))) == 1
+    assert second.end() == (0, "")
+
+
+def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from piga.cli import job
+
+    monkeypatch.setattr(job, "BETWEEN", 0.0)
+    note = job.Note(tmp_path / "progress", "reading", None)
+    assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading", "share": None}
+    note(25, 100)
+    note(25)
+    assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
+    note.show(3, 4, "draws")
+    assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
+
+
+def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
+    monkeypatch.setattr("piga.workbench.jobs.MOST_KEPT", 1)
+    job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
+    with pytest.raises(ArgumentError, match="running"):
+        jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
+    jobs.stop(job)
+    time.sleep(1.1)  # keys begin with the second
+    after = jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
+    assert jobs.all() == [after]
+    ended(jobs, after)
