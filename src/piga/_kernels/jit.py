@@ -70,8 +70,12 @@ class _SoundCacheFile(IndexDataCacheFile):
         self._write(self._index_path, pickle.dumps((self._version, packed)))
 
     def _load_data(self, name: str) -> Any:
-        raw = self._read(self._data_path(name))  # type: ignore[no-untyped-call]
-        return pickle.loads(raw)  # noqa: S301 - compiled code of this package, as Numba keeps it
+        path = self._data_path(name)  # type: ignore[no-untyped-call]
+        try:
+            return pickle.loads(self._read(path))  # noqa: S301 - compiled code of this package, as Numba keeps it
+        except (AttributeError, ImportError):  # of an older version, that called a module of another name
+            self._remove(path)
+            raise FileNotFoundError(path) from None
 
     def _save_data(self, name: str, data: Any) -> None:
         packed = self._dump(data)  # type: ignore[no-untyped-call]
