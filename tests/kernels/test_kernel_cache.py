@@ -119,7 +119,8 @@ def test_no_folder_to_keep_kernels_in(tmp_path: Path) -> None:
 def test_a_module_that_a_cached_kernel_calls_has_another_name_now(tmp_path: Path) -> None:
     """Code of an older version: the caller is unchanged, the module of what it calls was renamed."""
     helper = "from piga._kernels.jit import inline\n\n@inline\ndef double(x):\n    return 2.0 * x\n"
-    caller = "from piga._kernels.jit import kernel\ntry:\n    from first import double\nexcept ImportError:\n    from second import double\n"
+    caller = "from piga._kernels.jit import kernel\ntry:\n    from first import double\n"
+    caller += "except ImportError:\n    from second import double\n"
     caller += "\n@kernel\ndef twice(x):\n    return double(x)\n"
     (tmp_path / "first.py").write_text(helper)
     (tmp_path / "small.py").write_text(caller)
