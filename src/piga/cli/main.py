@@ -19,6 +19,7 @@ from piga.cli.check import check, convert
 from piga.cli.common import DOING, App, CommandGroup, note, prepare_output
 from piga.cli.compensate import compensate
 from piga.cli.completion import completion
+from piga.cli.examples import examples
 from piga.cli.init import init
 from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
@@ -70,7 +71,20 @@ def _options(
     pass
 
 
-for command in (demo, init, check, convert, calibrate, compensate, simulate, plan, reproduce, ui, completion):
+for command in (
+    demo,
+    examples,
+    init,
+    check,
+    convert,
+    calibrate,
+    compensate,
+    simulate,
+    plan,
+    reproduce,
+    ui,
+    completion,
+):
     app.command()(command)
 app.add_typer(platform.app)
 app.add_typer(campaign.app)
