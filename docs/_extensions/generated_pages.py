@@ -17,11 +17,14 @@ from sphinx.application import Sphinx
 
 import piga
 from piga.campaign.campaign_file import CampaignFile
+from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
+from piga.cli.words import KeyWords, words_of
 from piga.compensation.sets.set_files import TriadFile
 from piga.planning.plan_file import PlanTable
 from piga.platform.model.scenario import ScenarioFile
-from piga.records.run_file import RunFile
+from piga.records.run_file import METHOD_WORDS, RunFile
+from piga.records.terms import TERM_WORDS, UNITS
 from piga.stand.scenario import ScenarioTable
 
 PLAIN = ("units", "frames", "earth", "errors")
@@ -37,7 +40,8 @@ def setup(app: Sphinx) -> dict[str, bool]:
 def write_pages(folder: Path) -> None:
     """Write all pages; leave a page alone that is right already, so that it is not read again."""
     folder.mkdir(parents=True, exist_ok=True)
-    pages = api_pages() | {"cli": cli_page(), "schemas": schema_page()} | file_pages()
+    own = {"cli": cli_page(), "schemas": schema_page(), "terms": terms_page(), "methods": methods_page()}
+    pages = api_pages() | own | file_pages()
     for old in folder.glob("*.md"):
         if old.stem not in pages:
             old.unlink()
@@ -138,6 +142,11 @@ def file_pages() -> dict[str, str]:
         "plan-file": ("The plan file", PlanTable, "A test to be planned: `piga plan`."),
         "platform-file": ("The platform scenario", ScenarioFile, "A platform run: `piga platform ...`."),
         "campaign-file": ("The campaign file", CampaignFile, "Thousands of tests: `piga campaign`."),
+        "certificate-file": (
+            "The certificate file",
+            CertificateFile,
+            "What a certificate says besides the results: `piga certificate issue --data`.",
+        ),
         "triad-file": ("The triad file", TriadFile, "Instruments solved together: `piga compensate`."),
     }
     return {name: file_page(*head) for name, head in heads.items()}
@@ -170,13 +179,16 @@ def collect(annotation: Any, seen: list[type[msgspec.Struct]]) -> None:
 def struct_text(struct: type[msgspec.Struct]) -> str:
     """One structure as a section with its keys."""
     config = struct.__struct_config__
-    rows = ["| key | value | default |", "|---|---|---|"]
+    rows = ["| key | meaning | value | unit | default | example |", "|---|---|---|---|---|---|"]
     if config.tag is not None:
-        rows.append(f'| `{config.tag_field}` | `"{config.tag}"` | needed |')
-    rows += [
-        f"| `{field.encode_name}` | {type_text(field.type)} | {field_default(field)} |"
-        for field in msgspec.structs.fields(struct)
-    ]
+        rows.append(f'| `{config.tag_field}` | Kind of the table. | `"{config.tag}"` | | needed | |')
+    for field in msgspec.structs.fields(struct):
+        words = words_of(struct.__name__, field.encode_name) or KeyWords("", "", "")
+        unit = "" if words.unit == "own" else words.unit
+        rows.append(
+            f"| `{field.encode_name}` | {cell(words.sentence)} | {type_text(field.type)} | {unit} | {field_default(field)} "
+            f"| `{cell(words.example)}` |"
+        )
     summary = (struct.__doc__ or "").replace("``", "`")
     return f"## {struct.__name__}\n\n{summary}\n\n" + "\n".join(rows) + "\n"
 
@@ -221,6 +233,32 @@ def union_texts(parts: tuple[Any, ...]) -> list[str]:
         rest = [part for part in real if part not in (str, float, int)]
         return ["quantity", *map(type_text, rest)]
     return [type_text(part) for part in real]
+
+
+# --- terms and methods ---------------------------------------------------------------------------------
+
+
+def terms_page() -> str:
+    """Every term of the error model, from the words that ``piga terms`` prints."""
+    rows = [
+        "| term | unit | meaning | adds to the indicated specific force | shown by | usual size |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, words in TERM_WORDS.items():
+        unit = "g" if name in ("sn", "cn") else UNITS[name]
+        meaning, formula = cell(words.meaning), cell(words.formula)
+        rows.append(
+            f"| `{name}` | {unit} | {meaning} | `{formula}` | {cell(words.shown_by)} | {cell(words.usual)} |"
+        )
+    lead = "`piga terms` prints this table. Usual sizes are orders of magnitude; they decide nothing."
+    return f"# Terms of the error model\n\n{lead}\n\n" + "\n".join(rows) + "\n"
+
+
+def methods_page() -> str:
+    """Every method, from the words that ``piga methods`` prints."""
+    rows = ["| method | what it is | use it |", "|---|---|---|"]
+    rows += [f"| `{name}` | {cell(what)} | {cell(use)} |" for name, (what, use) in METHOD_WORDS.items()]
+    return "# Methods of a calibration\n\n`piga methods` prints this table.\n\n" + "\n".join(rows) + "\n"
 
 
 # --- schemas -------------------------------------------------------------------------------------------

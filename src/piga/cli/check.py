@@ -17,12 +17,14 @@ from piga.cli.common import (
     say,
     write_by_rename,
 )
-from piga.errors import PigaError
+from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, results
 
 
 def check(
-    run: RunFileArgument,
+    run: Annotated[
+        Path | None, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Write check.html with a picture of the record.")
     ] = None,
@@ -30,10 +32,21 @@ def check(
         bool,
         typer.Option("--fix-suggestions", help="Print lines for the run file that settle the open questions."),
     ] = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(
+            "--explain", metavar="KEY", help="Say what a key of any TOML file means, e.g. data.time.stamp."
+        ),
+    ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what is in a recorded test. Nothing is calibrated."""
+    if explain is not None:
+        _explain(explain, as_json)
+        return
+    if run is None:
+        raise ArgumentError("no run file is named", remedy="piga check RUN.toml, or piga check --explain KEY")
     from piga.stand import read_run
 
     try:
@@ -58,6 +71,16 @@ def check(
             write_check(record, folder / "check.html")
         if not as_json:
             say(f"wrote {out / 'check.html'}")
+
+
+def _explain(key: str, as_json: bool) -> None:
+    from piga.cli.words import explain, key_documents, say_keys
+
+    hits = explain(key)
+    if as_json:
+        print_json(key_documents(hits))
+    else:
+        say_keys(hits)
 
 
 def convert(

@@ -21,7 +21,7 @@ def examples(
 ) -> None:
     """Write all example files, as the how-tos use them.
 
-    The how-tos name them examples/NAME: run their commands in the folder that holds DIR.
+    Run the commands of the how-tos in the folder that holds DIR.
     """
     texts = example_files()
     with results(out, "examples", tuple(texts), (), force=force) as folder:

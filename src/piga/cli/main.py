@@ -25,6 +25,7 @@ from piga.cli.plan import plan
 from piga.cli.reproduce import reproduce
 from piga.cli.simulate import simulate
 from piga.cli.ui import ui
+from piga.cli.words import methods, terms
 from piga.errors import EXTRAS, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -83,6 +84,8 @@ for command in (
     plan,
     reproduce,
     ui,
+    terms,
+    methods,
     completion,
 ):
     app.command()(command)

@@ -32,6 +32,29 @@ Method = Literal["information", "rate", "recursive", "published", "revolutions"]
 PHASES: tuple[str, ...] = get_args(Phase)
 PHASE_SOURCES: tuple[str, ...] = get_args(PhaseSource)
 METHODS: tuple[str, ...] = get_args(Method)
+METHOD_WORDS: dict[str, tuple[str, str]] = {
+    "information": (
+        "least squares of the whitened angle increments, reduced orthogonally",
+        "always, unless you want to compare; the only method whose intervals cover noise that is slow",
+    ),
+    "rate": (
+        "least squares of rates, differences of the angle",
+        "for records that hold rates, and to see what differencing loses",
+    ),
+    "recursive": (
+        "the information method, sample by sample, with the estimate after each one",
+        "to see how the coefficients settle; the result is that of the information method",
+    ),
+    "published": (
+        "the recursion of the literature for tan_beta and the phase",
+        "to repeat published results; needs its terms and start values",
+    ),
+    "revolutions": (
+        "mean rates over whole turns of the outer gimbal, as laboratories do it by hand",
+        "to compare with older records; needs whole turns in each position",
+    ),
+}
+"""What each method is, and when to use it."""
 
 
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

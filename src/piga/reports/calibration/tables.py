@@ -11,7 +11,7 @@ import numpy as np
 
 from piga.records.calibration import BudgetEntry, Calibration, Coefficient
 from piga.records.coverage import TYPE_A_ONLY
-from piga.records.terms import shown_unit
+from piga.records.terms import shown_unit, term_words
 from piga.reports.render.numbers import count, fixed, pretty_unit, printed, relative, rounded, short, signed
 from piga.reports.render.page import Cell, Judgement, Table, TableColumn
 from piga.units import ARCSEC, G0
@@ -84,16 +84,28 @@ def monte_carlo_interval(coefficient: Coefficient) -> str:
     return f"{printed(ends[0])} to {printed(ends[1])} {pretty_unit(unit)}".rstrip()
 
 
+def named(coefficient: Coefficient) -> Cell:
+    """The key of a coefficient. Its meaning is shown when the pointer rests on it."""
+    try:
+        words = term_words(coefficient.name)
+    except KeyError:  # a term of a later version
+        return Cell(coefficient.key)
+    return Cell(
+        coefficient.key,
+        title=f"{words.meaning}; adds {words.formula}; shown by {words.shown_by}; usually {words.usual}",
+    )
+
+
 def _coefficient_row(coefficient: Coefficient) -> tuple[str | Cell, ...]:
     if not coefficient.determined:
         unit = pretty_unit(coefficient.unit)
-        return coefficient.key, Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
+        return named(coefficient), Cell("not determined", "doubtful"), "–", "–", unit, "–", "–", "–"
     scale, unit = shown_unit(coefficient.name, coefficient.unit)
     value, std = coefficient.value * scale, coefficient.std * scale
     number, wide = rounded(value, std), rounded(value, coefficient.expanded * scale)
     small = std > abs(value)
     return (
-        coefficient.key,
+        named(coefficient),
         printed(number.value),
         printed(number.uncertainty),
         printed(wide.uncertainty),

@@ -62,11 +62,15 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a cell with a tone, or with a ``heat`` from -1 to 1 that tints it."""
+    """Text of a cell with a tone, or with a ``heat`` from -1 to 1 that tints it.
+
+    ``title``: shown when the pointer rests on the first cell of a row.
+    """
 
     text: str
     tone: Tone = ""
     heat: float | None = None
+    title: str = ""
 
     @property
     def css(self) -> str:

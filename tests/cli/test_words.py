@@ -1,0 +1,105 @@
+"""Every key of every file, every term and every method has its words, and no word is of a key that is gone."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import msgspec
+import pytest
+from typer.testing import CliRunner
+
+from piga.cli.main import app
+from piga.cli.words import FILES, explain, key_table, places
+from piga.records.run_file import METHOD_WORDS, METHODS
+from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_key_has_a_sentence_and_an_example(file: str) -> None:
+    keys = places(file)
+    assert len(keys) > 4
+    for place in keys:
+        assert place.words.sentence.endswith("."), place.path
+        assert place.words.example, place.path
+        tomllib.loads(f"x = {place.words.example}")
+
+
+def test_no_words_of_a_key_that_is_gone() -> None:
+    used = {(place.table, place.path.rpartition(".")[2]) for file in FILES for place in places(file)}
+    names = {key for _, key in used}
+    for table, keys in key_table().items():
+        for key in keys:
+            known = (table, key) in used if table != "*" else key in names
+            assert known or (table, "ScenarioTable") == ("ScenarioTable", table), (table, key)
+
+
+def test_examples_have_the_type_of_their_key() -> None:
+    """Each example is accepted by the type of its field."""
+    from importlib import import_module
+
+    from piga.cli.words import _structs, words_of
+
+    def walk(struct: type[msgspec.Struct], seen: set[type]) -> None:
+        if struct in seen:
+            return
+        seen.add(struct)
+        for field in msgspec.structs.fields(struct):
+            inner = _structs(field.type)
+            words = words_of(struct.__name__, field.encode_name)
+            assert words is not None
+            value = tomllib.loads(f"x = {words.example}")["x"]
+            if not inner or value not in ({}, [{}]):
+                try:
+                    msgspec.convert(value, field.type)
+                except msgspec.ValidationError as error:
+                    raise AssertionError((struct.__name__, field.encode_name, str(error))) from error
+            for part in inner:
+                walk(part, seen)
+
+    seen: set[type] = set()
+    for _, module, name in FILES.values():
+        walk(getattr(import_module(module), name), seen)
+
+
+def test_explain() -> None:
+    done = CliRunner().invoke(app, ["check", "--explain", "data.time.stamp"])
+    assert done.exit_code == 0
+    assert done.stdout == (
+        'data.time.stamp (run file)\n  Form of time stamps, or "iso"; instead of a unit.\n  value    text\n'
+        '  default  none\n  example  stamp = "DD.MM.YYYY hh:mm:ss.f"\n'
+    )
+    assert {place.file for place in explain("terms")} == {"run"}
+    assert next(place.path for place in explain("[data] time")) == "data.time"
+    document = json.loads(CliRunner().invoke(app, ["check", "--explain", "criterion", "--json"]).stdout)
+    assert document[0]["key"] == "plan.criterion"
+    wrong = CliRunner().invoke(app, ["check", "--explain", "data.tme"])
+    assert "did you mean" in str(wrong.exception)
+    assert "no run file is named" in str(CliRunner().invoke(app, ["check"]).exception)
+
+
+def test_terms() -> None:
+    assert set(TERM_WORDS) - {"sn", "cn"} == set(UNITS) == set(MEANING)
+    out = CliRunner().invoke(app, ["terms"]).stdout
+    for name in UNITS:
+        assert f"{name}  [{UNITS[name]}]  {MEANING[name]}" in out
+    assert term_words("s2").formula == "s2 sin(2 psi)"
+    assert "s3 sin(3 psi)" in CliRunner().invoke(app, ["terms", "s3"]).stdout
+    assert "is not a term" in str(CliRunner().invoke(app, ["terms", "k9"]).exception)
+    rows = json.loads(CliRunner().invoke(app, ["terms", "--json"]).stdout)
+    assert {row["name"] for row in rows} == set(TERM_WORDS)
+
+
+def test_methods() -> None:
+    assert tuple(METHOD_WORDS) == METHODS
+    out = CliRunner().invoke(app, ["methods"]).stdout
+    assert all(f"{name}: " in out for name in METHODS)
+
+
+def test_the_report_shows_the_words_of_a_coefficient() -> None:
+    from piga.records.calibration import Coefficient
+    from piga.reports.calibration.tables import named
+
+    cell = named(Coefficient("k0", 1e-4, 1e-6, "g"))
+    assert cell.text == "k0"
+    assert cell.title == "bias; adds k0; shown by a tumble on a dividing head; usually 10 to 1000 ug"
