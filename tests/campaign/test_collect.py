@@ -8,6 +8,7 @@ import pytest
 from pyarrow import parquet
 
 from piga.campaign import collect, document, open_campaign, plan_campaign
+from piga.campaign.collect import _share_error
 from piga.campaign.shard import run_shard
 from piga.cli.main import app
 from piga.errors import DataError, PigaError
@@ -59,6 +60,14 @@ def test_figures_are_those_of_the_rows(small):
             assert np.isfinite(bound).tolist() == [row["repeat"] < 3 for row in own]
             ratio = np.var(off, ddof=1) / np.mean(bound[:3] ** 2)
             assert c["variance_over_bound"] == pytest.approx(ratio, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("held", "tests", "error"), [(95, 100, 0.0217945), (100, 100, 0.0070533), (0, 100, 0.0070533)]
+)
+def test_standard_error_of_a_share(held, tests, error):
+    """Where all intervals hold, or none, it is that of half a test and not zero."""
+    assert _share_error(held, tests) == pytest.approx(error, rel=1e-5)
 
 
 def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):

@@ -1,0 +1,91 @@
+"""The page and the text of a campaign, and the table of the documentation that is made from it."""
+
+import json
+
+import pytest
+from benchmarks import intervals, measured
+
+from piga.campaign import collect, document, open_campaign, plan_campaign
+from piga.campaign.page import campaign_page, collected_text
+from piga.campaign.shard import run_shard
+from piga.reports.render.page import FigureBlock, Notice, Table, page_html
+from tests.campaign.small import SMALL, one_case, written
+
+GRID = (
+    SMALL.replace("repeats = 10", "repeats = 6").replace("repeats = 7", "repeats = 6")
+    + """
+[grid]
+"constant_force.white" = ["1e-5 rad", "4e-5 rad"]
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory):
+    """A campaign over a grid."""
+    folder = tmp_path_factory.mktemp("grid")
+    campaign = plan_campaign(written(folder, GRID), folder / "out")
+    for shard in range(campaign.shards):
+        run_shard(str(folder / "out"), shard)
+    return collect(open_campaign(folder / "out"))
+
+
+def test_page_of_a_grid(grid):
+    page = campaign_page(grid)
+    blocks = [block for section in page.sections for block in section.blocks]
+    tables = [block for block in blocks if isinstance(block, Table)]
+    assert [table.caption for table in tables[:4]] == [result.group.label for result in grid.groups]
+    keys = [block.figure.key for block in blocks if isinstance(block, FigureBlock)]
+    assert keys == ["coverage", "errors", "grid-scale-factor", "grid-k0"]
+    figure = next(
+        block.figure for block in blocks if isinstance(block, FigureBlock) and block.figure.key == "grid-k0"
+    )
+    lines = figure.panels[0].series
+    assert [line.name for line in lines] == ["white", "walk"]
+    assert list(lines[0].x) == [1e-5, 4e-5]
+    k0 = [next(c for c in r.coefficients if c.name == "k0") for r in grid.groups if r.group.name == "white"]
+    assert list(lines[0].y) == [1e6 * c.bias for c in k0], "in micro-g, as on all pages"
+    html = page_html(page)
+    assert "piga campaign repeat small.toml --case" in html
+    assert "constant_force.white = 4e-5 rad" in html
+    assert "coverage" in collected_text(grid)
+
+
+def test_coverage_away_from_95_per_cent_is_marked(grid):
+    from dataclasses import replace
+
+    def page(share):
+        result = grid.groups[0]
+        c = replace(result.coefficients[0], coverage=share, tests=1000)
+        changed = replace(grid, groups=(replace(result, coefficients=(c,)),))
+        return [b for b in campaign_page(changed).sections[0].blocks if isinstance(b, Notice)]
+
+    assert page(0.95)[0].kind == "good"
+    assert page(0.94)[0].kind == "good", "within what chance explains"
+    assert "scale_factor" in page(0.90)[0].text
+    assert "(90.0 %)" in page(0.90)[0].text
+
+
+def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
+    """A campaign of as many tests replaces a row, a smaller one leaves it."""
+    folder = tmp_path / "measured"
+    folder.mkdir()
+    kept = (measured.FOLDER / "intervals.json").read_text(encoding="utf-8")
+    (folder / "intervals.json").write_text(kept, encoding="utf-8")
+    campaign = plan_campaign(written(tmp_path, one_case("near-critical", 3)), tmp_path / "out")
+    for shard in range(campaign.shards):
+        run_shard(str(tmp_path / "out"), shard)
+    found = document(collect(campaign))
+    said = intervals.put_down(found, folder)
+    assert said == ["near-critical: 3 tests; the row of 10000 tests stays"]
+    assert (folder / "intervals.json").read_text(encoding="utf-8") == kept
+    found["groups"][0]["records"] = 10_000
+    stays = intervals.put_down(found | {"complete": False}, folder)
+    assert stays == ["near-critical: records are missing or failed; the row stays"]
+    assert intervals.put_down(found, folder) == ["near-critical: 10000 tests put down"]
+    rows = {
+        f["name"]: f["value"]
+        for f in json.loads((folder / "intervals.json").read_text(encoding="utf-8"))["figures"]
+    }
+    assert rows["near-critical: NEES"] == round(found["groups"][0]["nees"], 3)
+    assert rows["near-critical: coverage"] == sorted(rows["near-critical: coverage"])
