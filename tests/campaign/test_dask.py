@@ -231,11 +231,7 @@ def test_killed_at_random_times(tmp_path, who, count):
         assert collected(killed(tmp_path, rng, count, who)) == expected
 
 
-def test_scheduler_killed(tmp_path):
-    rng = random.Random(1)  # noqa: S311
-    assert collected(killed(tmp_path, rng, 1, "scheduler")) == whole(tmp_path / "one", LONG)
-
-
+@pytest.mark.slow
 def test_workers_with_several_threads_are_refused(tmp_path):
     """Threads of one process share their linear algebra and their interpreter: one thread a worker."""
     with Cluster(tmp_path, 0) as cluster:
