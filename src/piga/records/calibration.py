@@ -22,6 +22,7 @@ from piga.results import (
     MOST_LINES,
     ByValue,
     Column,
+    Correlated,
     Plots,
     Reported,
     Result,
@@ -749,7 +750,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def correlated(
         self, library: Literal["uncertainties", "GTC"] | None = None, *, si: bool = False
-    ) -> dict[str, Any]:
+    ) -> dict[str, Correlated]:
         """The coefficients as numbers that know their covariance, by key, to compute on with.
 
         Parameters
@@ -773,7 +774,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        made: dict[str, Any] = above("correlated")(self, library, si=si)
+        made: dict[str, Correlated] = above("correlated")(self, library, si=si)
         return made
 
     def __getitem__(self, key: str) -> Coefficient:

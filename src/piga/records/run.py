@@ -88,7 +88,7 @@ class Run(Result, Reported, Tabular):
     estimation: EstimationTable = field(default_factory=EstimationTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     left_out: NDArray[np.bool_] | None = None
-    stand: dict[str, Any] | None = None
+    stand: dict[str, object] | None = None
     servo: tuple[GivenParameter, ...] = ()
     source: str = ""
     input_sha256: dict[str, str] = field(default_factory=dict)

@@ -173,7 +173,8 @@ def propagate(
     inst:
         The instrument; ``inst.alpha0`` is the angle at ``t[0]``.
     t:
-        Sample times [s], shape (n,), increasing, any spacing.
+        Sample times [s], shape (n,), increasing, any spacing. The gimbal turns on through a gap; the force there is taken
+        as linear. A compensation forms no increment across it. :func:`propagate_segments` begins anew.
     f:
         Specific force in base axes at the sample times [m/s^2], shape (n, 3); linear between.
     base_rate:

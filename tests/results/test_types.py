@@ -1,0 +1,78 @@
+"""The documented examples hold as a user's script under mypy --strict and pyright, and no signature says Any."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import piga
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("README.md", "docs/reference/api.md")
+WRONG = "run.part(3)\ncal['k0'].si.nothing\npiga.calibrate(run, progres=None)\n"
+"""Mistakes of a user that the types must show."""
+
+
+@pytest.fixture(scope="module")
+def scripts(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("scripts")
+    for page in PAGES:
+        text = (ROOT / page).read_text(encoding="utf-8")
+        code = "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
+        assert code
+        (folder / f"{Path(page).stem}.py").write_text(code, encoding="utf-8")
+    wrong = (folder / "api.py").read_text(encoding="utf-8") + WRONG
+    (folder / "wrong.py").write_text(wrong, encoding="utf-8")
+    return folder
+
+
+def mypy(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--follow-imports=silent", *names]
+    environment = os.environ | {"MYPYPATH": str(ROOT / "src")}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_mypy_takes_the_documented_examples_and_sees_mistakes(scripts):
+    done = mypy(scripts, "README.py", "api.py")
+    assert done.returncode == 0, done.stdout
+    done = mypy(scripts, "wrong.py")
+    found = [line for line in done.stdout.splitlines() if "error" in line and line.startswith("wrong.py")]
+    assert len(found) == 3, done.stdout
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="pyright needs Node")
+def test_pyright_takes_the_documented_examples(scripts):
+    """Strict, but for what pandas and pyarrow leave untyped."""
+    untyped = dict.fromkeys(
+        ("reportUnknownArgumentType", "reportUnknownVariableType", "reportUnknownMemberType"), False
+    )
+    settings = {
+        "extraPaths": [str(ROOT / "src")],
+        "typeCheckingMode": "strict",
+        "include": ["README.py", "api.py"],
+    }
+    settings |= {"reportMissingTypeStubs": False} | untyped
+    (scripts / "pyrightconfig.json").write_text(json.dumps(settings))
+    command = [sys.executable, "-m", "pyright", "--pythonpath", sys.executable]
+    done = subprocess.run(command, cwd=scripts, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_no_public_signature_says_any():
+    said = []
+    for name in piga.__all__:
+        value = getattr(piga, name)
+        if inspect.isclass(value):
+            members = [m for m in vars(value).values() if inspect.isfunction(m) and m.__name__[0] != "_"]
+        else:
+            members = [value] if inspect.isfunction(value) else []
+        said += [f"{name}.{m.__name__}" for m in members if re.search(r"\bAny\b", str(inspect.signature(m)))]
+    assert said == []
