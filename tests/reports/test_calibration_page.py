@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from piga.records.calibration import Amount, Outlier, RunRecord, SegmentLeverage
+from piga.records.calibration import Amount, Outlier, Residuals, RunRecord, SegmentLeverage
 from piga.records.run_file import UncertaintyTable
 from piga.records.terms import shown_unit
 from piga.reports.calibration.figures import (
@@ -31,6 +31,7 @@ from piga.reports.calibration.tables import (
     scalars,
     source_in_words,
 )
+from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import Notice, Table, page_html
 from tests.reports.example import calibration
 from tests.reports.test_page import Checker
@@ -380,3 +381,27 @@ def test_the_leverage_of_eight_coefficients_fits_the_page(cal):
         ["Segment", "Leverage", *keys[4:]],
     ]
     assert tables[1].rows[1][:2] == ("b", "0.50")
+
+
+def test_an_outline_says_how_many_rows_it_shows() -> None:
+    """Every point of a reduced curve has its row, and the note counts points and rows."""
+    count = 30_000
+    rng = np.random.default_rng(1)
+    zeros = np.zeros(count)
+    residuals = Residuals(
+        np.arange(2, count + 2), np.arange(count) * 0.05, zeros, zeros, rng.normal(size=count), rng.normal(size=count),
+        zeros, np.zeros(count, dtype=np.int32),
+    )  # fmt: skip
+    figure = residual_figure(residuals)
+    for panel in figure.panels:
+        series = panel.series[0]
+        x, y = series.arrays()
+        rows = np.asarray(series.rows)
+        assert rows.size == x.size
+        np.testing.assert_allclose((rows - 2) * 0.05, x)
+        assert np.isfinite(y).sum() < 2000
+    assert "points of 30000 rows" in figure.notes[0]
+    assert figure_spec(figure)["data"][0]["customdata"][0] == 2
+    names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment")
+    short = dataclasses.replace(residuals, **{name: getattr(residuals, name)[:500] for name in names})
+    assert residual_figure(short).notes == ()

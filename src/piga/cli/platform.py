@@ -249,8 +249,8 @@ def _compared(scenario: Path) -> ModelComparisonRun:
     from piga.platform.runs.chain import compare as compare_models
 
     read = load_scenario(scenario)
-    with progress("simulating and navigating"):
-        return compare_models(read)
+    with progress("simulating and navigating") as advance:
+        return compare_models(read, progress=advance.show)
 
 
 def _lines_text(comparison: ModelComparisonRun, out: Path | None) -> str:

@@ -328,15 +328,25 @@ def _parts(x: Array, residuals: Residuals) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
-def _with_gaps(x: Array, y: Array, parts: list[slice]) -> tuple[Array, Array]:
-    """Reduced curve with gaps between ``parts``."""
+def _with_gaps(x: Array, y: Array, parts: list[slice]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Reduced curve with gaps between ``parts``, and the row of each of its points."""
     limit = max(12, POINTS // len(parts) - 1)
-    pieces_x, pieces_y = [], []
+    pieces_x, pieces_y, kept = [], [], []
     for part in parts:
         rows = part.start + envelope_rows(y[part], limit)
         pieces_x += [x[rows], x[rows[-1:]]]
         pieces_y += [y[rows], np.array([np.nan])]
-    return np.concatenate(pieces_x), np.concatenate(pieces_y)
+        kept += [rows, rows[-1:]]
+    return np.concatenate(pieces_x), np.concatenate(pieces_y), np.concatenate(kept)
+
+
+def _outline_note(drawn: int, residuals: Residuals) -> str:
+    """How many rows a curve shows."""
+    last, first = int(np.max(residuals.row)), int(np.min(residuals.row))
+    return (
+        f"Drawn: {drawn} points of {max(last - first + 1, residuals.t.size)} rows, the lowest and the highest of each stretch of "
+        "time. Zooming in shows the same points; residuals.parquet holds all rows."
+    )
 
 
 def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec")) -> Figure:
@@ -347,15 +357,18 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
     single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
     times = t / scale
     parts = [] if single else _parts(times, residuals)
+    drawn = residuals.t.size
     for title, role, values in (("Before", "before", residuals.before), ("After", "after", residuals.after)):
         y = np.asarray(values) / ARCSEC
-        x, y = (times, y) if single else _with_gaps(times, y, parts)
+        x, y, kept = (times, y, np.arange(y.size)) if single else _with_gaps(times, y, parts)
+        drawn = min(drawn, int(np.isfinite(y).sum()))
         series = Series(
             x,
             y,
             name=title.lower(),
             mark="points" if single else "line",
             role="before" if role == "before" else "after",
+            rows=np.asarray(residuals.row)[kept],
         )
         panels.append(Panel(Axis("elapsed time", unit), Axis(*quantity), (series,), title=title))
     return Figure(
@@ -365,6 +378,7 @@ def residual_figure(residuals: Residuals, quantity: tuple[str, str] = ("residual
         caption="Before: measured angle less the nominal model without cross-coupling. After: less the fitted "
         "model. The scales differ. Good: a band of noise around zero, without waves, steps or trends.",
         height=2.1,
+        notes=() if drawn == residuals.t.size else (_outline_note(drawn, residuals),),
     )
 
 

@@ -46,6 +46,8 @@ class Series(Result):
 
     ``upper`` is used with mark ``band``: the band lies between ``y`` and ``upper``.
     ``error`` draws symmetric error bars of that half-length. ``text`` is a hover label per point.
+    ``rows`` is the row of the record of each point, for a curve that shows only the outline of its rows: the page
+    then says how many of the rows in view are drawn.
     """
 
     x: ArrayLike
@@ -57,6 +59,7 @@ class Series(Result):
     error: ArrayLike | None = None
     dashed: bool = False
     text: tuple[str, ...] | None = None
+    rows: ArrayLike | None = None
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``x`` and ``y`` as float arrays."""

@@ -31,6 +31,8 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
         for order, series in enumerate(panel.series):
             trace = _trace(series, panel, suffix=_suffix(index))
             trace["uid"] = series_key(figure, index, order)
+            if series.rows is not None:
+                trace["customdata"] = np.asarray(series.rows).astype(int).tolist()
             trace["showlegend"] = bool(series.name) and series.name not in shown
             shown.add(series.name)
             traces += [*_band_base(trace, series), trace]

@@ -32,6 +32,20 @@
     steps.reduce((node, step) => node[step], layout)[last] = value;
   };
 
+  // Says how many of the rows in view are drawn, where a curve shows only the outline of its rows.
+  const tell = (figure, live) => {
+    const trace = live.data.find((item) => item.customdata);
+    if (!trace) return;
+    const axis = live._fullLayout[(trace.xaxis || "x").replace("x", "xaxis")];
+    const [low, high] = axis.range.map(Number);
+    const points = trace.customdata.filter((_, k) => trace.x[k] >= low && trace.x[k] <= high && trace.y[k] !== null);
+    const first = points.reduce((a, b) => Math.min(a, b), Infinity);
+    const last = points.reduce((a, b) => Math.max(a, b), -Infinity);
+    const line = figure.querySelector("p.shown") || live.insertAdjacentElement("afterend", document.createElement("p"));
+    line.className = "note shown";
+    line.textContent = points.length ? `In view: ${points.length} points of ${last - first + 1} rows.` : "In view: no point.";
+  };
+
   const draw = (figure) => {
     const spec = JSON.parse(figure.querySelector("script.spec").textContent);
     const style = getComputedStyle(document.documentElement);
@@ -49,7 +63,13 @@
     }
     const live = figure.querySelector(".live");
     figure.classList.add("upgraded");
-    Plotly.react(live, themed(spec.data, style), layout, config).catch(() => figure.classList.remove("upgraded"));
+    Plotly.react(live, themed(spec.data, style), layout, config)
+      .then(() => {
+        tell(figure, live);
+        live.removeAllListeners("plotly_relayout");
+        live.on("plotly_relayout", () => tell(figure, live));
+      })
+      .catch(() => figure.classList.remove("upgraded"));
   };
 
   const observer = new IntersectionObserver((entries) => {
