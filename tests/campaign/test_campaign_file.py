@@ -74,6 +74,8 @@ def test_seeds_are_those_of_the_seed_sequence(tmp_path):
     record = plan.find(1, 3)
     expected = np.random.SeedSequence(7, spawn_key=(1, 3)).generate_state(8)
     assert np.array_equal(plan.sequence(record).generate_state(8), expected)
+    own = np.random.SeedSequence(7, spawn_key=(1, 3)).generate_state(1, np.uint64)[0]
+    assert seed_of(plan, record) == int(own) >> 1
     seeds = {seed_of(plan, plan.record(n)) for n in range(17)}
     assert len(seeds) == 17
     assert all(0 <= seed < 2**63 for seed in seeds)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from piga.campaign import collect, document, open_campaign, plan_campaign
+from piga.campaign import collect, document, open_campaign, plan_campaign, run_campaign
 from piga.campaign.collect import _share_error
 from piga.campaign.shard import run_shard
 from piga.cli.main import app
@@ -141,6 +141,8 @@ def test_damaged_parts_are_named(tmp_path):
             collect(open_campaign(folder))
         assert words in str(caught.value)
         assert "delete it" in str(caught.value)
+        with pytest.raises(DataError, match=r"part-00001\.parquet"):
+            run_campaign(open_campaign(folder), workers=1)
     part.unlink()
     run_shard(str(folder), 1)
     again = parquet.read_table(part).drop_columns(["seconds"])

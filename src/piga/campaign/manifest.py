@@ -148,10 +148,11 @@ def _key(manifest: Manifest) -> str:
 
 def software() -> dict[str, str]:
     """What determines the numbers on a machine: version of piga, digest of its numeric source, versions of libraries."""
-    from piga.ledger.reproduce import software_identity
+    from piga.ledger.reproduce import NUMERIC_ROOMS, software_identity, source_digest
 
-    names = ("piga", "source_sha256", "numpy", "scipy", "numba", "compiled")
-    return {name: text for name, text in software_identity().items() if name in names}
+    names = ("piga", "numpy", "scipy", "numba", "compiled")
+    known = {name: text for name, text in software_identity().items() if name in names}
+    return known | {"source_sha256": source_digest((*NUMERIC_ROOMS, "platform", "campaign"))}
 
 
 def open_campaign(folder: str | Path) -> Campaign:

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from piga.campaign.collect import check_part
 from piga.campaign.manifest import LOCK, Campaign, compile_kernels
 from piga.campaign.shard import THREADS, ShardReport, run_shard, start_worker
 from piga.errors import ArgumentError, PigaError
@@ -158,11 +159,13 @@ def run_campaign(
     Raises
     ------
     PigaError
-        If another run works in the folder, the executor cannot be used, or parts cannot be written.
+        If another run works in the folder, a part there is damaged, the executor cannot be used, or parts cannot be written.
     """
     release = _lock(campaign.folder)
     try:
         missing = campaign.missing()
+        for shard in campaign.done():
+            check_part(campaign, shard)
         report = RunReport(campaign.shards, campaign.shards - len(missing))
         if not missing:
             return report

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piga.campaign.manifest import Campaign, open_campaign, software
+from piga.campaign.manifest import MANIFEST, Campaign, open_campaign, software
 from piga.campaign.subjects import Outcome, compute, reason
 from piga.errors import PigaError
 from piga.output import write_whole
@@ -71,7 +71,7 @@ def run_shard(folder: str, shard: int) -> ShardReport:
     PigaError
         If the worker has other software or does not see the folder, or if the part cannot be written.
     """
-    campaign = _opened(folder)
+    campaign = _opened(folder, _stamp(folder))
     worker = f"{socket.gethostname()}:{os.getpid()}"
     if campaign.part(shard).exists():
         return ShardReport(shard, 0, 0, 0.0, worker)
@@ -84,8 +84,16 @@ def run_shard(folder: str, shard: int) -> ShardReport:
     return ShardReport(shard, len(rows), failed, time.process_time() - began, worker)
 
 
+def _stamp(folder: str) -> int:
+    """Time of the manifest [ns]: a worker of a cluster outlives campaigns, and a folder may be planned anew."""
+    try:
+        return (Path(folder) / MANIFEST).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 @lru_cache(maxsize=1)
-def _opened(folder: str) -> Campaign:
+def _opened(folder: str, _time: int) -> Campaign:
     """The campaign, opened once in a worker; refused if this worker has other software than the campaign."""
     try:
         campaign = open_campaign(folder)

@@ -116,10 +116,10 @@ def software_identity() -> dict[str, str]:
     }
 
 
-def source_digest() -> str:
-    """SHA-256 of the Python files that determine the numbers, in the order of their names."""
+def source_digest(rooms: tuple[str, ...] = NUMERIC_ROOMS) -> str:
+    """SHA-256 of the Python files of these rooms, in the order of their names. Default: those that determine a calibration."""
     root = Path(str(resources.files("piga")))
-    files = [*root.glob("*.py"), *(path for room in NUMERIC_ROOMS for path in (root / room).rglob("*.py"))]
+    files = [*root.glob("*.py"), *(path for room in rooms for path in (root / room).rglob("*.py"))]
     digest = hashlib.sha256()
     for path in sorted(files, key=lambda path: path.relative_to(root).as_posix()):
         digest.update(f"{path.relative_to(root).as_posix()}\n".encode())
