@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib.metadata import files
 from pathlib import Path
@@ -14,7 +15,7 @@ from piga import __version__ as release  # noqa: E402
 project = "piga"
 copyright = "The piga developers, Apache-2.0"  # noqa: A001
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
@@ -22,6 +23,13 @@ extensions = [
 ]
 exclude_patterns = ["_*", "Thumbs.db"]
 highlight_language = "none"
+
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_in_temp = True
+nb_execution_timeout = 170
+nb_execution_excludepatterns = ["reference/generated/*"]
+os.environ["PYTHONPATH"] = str(HERE.parent / "src")  # for the kernels of the notebooks
 
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3

@@ -113,7 +113,7 @@ if TYPE_CHECKING:
     from piga.ledger.store import open_store
     from piga.planning import plan_test, read_plan
     from piga.records import Calibration, Coefficient, Residuals, Run
-    from piga.stand import read_run, read_scenario, run_scenario, simulate_test
+    from piga.stand import example_run, read_run, read_scenario, run_scenario, simulate_test
     from piga.trend import find_trend
 
 _LAZY = {
@@ -143,6 +143,7 @@ _LAZY = {
     "Coefficient": "piga.records",
     "Residuals": "piga.records",
     "Run": "piga.records",
+    "example_run": "piga.stand",
     "read_run": "piga.stand",
     "read_scenario": "piga.stand",
     "run_scenario": "piga.stand",
@@ -168,6 +169,7 @@ ROOMS = (
 """Rooms with further public names; ``piga.platform`` is imported on first use."""
 
 _NEEDS = {
+    "example_run": "pyarrow",
     "allan_deviation": "scipy",
     "calibrate": "scipy",
     "compare_models": "scipy",
@@ -213,6 +215,7 @@ __all__ = [
     "compare_models",
     "compensate",
     "compensate_triad",
+    "example_run",
     "find_trend",
     "identify_phase",
     "mean_rate",

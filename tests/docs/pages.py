@@ -49,7 +49,8 @@ def blocks(page: Path) -> list[Block]:
             while end < len(lines) and lines[end].strip() != fence["mark"]:
                 end += 1
             text = "\n".join(line[len(fence["indent"]) :] for line in lines[at + 1 : end])
-            found.append(Block(fence["kind"], text, at + 1, slow))
+            kind = "python" if fence["kind"].startswith("{code-cell}") else fence["kind"]
+            found.append(Block(kind, text, at + 1, slow))
             at, slow = end, False
         elif (
             lines[at].startswith("    ")

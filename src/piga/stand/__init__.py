@@ -8,6 +8,7 @@ from piga.stand.profile import Composite, Profile, Segment, Stand, force_change,
 from piga.stand.run_reference import read_run, stand_changes
 from piga.stand.scenario import Scenario, read_scenario, run_scenario
 from piga.stand.simulate import SimulatedTest, Specimen, simulate_test
+from piga.stand.table_run import example_run
 
 __all__ = [
     "Centrifuge",
@@ -25,6 +26,7 @@ __all__ = [
     "SpinPlan",
     "Stand",
     "VibrationTable",
+    "example_run",
     "force_change",
     "read_run",
     "read_scenario",

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -12,9 +17,11 @@ from piga.formats.tables import WHERE, TableStream, stated_units
 from piga.reading.read_run import read_stream
 from piga.records.run import Run
 from piga.records.run_file import ModelTable, RunFile, check_run_file
-from piga.stand.run_reference import stand_reference
+from piga.stand.run_reference import read_run, stand_reference
 from piga.stand.simulate import SimulatedTest
 
+EXAMPLE = "tumble-a"
+"""Name of the shipped record."""
 SI = {
     "time": "s",
     "angle": "rad",
@@ -102,3 +109,24 @@ def run_of_test(test: SimulatedTest, serial: str, model: ModelTable | dict[str, 
         counter_bits=test.electronics.counter_bits if counts else None,
         model=model,
     )
+
+
+def example_run() -> Run:
+    """The shipped record: a dividing-head test of 24 positions, with its run file. ``piga demo`` calibrates it.
+
+    Examples
+    --------
+    >>> import piga
+    >>> run = piga.example_run()
+    >>> run.serial, run.size, len(run.labels)
+    ('tumble-a', 28824, 24)
+    """
+    source = files("piga.data")
+    with TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / f"{EXAMPLE}.csv").write_bytes(
+            gzip.decompress(source.joinpath(f"{EXAMPLE}.csv.gz").read_bytes())
+        )
+        (place / f"{EXAMPLE}.toml").write_bytes(source.joinpath(f"{EXAMPLE}.toml").read_bytes())
+        run = read_run(place / f"{EXAMPLE}.toml")
+    return replace(run, source=f"{EXAMPLE}.toml")

@@ -1,0 +1,170 @@
+"""Every public class keeps the contract: short repr, HTML, equality, hash, pickle, tables, plots with labels."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import importlib
+import inspect
+import multiprocessing
+import pickle
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import piga
+from piga.results import Result, Tabular
+from tests.results.conftest import SCALE, a_run, pickled
+
+ROOT = Path(__file__).parents[2]
+
+
+def public_classes() -> dict[str, type]:
+    """Every class that a room names in ``__all__``."""
+    found = {}
+    for room in piga.ROOMS:
+        module = importlib.import_module(f"piga.{room}")
+        for name in module.__all__:
+            value = getattr(module, name)
+            if inspect.isclass(value) and not issubclass(value, Exception):
+                found[f"{room}.{name}"] = value
+    return found
+
+
+CLASSES = public_classes()
+
+
+@pytest.mark.parametrize("name", list(CLASSES))
+def test_equality_is_by_value_or_identity_and_never_raises(name):
+    """No dataclass compares arrays field by field as a tuple does: that raises."""
+    kind = CLASSES[name]
+    if not dataclasses.is_dataclass(kind) or kind.__dataclass_params__.eq is False:
+        return
+    arrays = [f.name for f in dataclasses.fields(kind) if "Array" in str(f.type) or "NDArray" in str(f.type)]
+    assert arrays == [], f"{name} holds arrays: eq=False and ByValue"
+
+
+@pytest.fixture(scope="module")
+def samples(run, cal):
+    import datetime as dt
+
+    from piga.earth import Site
+    from piga.instrument import Electronics
+    from piga.stand import DividingHead, Specimen
+
+    inst = piga.Instrument(scale_factor=SCALE, beta="500 arcsec", alpha0=0.1)
+    head = DividingHead(Site(0.7), positions=(0.1, 0.9, 2.2, 3.9), dwell=5.0)
+    axes = [np.roll(np.eye(3), k, axis=1) for k in range(3)]
+    t = np.arange(200) * 0.05
+    f = 9.8 * np.column_stack([0.6 + 0.1 * np.sin(t), 0.5 + 0 * t, 0.7 + 0 * t])
+    known = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": inst.tan_beta, "phi": 0.0})
+    runs = [
+        piga.Run.from_arrays(t, piga.propagate(inst, t, f @ a.T), f @ a.T, scale_factor=SCALE) for a in axes
+    ]
+    dates = [dt.datetime(2024, month, 1, tzinfo=dt.UTC) for month in (1, 4, 8, 12)]
+    residual = cal.residuals
+    return {
+        "Run": run,
+        "Calibration": cal,
+        "Coefficient": cal["k0"],
+        "Residuals": residual,
+        "BudgetTable": cal.budget,
+        "Quality": cal.quality,
+        "Provenance": cal.provenance,
+        "Compensated": piga.compensate(run, cal),
+        "CompensatedSet": piga.compensate_triad(runs, [piga.Mounted(known, a) for a in axes]),
+        "Instrument": inst,
+        "ErrorModel": piga.ErrorModel(k0="1 ug"),
+        "SimulatedTest": piga.simulate_test(head, Specimen(inst), Electronics(sample_rate=5.0)),
+        "Trend": piga.find_trend([(f"r{d:%m}", d, cal) for d in dates]),
+        "AllanDeviation": piga.allan_deviation(
+            residual.after[:400], residual.t[:400], np.arange(400) == 0, white=1e-10, walk=0.0
+        ),
+        "RunSummary": piga.RunSummary.of(run),
+    }
+
+
+NAMES = (
+    "Run", "Calibration", "Coefficient", "Residuals", "BudgetTable", "Quality", "Provenance", "Compensated",
+    "CompensatedSet", "Instrument", "ErrorModel", "SimulatedTest", "Trend", "AllanDeviation", "RunSummary",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_result_keeps_the_contract(samples, name):
+    value = samples[name]
+    assert len(repr(value).splitlines()) <= 10
+    assert len(repr(value)) <= 3000
+    again = pickled(value)
+    assert again == value
+    assert hash(again) == hash(value)
+    assert copy.copy(value) == value
+    assert copy.deepcopy(value) == value
+    assert value != "something else"
+    html = getattr(value, "_repr_html_", None)
+    if html is not None:
+        assert "<table>" in html()
+        assert len(html()) < 200_000
+    if isinstance(value, Result):
+        assert html is not None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_result_that_plots_labels_its_axes(samples, name):
+    value = samples[name]
+    if name == "Calibration" or not hasattr(value, "plot"):
+        return
+    figure = value.plot()
+    assert figure.axes
+    for axes in figure.axes:
+        assert axes.get_xlabel()
+        assert axes.get_ylabel()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_table_goes_to_polars_and_pandas_and_back(samples, name):
+    value = samples[name]
+    if not isinstance(value, Tabular):
+        return
+    arrow = value.to_arrow()
+    assert pl.DataFrame(arrow).shape == pd.DataFrame(value.to_dataframe()).shape == arrow.shape
+    assert pl.DataFrame(arrow).to_arrow().num_rows == arrow.num_rows
+    assert hasattr(value, "__arrow_c_stream__")
+
+
+def same_after(value: object) -> tuple[object, str]:
+    """In another process: the value, and its repr there."""
+    return value, repr(value)
+
+
+def test_results_travel_through_spawn(samples):
+    sent = [samples[name] for name in NAMES]
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        answers = pool.map(same_after, sent)
+    for value, (again, shown) in zip(sent, answers, strict=True):
+        assert again == value
+        assert shown == repr(pickle.loads(pickle.dumps(value)))  # noqa: S301 - our own bytes
+
+
+def test_a_run_file_is_hashable_or_says_so():
+    """Tables of TOML files are frozen structs, compared by value."""
+    table = a_run(uncertainty={"reference_scale": "1 ppm"}).uncertainty
+    assert table == msgspec.structs.replace(table)
+    assert table != msgspec.structs.replace(table, reference_scale="2 ppm")
+
+
+@pytest.mark.only_compiled
+def test_the_shipped_record_pickles_small_and_calibrates_fast():
+    import time
+
+    run = piga.example_run()
+    piga.calibrate(run)
+    before = time.process_time()
+    cal = piga.calibrate(run)
+    assert time.process_time() - before < 3.0
+    assert len(pickle.dumps(cal)) < 60_000
+    assert len(cal.correlated("uncertainties")) == len(cal.coefficients)
