@@ -166,6 +166,17 @@ def test_the_main_job_by_mouse(browser: Browser, place: Path, tmp_path: Path) ->
     page.get_by_role("heading", name="Files").wait_for()
     assert (place / "certificate-tumble-a-calibration" / "certificate.html").is_file()
     browser.is_accessible()
+    browser.open("/instrument")
+    store = f"lab-{page.viewport_size['width']}.sqlite"
+    page.get_by_label("in", exact=True).fill(store)
+    page.get_by_label("Operator").fill("A. Meyer")
+    page.get_by_label("Reason").fill("--reason=<b>")
+    page.get_by_role("button", name="Keep").click()
+    page.get_by_text("done").first.wait_for()
+    browser.open("/instrument")
+    page.locator("form", has_text=store).get_by_role("button", name="Verify").click()
+    page.get_by_text("done").first.wait_for()
+    browser.is_accessible()
 
 
 def _timeless(path: Path) -> Any:

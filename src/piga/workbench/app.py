@@ -100,6 +100,7 @@ def serve(folder: Path, port: int = 0, *, ready: Callable[[Door], None], live: L
         log_level="error",
         access_log=False,
         server_header=False,
+        proxy_headers=False,
         timeout_graceful_shutdown=GRACE,
         lifespan="on",
     )

@@ -21,7 +21,7 @@ from piga.instrument import (
 )
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.units import G0
-from piga.workbench.pages.common import render
+from piga.workbench.pages.common import bench_of, redirect, render
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -172,8 +172,22 @@ def _motion(inst: Instrument, forces: tuple[float, float, float], time: float) -
     return Figure("motion", "Output angle against time", (panel,), "The exact closed form, from α = 0.")
 
 
+async def reproduce(request: Request) -> Response:
+    """Compute every published case and compare."""
+    from starlette.concurrency import run_in_threadpool
+
+    bench = bench_of(request)
+    command = ("reproduce", "--out", "reproduction", "--force")
+    job = await run_in_threadpool(bench.jobs.start, command, "Reproduce", "publications", "reproduction")
+    return redirect(request, f"/jobs/{job.key}")
+
+
 def routes() -> list[Any]:
     """Routes of this page."""
     from starlette.routing import Route
 
-    return [Route("/explore", show), Route("/explore/picture", picture)]
+    return [
+        Route("/explore", show),
+        Route("/explore/picture", picture),
+        Route("/explore/reproduce", reproduce, methods=["POST"]),
+    ]

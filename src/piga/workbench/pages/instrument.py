@@ -1,7 +1,8 @@
-"""Instruments: years of one instrument: its calibrations, trend and certificates."""
+"""Instruments: years of one instrument: its calibrations, trend and certificates, and the ledger that keeps them."""
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
 from piga.errors import ArgumentError
@@ -11,6 +12,12 @@ from piga.workbench.pages.compensate import calibrations
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
+
+STORES = (".sqlite", ".db")
+"""Endings of ledgers."""
+LEDGER = {"list": "List the ledger", "verify": "Verify the ledger", "export": "Export the ledger"}
+"""Commands on a ledger, and their titles."""
+TITLES = ("Trend", "Certificate", "Keep", *LEDGER.values())
 
 
 def _by_serial(bench: Workbench) -> dict[str, list[str]]:
@@ -28,10 +35,26 @@ def show(request: Request) -> Response:
         for path in sorted(bench.folder.root.glob("*.toml"))
         if path.is_file() and "[laboratory]" in path.read_text(encoding="utf-8", errors="replace")
     ]
-    jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all() if job.title in ("Trend", "Certificate")]
+    jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all() if job.title in TITLES]
     return render(
-        request, "instrument.html.jinja", instruments=_by_serial(bench), certificates=certificates, jobs=jobs
-    )
+        request, "instrument.html.jinja", instruments=_by_serial(bench), certificates=certificates, jobs=jobs,
+        stores=_stores(bench), runs=_runs(bench),
+    )  # fmt: skip
+
+
+def _stores(bench: Workbench) -> list[str]:
+    """The ledgers of the folder."""
+    return [
+        path.name
+        for ending in STORES
+        for path in sorted(bench.folder.root.glob(f"*{ending}"))
+        if path.is_file() and not path.is_symlink() and not path.name.startswith(".")
+    ]
+
+
+def _runs(bench: Workbench) -> list[str]:
+    """Run files whose results are kept."""
+    return [entry.name for entry in bench.folder.entries() if entry.state == "calibrated"]
 
 
 async def trend(request: Request) -> Response:
@@ -70,6 +93,48 @@ async def certificate(request: Request) -> Response:
     return redirect(request, f"/jobs/{job.key}")
 
 
+async def keep(request: Request) -> Response:
+    """Keep a run, its results and its report in a ledger; it is made if there is none."""
+    from starlette.concurrency import run_in_threadpool
+
+    bench = bench_of(request)
+    fields = await form_of(request)
+    run = bench.folder.name(bench.folder.toml(only(fields, "run")))
+    store = _store(bench, only(fields, "store"))
+    results = bench.folder.path(run.removesuffix(".toml") + "-calibration")
+    command = ["records", "add", run, "--store", store, "--results", bench.folder.name(results)]
+    for option in ("operator", "reason"):
+        value = " ".join(only(fields, option).split())
+        if not value:
+            raise ArgumentError(f"{option}: is needed", remedy="a record says who kept it, and why")
+        command.append(f"--{option}={value}")
+    job = await run_in_threadpool(bench.jobs.start, command, "Keep", run)
+    return redirect(request, f"/jobs/{job.key}")
+
+
+async def ledger(request: Request) -> Response:
+    """List or verify a ledger, or write its records into one file."""
+    from starlette.concurrency import run_in_threadpool
+
+    bench = bench_of(request)
+    fields = await form_of(request)
+    store, word = _store(bench, only(fields, "store"), there=True), only(fields, "do")
+    if word not in LEDGER:
+        raise ArgumentError(f"{word!r}: is no command of this page", remedy="use its buttons")
+    out = f"{store.partition('.')[0]}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
+    command = ["records", word, *([out] if out else []), "--store", store]
+    job = await run_in_threadpool(bench.jobs.start, command, LEDGER[word], store, out)
+    return redirect(request, f"/jobs/{job.key}")
+
+
+def _store(bench: Workbench, name: str, *, there: bool = False) -> str:
+    """The name of a ledger in the folder, never an address."""
+    path = bench.folder.file(name) if there else bench.folder.path(name)
+    if path.parent != bench.folder.root or path.suffix not in STORES:
+        raise ArgumentError(f"{name!r}: is no name of a ledger here", remedy="e.g. lab.sqlite")
+    return path.name
+
+
 def _plain(name: str) -> str:
     """The letters and digits of a name, for a folder."""
     return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")[:60] or "instrument"
@@ -81,6 +146,8 @@ def routes() -> list[Any]:
 
     return [
         Route("/instrument", show),
+        Route("/instrument/keep", keep, methods=["POST"]),
+        Route("/instrument/ledger", ledger, methods=["POST"]),
         Route("/instrument/trend", trend, methods=["POST"]),
         Route("/instrument/certificate", certificate, methods=["POST"]),
     ]
