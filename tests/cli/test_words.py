@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from piga.cli.main import app
-from piga.cli.words import FILES, explain, key_table, places
+from piga.cli.words import FILES, explain, places
+from piga.describe.keys import key_table
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words
 
@@ -38,14 +39,14 @@ def test_examples_have_the_type_of_their_key() -> None:
     """Each example is accepted by the type of its field."""
     from importlib import import_module
 
-    from piga.cli.words import _structs, words_of
+    from piga.describe.keys import structs_in, words_of
 
     def walk(struct: type[msgspec.Struct], seen: set[type]) -> None:
         if struct in seen:
             return
         seen.add(struct)
         for field in msgspec.structs.fields(struct):
-            inner = _structs(field.type)
+            inner = structs_in(field.type)
             words = words_of(struct.__name__, field.encode_name)
             assert words is not None
             value = tomllib.loads(f"x = {words.example}")["x"]
