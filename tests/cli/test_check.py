@@ -65,9 +65,13 @@ def test_convert_gives_the_same_record(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "header", "line"),
     [
-        (lambda row: row.replace(",0.1,", ",ERR,"), "t,n,fx,fy,fz", "missing = ['ERR']    # in [data]"),
-        (lambda row: row, "时间,n,fx,fy,fz", "column = '时间'    # in [data]"),
-        (lambda row: row, "T ,n,fx,fy,fz", "column = 'T'    # in [data]"),
+        (
+            lambda row: row.replace(",0.1,", ",ERR,") if row.startswith("0.5") else row,
+            "t,n,fx,fy,fz",
+            "missing = ['ERR']    # in [data]",
+        ),
+        (lambda row: row, "时间,n,fx,fy,fz", "time = { column = '时间', unit = 's' }    # in [data]"),
+        (lambda row: row, "T ,n,fx,fy,fz", "time = { column = 'T', unit = 's' }    # in [data]"),
     ],
 )
 def test_suggestions(

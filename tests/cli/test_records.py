@@ -149,3 +149,39 @@ def test_missing_extra_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(StoreError, match="needs the extra 'records'"):
         open_store(tmp_path / "a.sqlite")
+
+
+def test_what_is_superseded_is_checked_before_the_work(
+    tmp_path: Path, records: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By number or name; a record that is not there, of another instrument or corrected already is refused at once."""
+    small_run(tmp_path)
+    add_again = (
+        "add",
+        "run.toml",
+        "--store",
+        "lab.sqlite",
+        "--operator",
+        "A. Meyer",
+        "--reason",
+        "yearly",
+        "--no-report",
+        "--json",
+    )
+    first = json.loads(records.ok(*add_again))["id"]
+    second = json.loads(records.ok(*add_again, "--supersedes", "1"))["id"]
+    shown = records.ok("show", second, "--store", "lab.sqlite")
+    assert first in shown
+
+    def work(*_arguments: object, **_options: object) -> None:
+        raise AssertionError("the calibration began")
+
+    monkeypatch.setattr("piga.ledger.prepare_run", work)
+    code, _, err = records(*add_again, "--supersedes", "9")
+    assert (code, "no record 9" in err) == (2, True)
+    code, _, err = records(*add_again, "--supersedes", first)
+    assert (code, f"corrected already, by {second}" in err) == (2, True)
+    text = (tmp_path / "run.toml").read_text()
+    (tmp_path / "run.toml").write_text(re.sub(r'serial = "[^"]*"', 'serial = "other"', text))
+    code, _, err = records(*add_again, "--supersedes", second)
+    assert (code, "the run is of 'other'" in err) == (2, True)

@@ -63,6 +63,8 @@ def init(
     if asking:
         draft = _ask(described, given, target)
     if draft.open:
+        if not as_json:
+            _print_columns(described)
         raise ArgumentError(
             f"{log}: the log does not say: {'; '.join(f'{one.key} ({one.words})' for one in draft.open)}",
             remedy="give it: " + " ".join(f"--set {one.key}='{one.example}'" for one in draft.open),

@@ -311,7 +311,7 @@ def _parquet(table: Any, path: Path) -> None:
 
 def _thinned(table: Any, every: int) -> Any:
     """Every N-th row of a table, from the first."""
-    return table if every == 1 else table.take(range(0, table.num_rows, every))
+    return table if every == 1 else table.take(list(range(0, table.num_rows, every)))
 
 
 def _announce(tables: list[Any], every: int) -> None:
