@@ -42,7 +42,10 @@ app = App(
 Scenario = Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)]
 Out = Annotated[Path, typer.Option(help="Folder for the results and report.html.")]
 Every = Annotated[
-    int, typer.Option("--every", metavar="N", help="Write every N-th row. The results use all rows.", min=1)
+    int,
+    typer.Option(
+        "--every", metavar="N", help="Write every N-th row. Increments are summed; results use all rows.", min=1
+    ),
 ]
 LARGE_MB = 50.0
 """Size above which a file is announced before it is written [MB]."""
@@ -310,8 +313,21 @@ def _parquet(table: Any, path: Path) -> None:
 
 
 def _thinned(table: Any, every: int) -> Any:
-    """Every N-th row of a table, from the first."""
-    return table if every == 1 else table.take(list(range(0, table.num_rows, every)))
+    """Every N-th row of a table, from the first. Velocity increments are summed over the rows that are left out."""
+    if every == 1:
+        return table
+    import numpy as np
+    import pyarrow as pa
+
+    kept = np.arange(0, table.num_rows, every)
+    thin = table.take(pa.array(kept))
+    for index, field in enumerate(table.schema):
+        if field.name.startswith("dv"):
+            values = table.column(field.name).to_numpy()
+            total = np.cumsum(np.nan_to_num(values))[kept]
+            summed = np.concatenate((values[:1], np.diff(total)))
+            thin = thin.set_column(index, field, pa.array(summed))
+    return thin
 
 
 def _announce(tables: list[Any], every: int) -> None:
