@@ -313,3 +313,27 @@ def german_log() -> str:
             t += 0.05
         t += 30.0
     return text
+
+
+def test_form_and_text_of_a_run_file_follow_each_other(browser: Browser, place: Path) -> None:
+    page = browser.page
+    (place / "form.toml").write_text((place / "tumble-a.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    browser.open("/describe/form.toml")
+    browser.is_accessible()
+    page.fill("#k-instrument\\.serial", '"G-7"')
+    page.locator("#k-instrument\\.serial").blur()
+    browser.until("document.getElementById('text').value.includes('serial = \"G-7\"')")
+    text = page.input_value("#text")
+    page.fill("#text", text.replace('"G-7"', '"G-8"'))
+    page.locator("#text").blur()
+    browser.until("document.getElementById('k-instrument.serial').value === '\"G-8\"'")
+    page.fill("#text", "[instrument")
+    page.locator("#text").blur()
+    page.get_by_text("the form follows then").wait_for()
+    page.fill("#text", text)
+    page.locator("#text").blur()
+    page.locator("#k-instrument\\.serial").wait_for()
+    page.get_by_role("button", name="Save and check").click()
+    page.get_by_role("link", name="See its signals").wait_for()
+    assert 'serial = "G-7"' in (place / "form.toml").read_text(encoding="utf-8")
+    (place / "form.toml").unlink()

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piga.describe import LogDescription, RunFileDraft, describe_log, draft_run_file, setting
+from piga.describe.keys import places_in
+from piga.describe.toml_writer import toml_value
 from piga.errors import ArgumentError, PigaError
-from piga.records.run_file import read_run_file
+from piga.records.run_file import RunFile, read_run_file
+from piga.records.text_files import toml_document
 from piga.workbench.folder import Folder
 from piga.workbench.pages.common import bench_of, form_of, only, redirect, render
 
@@ -31,7 +37,11 @@ def _run_file_page(request: Request, name: str, text: str, message: str = "", co
     bench = bench_of(request)
     job = bench.jobs.latest(name)
     checked = job if job is not None and job.command[0] == "check" else None
-    values: dict[str, Any] = {"check": None}
+    try:
+        tables = form_fields(text)
+    except PigaError as error:
+        tables, message = {}, message or str(error)
+    values: dict[str, Any] = {"check": None, "tables": tables}
     if checked is not None:
         status = bench.jobs.status(checked)
         values["check"] = (checked, status, bench.jobs.text(checked, "out"), bench.jobs.text(checked, "err"))
@@ -71,6 +81,100 @@ def _preview(described: LogDescription) -> list[list[str]]:
         ["" if values is None or len(values) <= row else f"{values[row]:.9g}" for values in columns]
         for row in range(ROWS)
     ]
+
+
+@dataclass(frozen=True)
+class Field:
+    """A key of the run file in the form: its path, what it means, and its value as TOML."""
+
+    path: str
+    sentence: str
+    unit: str
+    example: str
+    value: str
+
+
+def form_fields(text: str) -> dict[str, list[Field]]:
+    """The keys of a run file by table, with their values in ``text``.
+
+    Raises
+    ------
+    RunFileError
+        If the text is not TOML.
+    """
+    document = toml_document(Path("run.toml"), text.encode("utf-8"))
+    tables: dict[str, list[Field]] = {}
+    for place in places_in("run", RunFile):
+        table, _, key = place.path.partition(".")
+        if not key or "." in key:
+            continue
+        held = document.get(table)
+        value = toml_value(held[key]) if isinstance(held, dict) and key in held else ""
+        words = place.words
+        tables.setdefault(table, []).append(Field(place.path, words.sentence, words.unit, words.example, value))
+    return tables
+
+
+def text_with(text: str, values: Mapping[str, str]) -> str:
+    """The text of a run file with other values; comments and all other keys stay as they are.
+
+    Parameters
+    ----------
+    text:
+        The run file.
+    values:
+        TOML values by ``table.key``. An empty one removes the key. A value that is not TOML is taken as text.
+
+    Raises
+    ------
+    RunFileError
+        If the text is not TOML, or a value cannot stand in a run file.
+    """
+    import tomlkit
+
+    toml_document(Path("run.toml"), text.encode("utf-8"))
+    document: Any = tomlkit.parse(text)
+    known = {field.path: field.value for fields in form_fields(text).values() for field in fields}
+    for path, value in values.items():
+        table, _, key = path.partition(".")
+        if path not in known or value.strip() == known[path]:
+            continue
+        if not value.strip():
+            document[table].pop(key, None)
+            continue
+        if table not in document:
+            document[table] = tomlkit.table()
+        document[table][key] = _toml(value.strip())
+    changed = str(tomlkit.dumps(document))
+    toml_document(Path("run.toml"), changed.encode("utf-8"))
+    return changed
+
+
+def _toml(value: str) -> Any:
+    """A value as TOML; words that are none are text."""
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    try:
+        return tomlkit.value(value)
+    except (TOMLKitError, ValueError):
+        return value
+
+
+async def sync(request: Request) -> Response:
+    """Form and text after one of them was changed: the other one follows."""
+    fields = await form_of(request)
+    text, message = only(fields, "text").replace("\r\n", "\n"), ""
+    try:
+        if only(fields, "side") == "form":
+            values = {
+                key.removeprefix("key:"): held[-1] for key, held in fields.items() if key.startswith("key:")
+            }
+            text = text_with(text, values)
+        tables = form_fields(text)
+    except PigaError as error:
+        message, tables = str(error), {}
+    return render(request, "describe-both.html.jinja", text=text, tables=tables, message=message)
 
 
 async def change(request: Request) -> Response:
@@ -126,6 +230,7 @@ def routes() -> list[Any]:
     from starlette.routing import Route
 
     return [
+        Route("/describe-sync", sync, methods=["POST"]),
         Route("/describe/{name:path}", show, methods=["GET"]),
         Route("/describe/{name:path}", change, methods=["POST"]),
     ]
