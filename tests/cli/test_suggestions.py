@@ -205,3 +205,10 @@ def test_stamps_are_suggested(tmp_path: Path) -> None:
     path = write_run(tmp_path)
     assert suggested(path) == [("data", "time = { column = 't', stamp = 'hh:mm:ss.f' }")]
     assert piga.read_run(with_line(path, *suggested(path)[0])).size == 40
+
+
+def test_a_line_that_only_leads_to_an_open_problem_is_not_suggested(tmp_path: Path) -> None:
+    """The row of the names can be found, but the times cannot be read: nothing that was tried lets the log be read."""
+    rows = [f"noon {k},{row.split(',', 1)[1]}" for k, row in enumerate(lines())]
+    write_log(tmp_path, ["t,n,fx,fy,fz", *rows], header="Test 12,A")
+    assert suggested(write_run(tmp_path)) == []
