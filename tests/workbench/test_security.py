@@ -209,6 +209,7 @@ def test_forms_that_are_none(client: Client) -> None:
         b"a" * 100,
         b"term=k0&method=__import__('os')",
         b"term=nonsense",
+        b"term=k0&compare=k0;nonsense",
         b"x=1&" * 3000,
         b"",
     ):

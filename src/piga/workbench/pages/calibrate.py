@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-_HARMONICS = re.compile(r"[,;\s]+")
+_SEPARATORS = re.compile(r"[,;\s]+")
 METHOD_WORDS = {
     "information": "full data, with time stamps (recommended)",
     "rate": "mean rate of each segment",
@@ -66,7 +66,7 @@ async def start(request: Request) -> Response:
     fields = await form_of(request)
     run_file = read_run_file(bench.folder.toml(name))
     terms = tuple(fields.get("term", []))
-    terms += tuple(word for word in _HARMONICS.split(only(fields, "harmonics")) if word)
+    terms += tuple(word for word in _SEPARATORS.split(only(fields, "harmonics")) if word)
     check_terms(terms)
     job = await run_in_threadpool(_start, bench, name, [*_options(run_file, terms, fields)])
     return redirect(request, f"/result/{job.key}")
@@ -84,6 +84,12 @@ def _options(run_file: RunFile, terms: tuple[str, ...], fields: dict[str, list[s
         if value and value not in allowed:
             raise ArgumentError(f"{option}: {value!r} is not known", remedy=f"one of {', '.join(allowed)}")
         options += [option, value] if value and value != written else []
+    sets = [" ".join(part.split()) for part in only(fields, "compare").split(";") if part.strip()]
+    for number, names in enumerate(sets, start=1):
+        check_terms(tuple(word for word in _SEPARATORS.split(names) if word), where=f"set {number} to compare")
+    options += (
+        [f"--compare={'; '.join(','.join(w for w in _SEPARATORS.split(s) if w) for s in sets)}"] if sets else []
+    )
     return options
 
 
