@@ -118,3 +118,10 @@ def test_it_can_fail() -> None:
         "records trend",
     ]
     assert _DOTTED.findall("`piga.truth/1` and `piga.calibrate`") == ["piga.calibrate"]
+
+
+def test_the_files_that_ci_names_are_there() -> None:
+    script = (Path(__file__).parents[2] / ".ci" / "run").read_text(encoding="utf-8")
+    named = re.findall(r"\b(?:tests|builders|benchmarks)/[\w/]+\.py", script)
+    assert named
+    assert [name for name in named if not (Path(__file__).parents[2] / name).is_file()] == []
