@@ -46,7 +46,7 @@ def column(group: dict[str, Any], name: str) -> Any:
 
 @pytest.mark.only_compiled
 def test_intervals_hold_in_two_hundred_tests(tmp_path: Path) -> None:
-    """Coverage and NEES inside their 99.9 % bands; a covariance 1.2 times too large falls out of its band."""
+    """Coverage and NEES inside their 99.9 % bands; a covariance 1.3 times too large falls out of its band."""
     found = figures("static", FEW, tmp_path)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
     assert (column(found, "coverage") >= low).all()
@@ -55,7 +55,7 @@ def test_intervals_hold_in_two_hundred_tests(tmp_path: Path) -> None:
     band = chi2.ppf([0.0005, 0.9995], FEW * size) / (FEW * size)
     assert band[0] < found["nees"] < band[1]
     if FEW > 100:
-        assert found["nees"] / 1.2 < band[0], "a covariance too large by 1.2 would go unnoticed"
+        assert found["nees"] / 1.3 < band[0], "a covariance too large by 1.3 would go unnoticed"
 
 
 @pytest.mark.slow
