@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import msgspec
@@ -13,10 +12,11 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.intervals import slow_noise
+from piga.calibration.intervals import included, slow_noise
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import include_slow_noise
 from piga.calibration.joint.summary import RunSummary
+from piga.calibration.noise.settings import NOISE
 from piga.errors import CalibrationError
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble
 
@@ -31,13 +31,8 @@ assert isinstance(SCATTER, Scenario)
 
 def never_clear(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow noise that is seen is never weighted by."""
-    monkeypatch.setattr(slow_noise, "CLEAR", math.inf)
-    for room in ("calibrate", "joint.summary"):
-        monkeypatch.setattr(
-            import_module(f"piga.calibration.{room}"),
-            "include_slow_noise",
-            lambda fit, **_: include_slow_noise(fit, math.inf),
-        )
+    monkeypatch.setattr(slow_noise, "NOISE", replace(NOISE, slow_in_weights=math.inf))
+    monkeypatch.setattr(included, "include_slow_noise", lambda fit, **_: include_slow_noise(fit, math.inf))
 
 
 def lacking(calibration: piga.Calibration) -> set[str]:

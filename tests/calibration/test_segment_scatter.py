@@ -18,7 +18,8 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import MOST_SEGMENTS, SegmentBasis, slow_bases
+from piga.calibration.noise.settings import NOISE
+from piga.calibration.noise.slow_bases import SegmentBasis, slow_bases
 from tests.calibration.scenarios import SCENARIOS, Scenario, tumble
 from tests.chance import assert_variance
 
@@ -52,7 +53,7 @@ def test_known_scatter_is_found_on_average_and_not_taken_for_a_drift(phase: str)
 
 def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Weights of white noise and random walk: the dense covariance of that estimate with the scatter, levels as found."""
-    monkeypatch.setattr(slow_noise, "CLEAR", math.inf)
+    monkeypatch.setattr(slow_noise, "NOISE", replace(NOISE, slow_in_weights=math.inf))
     fit = fitted(SCATTER, 3)
     found = include_slow_noise(fit)
     noise, steps, h = found.noise, round(SCATTER.seconds * SCATTER.rate), 1.0 / SCATTER.rate
@@ -152,7 +153,7 @@ def test_quick_look_sees_what_a_long_record_shows() -> None:
 
 def test_few_and_very_many_segments_have_none() -> None:
     """Three segments leave nothing to see a scatter by."""
-    for count, kinds in ((3, 1), (4, 2), (MOST_SEGMENTS, 2), (MOST_SEGMENTS + 1, 1)):
+    for count, kinds in ((3, 1), (4, 2), (NOISE.most_segments, 2), (NOISE.most_segments + 1, 1)):
         scenario = Scenario("few", tumble(count), seconds=1.0, white=1e-5)
         assert len(slow_bases(scenario.record(np.random.default_rng(1)))) == kinds
 

@@ -21,6 +21,7 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import KNOTS, Estimate, Layout, name_parameters
 from piga.calibration.noise.counted import count_of
 from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.slow_bases import DriftBasis
 from piga.calibration.remarks.advice import with_advice
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
@@ -294,7 +295,7 @@ def test_the_count_of_a_log_that_does_not_state_it() -> None:
 def test_long_records_have_the_fewest_degrees_of_freedom_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     run = record(np.random.default_rng(8), walk=2e-5, seconds=10.0, rate=2.0, count=4)
     exact = [c.degrees_of_freedom for c in piga.calibrate(run, TERMS).coefficients]
-    monkeypatch.setattr(degrees_of_freedom, "LARGE", 100)
+    monkeypatch.setattr(degrees_of_freedom, "NOISE", replace(NOISE, degrees_large=100))
     least = {c.degrees_of_freedom for c in piga.calibrate(run, TERMS).coefficients}
     assert len(least) == 1
     assert 0.3 * min(exact) < min(least) <= 1.01 * min(exact)

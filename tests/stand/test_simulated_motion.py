@@ -8,8 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from piga.earth import Site
+from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument
-from piga.instrument.twin.electronics import Electronics, Temperature
+from piga.instrument.twin.electronics import Electronics, Temperature, flicker_noise, markov_noise
 from piga.stand import (
     DividingHead,
     Imperfections,
@@ -119,6 +120,46 @@ def test_temperature_is_felt_and_logged_with_its_error():
     assert (warm.alpha[-1] - plain.alpha[-1]) == pytest.approx(
         INST.scale_factor * 1e-3 * G0 * warm.profile.t[-1], rel=1e-2
     )
+
+
+def test_flicker_has_the_same_variance_in_each_decade():
+    rng, spectra = np.random.default_rng(4), []
+    for _ in range(20):
+        noise = flicker_noise(rng, 20_000, 3.0) * np.hanning(20_000) * np.sqrt(8.0 / 3.0)
+        spectra.append(2.0 * np.abs(np.fft.rfft(noise)) ** 2 / noise.size**2)
+    frequency, power = np.fft.rfftfreq(20_000, 0.05), np.mean(spectra, axis=0)
+    decades = [power[(frequency >= low) & (frequency < 10.0 * low)].sum() for low in (0.01, 0.1, 0.9)]
+    assert np.sqrt(decades) == pytest.approx(3.0, rel=0.05)
+
+
+def test_markov_noise_forgets_in_its_time():
+    noise = markov_noise(np.random.default_rng(5), 400_000, 0.05, 2.0, 5.0)
+    assert noise.std() == pytest.approx(2.0, rel=0.03)
+    assert np.mean(noise[100:] * noise[:-100]) == pytest.approx(4.0 * math.exp(-1.0), rel=0.1)
+    assert noise[0] != 0.0
+
+
+@pytest.mark.parametrize(
+    "coloured",
+    [{"bias_flicker": 1e-4}, {"bias_markov": 1e-4, "bias_markov_time": 5.0}],
+    ids=["flicker", "markov"],
+)
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_coloured_bias_turns_the_output(coloured: dict[str, float], kind: str):
+    e = Electronics(sample_rate=10.0, kind=kind)
+    plain = simulate_test(HEAD, Specimen(INST), e)
+    noisy = simulate_test(HEAD, Specimen(INST), replace(e, **coloured))
+    change = noisy.log.output - plain.log.output
+    rate = change if kind == "rate" else np.gradient(change, noisy.log.t)
+    assert INST.scale_factor * 3e-5 < np.std(rate) < INST.scale_factor * 1e-3
+    assert np.array_equal(
+        noisy.log.output, simulate_test(HEAD, Specimen(INST), replace(e, **coloured)).log.output
+    )
+
+
+def test_markov_noise_needs_its_time():
+    with pytest.raises(ArgumentError, match="markov_time"):
+        Electronics(bias_markov=1e-5)
 
 
 def test_bias_walk_and_rate_output():

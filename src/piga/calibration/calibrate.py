@@ -41,8 +41,7 @@ from piga.calibration.fit.residuals import (
     segment_table,
 )
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.faint_walk import include_faint_walk
-from piga.calibration.intervals.slow_noise import include_slow_noise, include_stated_scatter
+from piga.calibration.intervals.included import include_noise
 from piga.calibration.joint.joint_fit import (
     check_items,
     fit_jointly,
@@ -75,6 +74,7 @@ from piga.records.calibration import (
     BudgetEntry,
     Calibration,
     Coefficient,
+    ColouredNoise,
     Diagnostics,
     Provenance,
     Residuals,
@@ -173,9 +173,7 @@ def _calibration(
     try:
         fit = fit_run(run, request)
         steps("finding the noise")
-        fit = refine_counted(fit)
-        fit = include_stated_scatter(fit, stated)
-        fit = include_faint_walk(include_slow_noise(fit))
+        fit = include_noise(refine_counted(fit), stated)
         coefficients, covariance = name_coefficients(fit.design, fit.solution, fit.covariance)
         spread = 0.0 if run.temperature is None else _range(run.temperature)
         refuse_useless(coefficients, largest_size(run.f), _range(run.t), spread)
@@ -197,7 +195,7 @@ def _calibration(
         remarks = other.submit(find_remarks, fit, coefficients)
         residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
         history = _history(fit) if request.method == "recursive" else None
-        scatter = segment_scatter(fit.design, residuals, fit.noise)
+        scatter = segment_scatter(fit.design, residuals, fit.noise, fit.coloured_rms)
         notes = odd_square(fit, coefficients) + notes_in_words(coefficients, covariance, scatter)
         result = _assemble(run, fit, coefficients, covariance, budget.rows, residuals, notes, history)
     said = remarks.result()
@@ -281,12 +279,15 @@ def _assemble(
         outliers=fit.outliers,
         bias_drift=fit.noise.bias_drift,
         segment_scatter=fit.noise.segment_scatter,
+        coloured_noise=None
+        if fit.colour is None
+        else ColouredNoise(fit.colour.name, fit.colour.rms, fit.colour.time),
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,
         diagnostics=diagnose(
             residuals, plain, (partial(counted_products, fit.design, fit.noise, fit.mode, residuals),)
-        ).with_scatter(segment_scatter(fit.design, residuals, fit.noise)),
+        ).with_scatter(segment_scatter(fit.design, residuals, fit.noise, fit.coloured_rms)),
         segments=segment_table(fit.design, residuals),
         provenance=_provenance(run, request),
         temperature_reference=request.temperature_reference,

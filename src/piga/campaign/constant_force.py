@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -28,7 +29,7 @@ SCALE = 0.8884
 PHI = 0.48
 """Phase of the output zero if the test does not say another one [rad]."""
 PAUSE = 5.0
-"""Time between two segments [s]."""
+"""Time between two segments if the test does not say another one [s]."""
 
 
 class TumbleTable(TomlTable, frozen=True):
@@ -53,7 +54,10 @@ class ConstantForceTable(TomlTable, frozen=True):
     Segments are given by ``forces`` [g], ``tumble`` or ``centrifuge``; several of these are joined in this order.
     ``truth`` has the units of calibration.json. ``walk`` is the random walk of the angle, ``white`` the white noise of
     the reading, ``count`` the step of the counter, ``drift`` the random walk of the rate (zero in the middle of the test),
-    ``scatter`` an offset of the rate that is new in each segment.
+    ``scatter`` an offset of the rate that is new in each segment. Coloured noise of the rate: ``flicker`` is the standard
+    deviation of 1/f noise in a decade of frequency, ``markov`` that of a first-order Markov process with the correlation
+    time ``markov_time``, ``cycle`` the amplitude of a slow wave of any phase with the period ``cycle_period``. A log of
+    ``kind`` rate has the rate at each sample; its gimbal stands still between the segments.
     """
 
     terms: tuple[str, ...]
@@ -68,6 +72,13 @@ class ConstantForceTable(TomlTable, frozen=True):
     count: Quantity = 0.0
     drift: Quantity = 0.0
     scatter: Quantity = 0.0
+    flicker: Quantity = 0.0
+    markov: Quantity = 0.0
+    markov_time: Quantity = "1 s"
+    cycle: Quantity = 0.0
+    cycle_period: Quantity = "1 s"
+    pause: Quantity = "5 s"
+    kind: Literal["angle", "rate"] = "angle"
 
     def build(self, name: str) -> ConstantForce:
         """The test.
@@ -90,6 +101,11 @@ class ConstantForceTable(TomlTable, frozen=True):
             raise ArgumentError(
                 f"[constant_force]: {seconds * rate:g} samples in a segment", remedy="ask for at least 4"
             )
+        for key in ("markov_time", "cycle_period"):
+            if si(key, "s") == 0.0:
+                raise ArgumentError(f"[constant_force] {key}: 0 s is not positive")
+        if self.kind == "rate" and (si("white", "rad") or si("count", "rad")):
+            raise ArgumentError("[constant_force] white, count: a rate log has neither", remedy="give walk")
         known = ("scale_factor", "tan_beta", "phi", *PRODUCTS)
         for key in (*self.truth, *self.terms):
             if key not in known:
@@ -114,6 +130,11 @@ class ConstantForceTable(TomlTable, frozen=True):
             count=si("count", "rad"),
             drift=si("drift", "rad/s/sqrt(s)"),
             scatter=si("scatter", "rad/s"),
+            flicker=si("flicker", "rad/s"),
+            markov=(si("markov", "rad/s"), si("markov_time", "s")),
+            cycle=(si("cycle", "rad/s"), si("cycle_period", "s")),
+            pause=si("pause", "s"),
+            kind=self.kind,
         )
 
     def _segments(self) -> tuple[Array, Array | None]:
@@ -190,6 +211,11 @@ class ConstantForce:
     drift: float = 0.0
     scatter: float = 0.0
     scale_factor: float = SCALE
+    pause: float = PAUSE
+    flicker: float = 0.0
+    markov: tuple[float, float] = (0.0, 1.0)
+    cycle: tuple[float, float] = (0.0, 1.0)
+    kind: Literal["angle", "rate"] = "angle"
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
@@ -217,14 +243,23 @@ class ConstantForce:
             noise += h * self._wandering(rng)
         if self.scatter:
             noise += h * self.scatter * rng.standard_normal((count, 1))
+        coloured = self._coloured(rng)
+        noise += h * coloured
         for s in range(count):
+            if self.kind == "rate":
+                starts[s] = psi[s - 1, -1] if s else self.phi
             constant_steps(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
         output = psi.ravel() - self.phi
+        if self.kind == "rate":
+            rates = a[:, None] + y[:, None] * np.sin(psi) - z[:, None] * np.cos(psi)
+            rates[:, 1:] += noise / h
+            rates[:, 0] += coloured[:, 0] + self.walk / math.sqrt(h) * rng.standard_normal(count)
+            output = rates.ravel()
         if self.white:
             output = output + self.white * rng.standard_normal(output.size)
         if self.count:
             output = np.round(output / self.count) * self.count
-        t = (np.arange(count)[:, None] * (self.seconds + PAUSE) + h * np.arange(steps + 1)).ravel()
+        t = (np.arange(count)[:, None] * (self.seconds + self.pause) + h * np.arange(steps + 1)).ravel()
         base = None if self.turning is None else np.repeat(self.turning, steps + 1, axis=0)
         return piga.Run.from_arrays(
             t,
@@ -235,15 +270,61 @@ class ConstantForce:
             segment=np.repeat(np.arange(count, dtype=np.int32), steps + 1),
             resolution=self.count,
             serial="synthetic",
+            kind=self.kind,
         )
 
     def _times(self) -> Array:
         """Middle of every step, from the middle of the test, (segments, steps) [s]."""
         steps, count = round(self.seconds * self.rate), len(self.forces)
-        whole = count * (self.seconds + PAUSE) - PAUSE
-        starts = (self.seconds + PAUSE) * np.arange(count)[:, None]
+        whole = count * (self.seconds + self.pause) - self.pause
+        starts = (self.seconds + self.pause) * np.arange(count)[:, None]
         times: Array = starts + (np.arange(steps) + 0.5) / self.rate - 0.5 * whole
         return times
+
+    def _coloured(self, rng: np.random.Generator) -> Array:
+        """Flicker, Markov noise and slow wave of the rate at ``_times`` [rad/s]; they go on between the segments."""
+        t, h = self._times(), 1.0 / self.rate
+        rate: Array = np.zeros(t.shape)
+        if self.flicker:
+            power = self._flicker_power()
+            size = 2 * power.size
+            waves = rng.standard_normal((2, power.size))
+            spectrum = np.append(0.0, np.sqrt(0.5 * power) * (waves[0] + 1j * waves[1])) * (size / math.sqrt(2.0))
+            rate += np.fft.irfft(spectrum, size)[np.round((t - t[0, 0]) / h).astype(int)]
+        level, time = self.markov
+        if level:
+            flat = t.ravel()
+            kept = np.exp(-np.diff(flat, prepend=-np.inf) / time)
+            drawn = np.sqrt(1.0 - kept**2) * rng.standard_normal(flat.size)
+            own, last = np.empty(flat.size), 0.0
+            for i in range(flat.size):
+                last = own[i] = kept[i] * last + drawn[i]
+            rate += level * own.reshape(t.shape)
+        amplitude, period = self.cycle
+        if amplitude:
+            rate += amplitude * np.sin(2.0 * np.pi * (t / period + rng.uniform()))
+        return rate
+
+    def _flicker_power(self) -> Array:
+        """Variance of the flicker noise in each line of its spectrum, from half a period in the test up."""
+        t, h = self._times(), 1.0 / self.rate
+        size = 1 << math.ceil(math.log2(2.0 * (t[-1, -1] - t[0, 0]) / h + 2.0))
+        power: Array = self.flicker**2 / math.log(10.0) / np.arange(1, size // 2 + 1)
+        return power
+
+    def _coloured_covariance(self) -> Array:
+        """Covariance of the coloured rates at ``_times`` (n, n)."""
+        t, h = self._times().ravel(), 1.0 / self.rate
+        lag = np.abs(np.subtract.outer(t, t))
+        amplitude, period = self.cycle
+        level, time = self.markov
+        covariance: Array = level**2 * np.exp(-lag / time) + 0.5 * amplitude**2 * np.cos(2.0 * np.pi * lag / period)
+        if self.flicker:
+            power = self._flicker_power()
+            size = 2 * power.size
+            lines = np.append(0.0, power) * (0.5 * size)
+            covariance += np.fft.irfft(lines, size)[np.round(lag / h).astype(int)]
+        return covariance
 
     def _wandering(self, rng: np.random.Generator) -> Array:
         """A random walk of the rate at ``_times``, zero in the middle of the test [rad/s]."""
@@ -280,17 +361,29 @@ class ConstantForce:
             np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1)
         )
         V += (self.scatter * h) ** 2
+        angles = run.output + self.phi
+        if self.kind == "rate":
+            angles = self._angles(run)
         parts = [
-            self._derivatives(run.output[run.segment == s] + self.phi, s, h) for s in range(len(self.forces))
+            self._derivatives(angles[run.segment == s], s, h) for s in range(len(self.forces))
         ]
-        if self.drift:
+        if self.drift or self.flicker or self.markov[0] or self.cycle[0]:
             t = self._times().ravel()
             together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
             whole = np.kron(np.eye(len(parts)), V) + (self.drift * h) ** 2 * together
+            whole += h**2 * self._coloured_covariance()
             columns = np.concatenate(parts)
             information: Array = columns.T @ np.linalg.solve(whole, columns)
             return information
         return sum((part.T @ np.linalg.solve(V, part) for part in parts), np.zeros((len(self.names),) * 2))
+
+    def _angles(self, run: piga.Run) -> Array:
+        """Gimbal angle of a rate log, which stands still between the segments."""
+        steps = np.diff(run.t, prepend=run.t[0])
+        steps[run.begins] = 0.0
+        means = 0.5 * (run.output + np.concatenate([run.output[:1], run.output[:-1]]))
+        angles: Array = self.phi + np.cumsum(steps * means)
+        return angles
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from piga.stand.scenario import (
     CentrifugeTable,
     CompositeTable,
     DividingHeadTable,
+    NoiseTable,
     ProfileTable,
     RateTableTable,
     Scenario,
@@ -154,6 +155,11 @@ def _check(table: PlanTable, model: ModelTable) -> None:
         raise RunFileError(
             "[electronics] bias_random_walk is not part of the noise model of the estimator",
             remedy="leave it out of the plan",
+        )
+    if table.noise != NoiseTable():
+        raise RunFileError(
+            "[noise] is not part of the noise model of a plan: white noise and random walk are",
+            remedy="leave [noise] out of the plan",
         )
     stands = table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
     for stand in stands:

@@ -626,6 +626,29 @@ class CalibrationPlots(Plots):
         return self._draw("convergence", ax)
 
 
+@dataclass(frozen=True)
+class ColouredNoise:
+    """Coloured noise of the rate in a record.
+
+    ``kind`` is the likeliest: ``flicker``, ``markov``, and in rate logs ``drift`` or ``scatter``. ``rms`` [rad/s] is the
+    standard deviation of the rate that it makes, ``time`` [s] the correlation time (0: it has none).
+    """
+
+    kind: str
+    rms: float
+    time: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """The kind in words."""
+        return {
+            "flicker": "1/f noise",
+            "markov": f"first-order Markov noise of about {self.time:.2g} s",
+            "drift": "a random walk of the rate",
+            "scatter": "rates that scatter from segment to segment",
+        }.get(self.kind, self.kind)
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
@@ -639,6 +662,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
     ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate, 0 if none was detected.
+    ``coloured_noise`` is in the uncertainties and not in the weights; None if none was detected.
     """
 
     serial: str
@@ -671,6 +695,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     outliers: tuple[Outlier, ...] = ()
     bias_drift: float = 0.0
     segment_scatter: float = 0.0
+    coloured_noise: ColouredNoise | None = None
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,6 +22,7 @@ from piga.records.calibration import (
     Calibration,
     CalibrationFigures,
     Coefficient,
+    ColouredNoise,
     Diagnostics,
     Level,
     Number,
@@ -96,11 +97,18 @@ class _Covariance(msgspec.Struct, frozen=True):
     matrix: tuple[tuple[Annotated[float, msgspec.Meta(ge=-1e200, le=1e200)], ...], ...]
 
 
+class _Coloured(msgspec.Struct, frozen=True):
+    kind: Literal["flicker", "markov", "drift", "scatter"]
+    rms: _Level
+    time: _Level
+
+
 class _Noise(msgspec.Struct, frozen=True):
     angle_rms: _Level
     angle_random_walk: _Level
     bias_drift: _Level | None = None
     segment_scatter: _Level | None = None
+    coloured: _Coloured | None = None
 
 
 class _Residual(msgspec.Struct, frozen=True):
@@ -215,8 +223,16 @@ def _estimates(c: Calibration) -> dict[str, Any]:
             "angle_random_walk": {"value": c.angle_random_walk, "unit": "rad/sqrt(s)"},
             "bias_drift": {"value": c.bias_drift, "unit": "rad/s/sqrt(s)"},
             "segment_scatter": {"value": c.segment_scatter, "unit": "rad/s"},
-        },
+        }
+        | _coloured(c.coloured_noise),
     }
+
+
+def _coloured(noise: ColouredNoise | None) -> dict[str, Any]:
+    if noise is None:
+        return {}
+    rms, time = {"value": noise.rms, "unit": "rad/s"}, {"value": noise.time, "unit": "s"}
+    return {"coloured": {"kind": noise.kind, "rms": rms, "time": time}}
 
 
 def _residual(c: Calibration) -> dict[str, Any]:
@@ -312,6 +328,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         angle_random_walk=_in_si(document.noise.angle_random_walk, "rad/sqrt(s)", path),
         bias_drift=_level(document.noise.bias_drift),
         segment_scatter=_level(document.noise.segment_scatter),
+        coloured_noise=_coloured_noise(document.noise.coloured),
         residual_rms=document.residual.rms.value,
         residual_rms_before=document.residual.rms_before.value,
         residual_max_before=document.residual.max_before.value,
@@ -413,6 +430,10 @@ def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
         raise CalibrationError(
             f"{path}: not a valid calibration record: {error}", remedy="calibrate again"
         ) from None
+
+
+def _coloured_noise(noise: _Coloured | None) -> ColouredNoise | None:
+    return None if noise is None else ColouredNoise(noise.kind, noise.rms.value, noise.time.value)
 
 
 def _level(level: _Level | None) -> float:

@@ -140,10 +140,19 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     tests, rms = calibration.diagnostics, whitened_rms(calibration)
     if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
         return
+    coloured = calibration.coloured_noise
+    if coloured is not None:
+        level = coloured.rms / calibration.scale_factor_nominal / G0 * 1e6
+        yield Doubt(
+            f"the rate has coloured noise ({coloured.words}, {level:.2g} ug): the standard uncertainties hold it, as far as a "
+            "record of a few positions shows it; what changes as slowly as the test itself is not seen",
+            "repeat the positions in another order, and record the temperature: what depends on time is then told from "
+            "what depends on position",
+        )
     chance = tests.ljung_box_probability
     shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
     counted = tests.verdict == COUNTED
-    if tests.verdict != "white" and not counted:
+    if tests.verdict != "white" and not counted and coloured is None:
         yield Doubt(
             f"the whitened residuals are not white (Ljung-Box, {shown}): the model or the noise description misses "
             "something, and standard uncertainties may be too small",

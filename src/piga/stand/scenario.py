@@ -60,6 +60,18 @@ class ElectronicsTable(TomlTable, frozen=True):
     clock_jitter: Quantity = 0.0
 
 
+class NoiseTable(TomlTable, frozen=True):
+    """``[noise]``: coloured noise of the bias along X0; none without this table.
+
+    ``flicker`` is the standard deviation in one decade of frequency (1/f noise). ``markov`` is the standard deviation of a
+    first-order Markov process with the correlation time ``markov_time``.
+    """
+
+    flicker: Quantity = 0.0
+    markov: Quantity = 0.0
+    markov_time: Quantity = 0.0
+
+
 class TemperatureTable(TomlTable, frozen=True):
     """``[temperature]`` of the instrument; constant 20 degC without this table."""
 
@@ -282,6 +294,7 @@ class ScenarioTable(TomlTable, frozen=True):
     run: RunTable = RunTable()
     truth: dict[str, Quantity] = msgspec.field(default_factory=dict)
     twin: dict[str, Quantity] = msgspec.field(default_factory=dict)
+    noise: NoiseTable = NoiseTable()
     temperature: TemperatureTable | None = None
     imperfections: dict[str, Any] = msgspec.field(default_factory=dict)
     model: dict[str, Any] = msgspec.field(default_factory=dict)
@@ -453,7 +466,7 @@ def _harmonics(table: ScenarioTable) -> Harmonics:
 
 
 def _electronics(table: ScenarioTable) -> Electronics:
-    e = table.electronics
+    e, noise = table.electronics, table.noise
 
     def si(key: str, unit: str) -> float:
         return to_si(getattr(e, key), unit, what=f"[electronics] {key}")
@@ -467,6 +480,9 @@ def _electronics(table: ScenarioTable) -> Electronics:
         angle_noise=si("angle_noise", "rad"),
         angle_random_walk=si("angle_random_walk", "rad/sqrt(s)"),
         bias_random_walk=si("bias_random_walk", "g/sqrt(s)"),
+        bias_flicker=to_si(noise.flicker, "g", what="[noise] flicker"),
+        bias_markov=to_si(noise.markov, "g", what="[noise] markov"),
+        bias_markov_time=to_si(noise.markov_time, "s", what="[noise] markov_time"),
         clock_offset=si("clock_offset", "s"),
         clock_jitter=si("clock_jitter", "s"),
     )

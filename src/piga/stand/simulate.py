@@ -21,6 +21,7 @@ from piga.instrument.twin.electronics import (
     random_walk,
     read_output,
     sampling_times,
+    wandering_bias,
 )
 from piga.instrument.twin.linear import analyse_loop, require_stable, servo_force
 from piga.instrument.twin.parameters import TwinParameters
@@ -192,7 +193,7 @@ def simulate_test(
         tide=tide,
     )
     steps("motion of the gimbal")
-    streams = np.random.default_rng(seed).spawn(4)
+    streams = np.random.default_rng(seed).spawn(5)
     kelvin = temperature.at(profile.t)
     if model == "twin":
         motion = _twin_motion(specimen, electronics, profile, kelvin, grid, streams, force=force)
@@ -258,7 +259,7 @@ def _quasi_steady(
     density = 0.0 if e.kind == "rate" else e.angle_random_walk
     walk = random_walk(streams[0], profile.t.size, grid, density)
     force, base_rate = straightened(profile.force), straightened(profile.base_rate)
-    wander = random_walk(streams[1], profile.t.size, grid, e.bias_random_walk)
+    wander = wandering_bias(e, streams[1], streams[4], profile.t.size, grid)
     force[:, 0] += wander
     felt = (force, base_rate)
     true_force = profile.force.copy()
@@ -372,7 +373,7 @@ def _twin_motion(
     felt = profile.force.copy()
     felt[:, 0] += own.specific_force(profile.t, profile.force, kelvin)
     felt = straightened(felt)
-    felt[:, 0] += random_walk(streams[1], size, grid, e.bias_random_walk)
+    felt[:, 0] += wandering_bias(e, streams[1], streams[4], size, grid)
     noise = np.zeros((size, 3))
     noise[:, 0] = held_noise(streams[2], size, grid, p.torque_noise)
     if e.kind != "rate":

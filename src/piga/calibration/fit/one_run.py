@@ -28,6 +28,7 @@ from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.counted import Counted, fit_counted
 from piga.calibration.noise.levels import Information, Noise, find_noise, natural_spline, starting_noise
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.slow_bases import NoiseColumns
 from piga.calibration.noise.weighting import (
     reduce_segments,
@@ -47,11 +48,6 @@ MAX_REFITS = 4
 """Most fits; the noise levels are usually stable after two or three."""
 MAX_ROUNDS = 5
 """Most rounds of leaving samples out and fitting again; two or three are usual."""
-SMALL = 200_000
-"""Most increments for the restricted likelihood. In a longer record the few parameters take up no noticeable part
-of the slow noise."""
-RATIOS = np.linspace(-9.0, 3.0, 9)
-"""Values of ``log10(q h/r)`` at which the information term of the restricted likelihood is computed."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +64,33 @@ class FaintWalk:
 
 
 @dataclass(frozen=True)
+class Colour:
+    """Coloured noise of the rate, in the covariance of a fit and not in its weights.
+
+    ``name`` is the likeliest component, ``variance`` its level, ``deviation`` the standard uncertainty of that, ``time``
+    its correlation time [s] (0: it has none), ``gain`` the gain of twice the log-likelihood. ``walk`` [rad^2/s] is what
+    is added to the random walk of the weights, ``rms`` [rad/s] the standard deviation of the rate of a part. ``degrees``
+    are the degrees of freedom of the coefficients.
+    """
+
+    name: str
+    variance: float
+    deviation: float
+    time: float
+    gain: float
+    walk: float
+    rms: float
+    degrees: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
 class Fit:
     """A finished fit: the model, its noise levels, summaries per segment, solution and covariance.
 
     ``d`` and ``h`` are the residual increments and their intervals; ``outliers`` are the samples left out.
     ``slow_deviation`` is the standard uncertainty of ``noise.slow``. ``slow_part`` is the covariance added per unit of
-    slow noise if the weights do not include it. ``faint`` is a random walk that is not significant.
+    slow noise if the weights do not include it. ``faint`` is a random walk that is not significant. ``colour`` is coloured
+    noise in the covariance.
     """
 
     design: Design
@@ -90,6 +107,7 @@ class Fit:
     slow_deviation: float = 0.0
     slow_part: Array | None = field(default=None, repr=False)
     faint: FaintWalk | None = field(default=None, repr=False)
+    colour: Colour | None = None
 
     @property
     def weights(self) -> Noise:
@@ -106,6 +124,11 @@ class Fit:
     def levels(self) -> Noise:
         """The noise levels in the covariance."""
         return self.noise if self.faint is None else replace(self.noise, walk=self.faint.walk)
+
+    @property
+    def coloured_rms(self) -> float:
+        """Standard deviation of the rate by coloured noise [rad/s]; 0 without it."""
+        return 0.0 if self.colour is None else self.colour.rms
 
     @property
     def sample_variance(self) -> float:
@@ -216,13 +239,13 @@ def _scale_factor(design: Design, solution: Solution) -> float:
 
 def _information(design: Design, mode: str, step: float) -> Information | None:
     """``log|X' V^-1 X|`` as a smooth function of ``log10(q h/r)``; None for long records, which do not need it."""
-    if mode != "increments" or design.rows > SMALL:
+    if mode != "increments" or design.rows > NOISE.restricted_rows:
         return None
     values = []
-    for ratio in RATIOS:
+    for ratio in NOISE.information_ratios:
         noise = Noise(1.0, 10.0**ratio / step)
         values.append(-log_determinant(solve(design, reduce_segments(design, mode, noise))))
-    return natural_spline(RATIOS, np.array(values))
+    return natural_spline(np.array(NOISE.information_ratios), np.array(values))
 
 
 def log_determinant(solution: Solution) -> float:
@@ -304,6 +327,9 @@ def whitened_rows(fit: Fit, design: Design, noise: Noise, basis: NoiseColumns) -
 
 def without_slow(fit: Fit) -> Fit:
     """The fit with the weights of white noise and random walk only; one summary per segment."""
+    if fit.colour is not None:
+        covariance = _covariance(fit.design, fit.mode, fit.noise, fit.solution)
+        return replace(fit, covariance=covariance, colour=None)
     if fit.noise.slow == 0.0:
         return fit
     noise = fit.noise.without_slow()

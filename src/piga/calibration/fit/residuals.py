@@ -184,12 +184,15 @@ def root_mean_square(values: Array) -> float:
     return math.sqrt(square_sum(values) / values.size)
 
 
-def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> SegmentScatter:
+def segment_scatter(
+    design: Design, residuals: Residuals, noise: Noise, coloured: float = 0.0
+) -> SegmentScatter:
     """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 
     In a segment of duration T with n samples, the slope of the residual angle has the variance ``12 r/(n T^2) + q/T`` for
     white noise r and random walk q (an upper bound of the second part is 6/5 of it). A bias drift adds its variance
-    since the middle of the record. A scatter of the segments, stated or estimated, adds its own variance. The ratio
+    since the middle of the record. A scatter of the segments, stated or estimated, adds its own variance, and so does
+    ``coloured`` noise [rad/s]. The ratio
     is the root mean square of slope over expected standard deviation.
     """
     slopes, expected, slow = [], [], []
@@ -203,7 +206,10 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
         slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
         own = int(design.run.segment[left])
         slow.append(
-            stated[own] + noise.scatter + noise.drift * abs(float(residuals.t[left:right].mean()) - centre)
+            coloured**2
+            + stated[own]
+            + noise.scatter
+            + noise.drift * abs(float(residuals.t[left:right].mean()) - centre)
         )
         expected.append(12.0 * noise.white / ((right - left) * duration**2) + 1.2 * noise.walk / duration)
     if design.point or len(slopes) < 4 or min(expected) == 0.0:
@@ -212,7 +218,7 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     return SegmentScatter(
         root_mean_square(slope / np.sqrt(variance + slow)),
         root_mean_square(slope) / design.run.scale_factor / G0,
-        root_mean_square(slope / np.sqrt(variance)) if noise.slow > 0.0 else None,
+        root_mean_square(slope / np.sqrt(variance)) if noise.slow > 0.0 or coloured > 0.0 else None,
     )
 
 

@@ -12,16 +12,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Fit, whitened_rows
+from piga.calibration.fit.one_run import Colour, Fit, whitened_rows
 from piga.calibration.model.design import Design
+from piga.calibration.noise.components import RATES, RateBins
 from piga.calibration.noise.levels import Noise
-from piga.calibration.noise.slow_bases import BesideStated, DriftBasis, NoiseColumns, SegmentBasis, SlowBasis
+from piga.calibration.noise.settings import NOISE
+from piga.calibration.noise.slow_bases import BesideStated, DriftBasis, NoiseColumns, SegmentBasis
 from piga.calibration.noise.weighting import reduce_segments
 
 Array = NDArray[np.float64]
-
-PROBE = 0.02
-"""Finite-difference step of the walk for the derivative of the information [standard deviations]."""
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,31 @@ def added_noise(fit: Fit, design: Design) -> tuple[AddedNoise, ...]:
     if fit.slow_part is not None:
         drifting = fit.noise.drift > 0.0
         basis = DriftBasis.of(design.run) if drifting else SegmentBasis.of(design.run)
-        scores = _grouped(_slow_scores(fit, design, basis), design.groups)
+        scores = _grouped(
+            _slow_scores(fit, design, basis, np.sqrt(basis.unit()) * np.eye(basis.count)), design.groups
+        )
         name = "drift" if drifting else "scatter"
         noises.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
+    if fit.colour is not None:
+        noises += _coloured(fit, fit.colour, design)
     if fit.faint is not None:
         deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
-        scores = _walk_scores(design, fit.mode, fit.weights, PROBE * deviation)
+        scores = _walk_scores(design, fit.mode, fit.weights, NOISE.degrees_probe * deviation)
         noises.append(AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores))
     return tuple(noises)
+
+
+def _coloured(fit: Fit, colour: Colour, design: Design) -> list[AddedNoise]:
+    """The likeliest coloured noise, and what it changes in the random walk."""
+    bins = RateBins.of(design.run)
+    root = _root(RATES[colour.name](bins, colour.time))
+    weight = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
+    scores = tuple(weight * part for part in _grouped(_slow_scores(fit, design, bins, root), design.groups))
+    noises = [AddedNoise(colour.name, colour.variance, colour.deviation, True, scores)]
+    if colour.walk:
+        walk = _grouped(_slow_scores(fit, design, bins, _root(RATES["walk"](bins, 0.0))), design.groups)
+        noises.append(AddedNoise("walk", colour.walk, 0.0, True, walk))
+    return noises
 
 
 def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
@@ -85,8 +101,8 @@ def _grouped(parts: list[Array], groups: tuple[int, ...]) -> tuple[Array, ...]:
     )
 
 
-def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
-    """``X'W B`` (m, count) of every segment for unit slow noise.
+def _slow_scores(fit: Fit, design: Design, basis: NoiseColumns, root: Array) -> list[Array]:
+    """``X'W B`` (m, k) of every segment for unit slow noise; ``root`` (count, k) is that of the covariance of its numbers.
 
     If the weights include a stated scatter ``d b b'`` of a segment, ``W = V^-1 - V^-1 b b' V^-1 / (1/d + b' V^-1 b)``.
     """
@@ -102,7 +118,7 @@ def _slow_scores(fit: Fit, design: Design, basis: SlowBasis) -> list[Array]:
             weighted = product[:m, 1:] - np.outer(own[:m], product[m, 1:])
         else:
             weighted = product[:m]
-        scores.append(np.sqrt(basis.unit()) * basis.placed(weighted, segment))
+        scores.append(basis.placed(weighted, segment) @ root)
     return scores
 
 

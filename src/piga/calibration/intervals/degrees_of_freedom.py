@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.likelihood import information
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.weighting import reduce_segments
 from piga.records.spool import spans
 
@@ -24,13 +26,6 @@ if TYPE_CHECKING:
     from piga.calibration.fit.one_run import Fit
 
 Array = NDArray[np.float64]
-
-LARGE = 200_000
-"""Increments above which the noise levels are known so well that only the least degrees of freedom are given."""
-STEP = 0.05
-"""Finite-difference step for d(variance)/d(noise level), relative."""
-SEEN = 0.05
-"""Ratio of the random walk to its standard uncertainty below which it does not affect the weights."""
 
 
 def level_information(lengths: ArrayLike, step: float, noise: Noise, fitted: int) -> Array:
@@ -57,7 +52,7 @@ def _information(gain: Array, noise: Noise) -> Array:
     """Fisher information of values with variance ``white + walk gain``."""
     variance = noise.white + noise.walk * gain
     rows = np.stack([np.ones(gain.size), gain]) / np.where(variance > 0.0, variance, np.inf)
-    return 0.5 * rows @ rows.T
+    return information(rows)
 
 
 def type_a_degrees(
@@ -66,6 +61,8 @@ def type_a_degrees(
     """Degrees of freedom of the Type A variance of every coefficient, in the order of the result."""
     names = name_coefficients(fit.design, fit.solution, fit.covariance)[0]
     rest = float(fit.design.rows - len(names))
+    if fit.colour is not None:
+        return np.minimum(rest, fit.colour.degrees)
     if fit.mode != "increments":
         return np.full(len(names), rest)
     if fit.design.request.angle_rms is not None:
@@ -79,12 +76,12 @@ def type_a_degrees(
     information = level_information(lengths[lengths > 1], fit.design.run.median_step, fit.noise, len(names))
     scale = np.array([fit.noise.white, fit.noise.walk])
     covariance = np.linalg.pinv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    unseen = fit.noise.walk <= SEEN * math.sqrt(float(covariance[1, 1]))
+    unseen = fit.noise.walk <= NOISE.degrees_seen * math.sqrt(float(covariance[1, 1]))
     if unseen and fit.noise.slow > 0.0:
         return _satterthwaite(fit, (), rest)
     if unseen:
         return np.full(len(names), min(rest, 2.0 * float(information[0, 0]) * fit.noise.white**2))
-    if fit.design.rows > LARGE and fit.noise.slow == 0.0:
+    if fit.design.rows > NOISE.degrees_large and fit.noise.slow == 0.0:
         least = 2.0 * fit.noise.walk**2 / float(covariance[1, 1])
         return np.full(len(names), min(rest, least))
     return _satterthwaite(fit, _directions(covariance), rest)
@@ -107,12 +104,12 @@ def _satterthwaite(
     spread = np.zeros(now.size)
     for white, walk in directions:
         limits = [abs(level / part) for level, part in ((levels.white, white), (levels.walk, walk)) if part]
-        size = STEP * min([1.0, *(limit for limit in limits if limit > 0.0)])
+        size = NOISE.degrees_step * min([1.0, *(limit for limit in limits if limit > 0.0)])
         moved = variances(replace(levels, white=levels.white + size * white, walk=levels.walk + size * walk))
         spread += ((moved - now) / size) ** 2
     if levels.slow > 0.0:
-        moved = variances(levels.slower(1.0 + STEP))
-        spread += ((moved - now) * fit.slow_deviation / (STEP * levels.slow)) ** 2
+        moved = variances(levels.slower(1.0 + NOISE.degrees_step))
+        spread += ((moved - now) * fit.slow_deviation / (NOISE.degrees_step * levels.slow)) ** 2
     return np.minimum(rest, 2.0 * now**2 / np.maximum(spread, 1e-300))
 
 

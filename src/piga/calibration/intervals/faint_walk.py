@@ -4,7 +4,7 @@ If it is unclear whether a record holds a random walk beside white noise, the we
 lose little. The walk adds its likely variance times the covariance per unit walk. A variance that must not be
 negative is too large on average if there is no walk. A variance that is set to zero below a limit is too small if
 there is a small walk. The restricted likelihood is therefore searched wherever the covariance of the record is
-positive definite, down to a negative variance (LEAST): the slow values of a record scatter less than its white
+positive definite, down to a negative variance (``faint_least``): the slow values of a record scatter less than its white
 noise says as often as they scatter more. The uncertainty of that variance enters the degrees of freedom. The
 intervals are then valid for any walk, after [Kenward1997]; own derivation, docs/theory.
 """
@@ -18,47 +18,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import CANDIDATES
-from piga.calibration.fit.one_run import SMALL, FaintWalk, Fit, log_determinant
+from piga.calibration.fit.one_run import FaintWalk, Fit, log_determinant
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
+from piga.calibration.noise.likelihood import restricted
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.weighting import Whitener, reduce_segments
 
 Array = NDArray[np.float64]
-
-LEAST, MOST = 0.4, 30.0
-"""Search range for the variance of the slowest value of the longest stretch, relative to white noise alone. White
-noise is known from the fast values; slow values that scatter far less than it predicts do so by chance."""
-NODES = 6
-"""Number of walks in this range at which the information of the coefficients is computed."""
-PASSES = 2
-"""Passes over the residuals."""
-UNCLEAR = 0.02
-"""Share of a walk in the variance of the slowest value up to which white-noise weights are used."""
-PROBE = 0.01
-"""Finite-difference step of this share for d(covariance)/d(walk)."""
-TWIST = 0.1
-"""Finite-difference step of the logarithm of this variance for derivatives of the likelihood."""
-ENOUGH = 3.0
-"""Fewest slow values left by the coefficients. With fewer, the record says nothing about a walk; none is assumed."""
 
 
 def include_faint_walk(fit: Fit) -> Fit:
     """The fit with a random walk that is not significant in its covariance; unchanged if the walk is significant.
 
     Not done with slow noise, coarse counts, given noise levels, methods other than whitened least squares in one go,
-    more than ``fit.SMALL`` increments, or if the coefficients leave no slow values.
+    more than ``restricted_rows`` increments, or if the coefficients leave no slow values.
     """
     request, noise = fit.design.request, fit.noise
     able = fit.mode == "increments" and request.method == "information" and fit.counted is None
-    if not able or request.angle_rms is not None or noise.slow > 0.0 or fit.design.rows > SMALL:
+    if not able or request.angle_rms is not None or noise.slow > 0.0 or fit.design.rows > NOISE.restricted_rows:
         return fit
     unit = slowest(fit)
-    if noise.white == 0.0 or noise.walk > UNCLEAR * unit * noise.white:
+    if noise.white == 0.0 or noise.walk > NOISE.faint_unclear * unit * noise.white:
         return fit
-    if 2.0 * _walk_information(fit, 0.0)[1, 1] * unit**2 < ENOUGH:
+    if 2.0 * _walk_information(fit, 0.0)[1, 1] * unit**2 < NOISE.faint_enough:
         return fit
     share = _likely_share(fit)
-    part = _per_walk(fit, PROBE * unit * noise.white)
+    part = _per_walk(fit, NOISE.faint_probe * unit * noise.white)
     faint = FaintWalk(share * unit * noise.white, part, _walk_information(fit, share) / noise.white**2)
     return replace(
         fit, faint=faint, covariance=fit.solution.covariance + (faint.walk - noise.walk) * faint.part
@@ -80,16 +66,19 @@ def _likely_share(fit: Fit) -> float:
     """Walk of greatest restricted likelihood, in units of ``slowest`` times the white noise; negative down to -1."""
     from scipy.interpolate import CubicSpline
 
-    unit, low, high = slowest(fit), math.log(LEAST), math.log(MOST)
-    nodes = np.linspace(low, high, NODES)
+    unit, low, high = slowest(fit), math.log(NOISE.faint_least), math.log(NOISE.faint_most)
+    nodes = np.linspace(low, high, NOISE.faint_nodes)
     information = CubicSpline(nodes, _logarithms(fit, nodes))
     best = 0.0
-    for _ in range(PASSES):
+    for _ in range(NOISE.faint_passes):
         grid = np.linspace(low, high, CANDIDATES)
         log, square = _sums(fit, unit * np.expm1(grid))
-        best = least_on_grid(grid, _freedom(fit) * np.log(np.maximum(square, 1e-300)) + log + information(grid))
+        best = least_on_grid(grid, restricted(log, square, _freedom(fit)) + information(grid))
         spacing = (high - low) / (CANDIDATES - 1)
-        low, high = max(best - spacing, math.log(LEAST)), min(best + spacing, math.log(MOST))
+        low, high = (
+            max(best - spacing, math.log(NOISE.faint_least)),
+            min(best + spacing, math.log(NOISE.faint_most)),
+        )
     return math.expm1(best)
 
 
@@ -100,10 +89,13 @@ def _walk_information(fit: Fit, share: float) -> Array:
     ``(n - m) log r + F(q/r)``, because the covariance is linear in both.
     """
     ratio, at = slowest(fit) * share, math.log1p(share)
-    grid = at + TWIST * np.linspace(-1.0, 1.0, 3)
+    grid = at + NOISE.faint_twist * np.linspace(-1.0, 1.0, 3)
     log = _sums(fit, slowest(fit) * np.expm1(np.resize(grid, CANDIDATES)))[0][:3]
     below, here, above = log + _logarithms(fit, grid)
-    first, second = (above - below) / (2.0 * TWIST), (above - 2.0 * here + below) / TWIST**2
+    first, second = (
+        (above - below) / (2.0 * NOISE.faint_twist),
+        (above - 2.0 * here + below) / NOISE.faint_twist**2,
+    )
     scale = slowest(fit) * math.exp(at)
     slope, bend = first / scale, (second - first) / scale**2
     mixed = slope + ratio * bend

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import CANDIDATES
-from piga.calibration.fit.one_run import SMALL, Fit, whitened_rows
+from piga.calibration.fit.one_run import Fit, whitened_rows
 from piga.calibration.model.reduction import solve_upper
 from piga.calibration.model.solution import KNOTS, solve
 from piga.calibration.noise.levels import Noise, deviance_sums, least_on_grid
+from piga.calibration.noise.likelihood import information, restricted
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.slow_bases import (
-    MOST_SEGMENTS,
     BesideStated,
     DriftBasis,
     NoiseColumns,
@@ -35,28 +36,6 @@ from piga.calibration.noise.slow_bases import (
 from piga.calibration.noise.weighting import reduce_segments, residual_increments
 
 Array = NDArray[np.float64]
-
-SUSPECTED = 0.3
-"""Gain in twice the log-likelihood, with the other levels fixed, above which all levels are estimated together."""
-SIGNIFICANT = 2.0
-"""Gain above which a slow noise enters the covariance."""
-CLEAR = 9.0
-"""Gain above which it also enters the weights. Weights for a drift that does not exist may cost six times the variance."""
-BELOW, ABOVE = 0.7, 0.35
-"""Search range of the random walk beside slow noise: decades below and above the walk estimated without it."""
-LEVELS = 41
-"""Trial levels over eight decades."""
-UNDETERMINED = 1e-9
-"""Smallest independent part of a column for an estimate."""
-ENOUGH = 3
-"""Fewest independent values of a slow noise that the coefficients must leave."""
-LOST = 0.2
-"""Largest variance of a mean rate by a stated scatter, relative to the noise, for which the scatter is ignored in
-levels and weights."""
-LOWEST = 4.0
-"""Search range of the random walk beside a stated scatter: decades below the walk estimated without it."""
-BINS, MOST_BINS = 16, 2048
-"""Bins of a stretch in the quick test, and most bins of all stretches together."""
 
 
 @dataclass(frozen=True)
@@ -81,33 +60,34 @@ def include_stated_scatter(fit: Fit, variance: Array) -> Fit:
     """Include the stated variance (m,) [rad^2/s^2] of the rate of each segment in levels and weights of a fit.
 
     A stated scatter is then not mistaken for noise of the record. The fit is unchanged if the scatter is below
-    ``LOST`` of the noise of the mean rates, or if the noise levels are not estimated. Coarse counts keep their weights.
+    ``stated_lost`` of the noise of the mean rates, or if the noise levels are not estimated. Coarse counts keep their weights.
     """
     request, count = fit.design.request, len(fit.design.run.labels)
     able = fit.mode == "increments" and request.method == "information" and request.angle_rms is None
-    if not able or not variance.any() or count > MOST_SEGMENTS:
+    if not able or not variance.any() or count > NOISE.most_segments:
         return fit
     basis = SegmentBasis.of(fit.design.run)
     factor = slow_factor(fit, fit.noise, basis)
     factor[:, : basis.count] *= np.sqrt(variance)
     values = projected(factor, basis)[0]
-    if values.size == 0 or values[0] < LOST:
+    if values.size == 0 or values[0] < NOISE.stated_lost:
         return fit
     noise = replace(fit.noise, stated=tuple(variance.tolist()))
     if fit.counted is not None:
         return replace(fit, noise=noise)
-    for below in (LOWEST, BELOW):
+    for below in (NOISE.stated_below, NOISE.slow_below):
         noise = _levels_beside_stated(fit, noise, below)
     refit = _solved(fit, noise)
     d, h = residual_increments(fit.design, refit.solution.values)
     return replace(refit, d=d, h=h)
 
 
-def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
+def include_slow_noise(fit: Fit, clear: float = NOISE.slow_in_weights) -> Fit:
     """Include a slow noise in the covariance of a fit, if the record shows one: drift or scatter, whichever is likelier.
 
-    It enters the weights from a gain of ``CLEAR`` on, a drift from ``clear``. Below this gain the weights stay those of the
-    other noise, and its effect on the estimates is added to their covariance. This also holds for coarse counts at any gain.
+    It enters the weights from a gain of ``slow_in_weights`` on, a drift from ``clear``. Below this gain the weights stay
+    those of the other noise, and its effect on the estimates is added to their covariance. This also holds for coarse
+    counts at any gain.
     Not done with given noise levels and with methods other than whitened least squares in one go.
     """
     request = fit.design.request
@@ -117,14 +97,14 @@ def include_slow_noise(fit: Fit, clear: float = CLEAR) -> Fit:
     looked = _beside_counts if fit.counted is not None else _looked_for
     candidates = [candidate for basis in slow_bases(fit.design.run) if (candidate := looked(fit, basis))]
     best = max(candidates, key=lambda candidate: candidate.gain, default=None)
-    if best is None or best.gain < SIGNIFICANT:
+    if best is None or best.gain < NOISE.slow_in_covariance:
         return fit
     basis, plain = best.basis, _solved(fit, best.noise)
     factor = slow_factor(plain, best.noise, basis)
     level = likely_level(factor, basis)
-    moved = _moved(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
+    moved = moved_by(factor, basis, len(fit.solution.amplitudes) + len(fit.solution.phases))
     slow, deviation = basis.noise(best.noise, level.variance), level.deviation / basis.unit()
-    limit = clear if isinstance(basis, DriftBasis) else CLEAR
+    limit = clear if isinstance(basis, DriftBasis) else NOISE.slow_in_weights
     if fit.counted is None and (best.gain >= limit or moved is None):
         return replace(_solved(fit, slow), slow_deviation=deviation)
     if moved is None:
@@ -150,9 +130,9 @@ def _solved(fit: Fit, noise: Noise) -> Fit:
 
 def _looked_for(fit: Fit, basis: SlowBasis) -> _Candidate | None:
     """A slow noise and the levels estimated with it; None if a quick test shows no slow noise."""
-    if fit.design.rows > SMALL and quick_look(fit, basis).gain < SUSPECTED:
+    if fit.design.rows > NOISE.restricted_rows and quick_look(fit, basis).gain < NOISE.slow_suspected:
         return None
-    if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < SUSPECTED:
+    if likely_level(slow_factor(fit, fit.noise, basis), basis).gain < NOISE.slow_suspected:
         return None
     return _Candidate(basis, *_levels_together(fit, basis))
 
@@ -163,7 +143,7 @@ def _beside_counts(fit: Fit, basis: SlowBasis) -> _Candidate | None:
     return _Candidate(basis, fit.noise, gain)
 
 
-def slow_factor(fit: Fit, noise: Noise, basis: SlowBasis) -> Array:
+def slow_factor(fit: Fit, noise: Noise, basis: NoiseColumns) -> Array:
     """Triangular factor of the weighted rows ``[slow noise | model | y]``; the slow noise is free.
 
     The model is linear about the fit: its columns are those of amplitudes and phases, y is the residual. The weights
@@ -172,7 +152,7 @@ def slow_factor(fit: Fit, noise: Noise, basis: SlowBasis) -> Array:
     return _factor_and_size(fit, noise, basis)[0]
 
 
-def _factor_and_size(fit: Fit, noise: Noise, basis: SlowBasis) -> tuple[Array, float]:
+def _factor_and_size(fit: Fit, noise: Noise, basis: NoiseColumns) -> tuple[Array, float]:
     """The factor, and the log-determinant that a stated scatter adds to the covariance of its rows."""
     solution, m = fit.solution, len(fit.design.names)
     segments = SegmentBasis.of(fit.design.run)
@@ -182,30 +162,31 @@ def _factor_and_size(fit: Fit, noise: Noise, basis: SlowBasis) -> tuple[Array, f
         model, slow = columns[:m], columns[m:-1]
         y = columns[-1] - solution.values[segment] @ model
         turned = solution.jacobians[fit.design.groups[segment]].T @ model
-        parts.append(wide.placed(_triangle(np.vstack([slow, turned, y]).T), segment))
-    factor, size = _triangle(np.vstack(parts)), 0.0
+        parts.append(wide.placed(triangle(np.vstack([slow, turned, y]).T), segment))
+    factor, size = triangle(np.vstack(parts)), 0.0
     if noise.stated:
         stated = factor[:, : segments.count] * np.sqrt(np.array(noise.stated))
         lower = np.linalg.cholesky(np.eye(len(factor)) + stated @ stated.T)
-        factor = _triangle(np.asarray(np.linalg.solve(lower, factor[:, segments.count :]), dtype=np.float64))
+        factor = triangle(np.asarray(np.linalg.solve(lower, factor[:, segments.count :]), dtype=np.float64))
         size = 2.0 * float(np.log(np.diag(lower)).sum())
     kept = np.ones(factor.shape[1], dtype=bool)
     kept[basis.count : -1] = factor[:, basis.count : -1].any(axis=0)
     return factor[:, kept], size
 
 
-def _triangle(rows: Array) -> Array:
+def triangle(rows: Array) -> Array:
+    """Triangular factor of rows."""
     return cast("Array", np.linalg.qr(rows, mode="r"))
 
 
-def _moved(factor: Array, basis: SlowBasis, parameters: int) -> Array | None:
+def moved_by(factor: Array, basis: NoiseColumns, parameters: int) -> Array | None:
     """Change of each parameter by numbers of one (parameters, count); None if a parameter is not determined."""
     model = factor[:, basis.count : -1]
     size = np.linalg.norm(model, axis=0)
     if model.shape[1] < parameters:
         return None
-    rows = _triangle(np.hstack([model / size, factor[:, : basis.count]]))[:parameters]
-    if np.abs(np.diag(rows)).min() < UNDETERMINED:
+    rows = triangle(np.hstack([model / size, factor[:, : basis.count]]))[:parameters]
+    if np.abs(np.diag(rows)).min() < NOISE.slow_undetermined:
         return None
     return solve_upper(rows[:, :parameters], rows[:, parameters:]) / size[:, None]
 
@@ -215,7 +196,7 @@ def _levels_together(fit: Fit, basis: SlowBasis) -> tuple[Noise, float]:
 
     The search uses a grid of ``log10(q h/r)``, concentrated over the scale. Each point has its best slow noise.
     """
-    table = _deviances(fit, basis, fit.noise, BELOW)
+    table = _deviances(fit, basis, fit.noise, NOISE.slow_below)
     return table.levels(fit.noise, table.best), float(table.without.min() - table.best.min())
 
 
@@ -250,17 +231,17 @@ def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Devia
     step = fit.design.run.median_step
     freedom = fit.design.rows - len(fit.solution.amplitudes) - len(fit.solution.phases)
     centre = math.log10(max(noise.walk * step / noise.white, 1e-9))
-    grid = np.linspace(centre - below, centre + ABOVE, CANDIDATES)
+    grid = np.linspace(centre - below, centre + NOISE.slow_above, CANDIDATES)
     logarithms = deviance_sums(fit.d, fit.h, 10.0**grid / step)[0]
     stated = tuple(variance / noise.white for variance in noise.stated)
     table = []
     for ratio, logarithm in zip(grid, logarithms, strict=True):
         factor, stated_size = _factor_and_size(fit, Noise(1.0, 10.0**ratio / step, stated=stated), basis)
         values, square, rest, model = projected(factor, basis)
-        levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / max(values[0], 1e-300))
+        levels = np.append(0.0, 10.0 ** np.linspace(-4.0, 4.0, NOISE.slow_levels) / max(values[0], 1e-300))
         size = 1.0 + levels[:, None] * values
         total = rest + (square / size).sum(axis=1)
-        deviance = freedom * np.log(total) + logarithm + model + np.log(size).sum(axis=1) + stated_size
+        deviance = restricted(logarithm, total, freedom) + model + np.log(size).sum(axis=1) + stated_size
         at = int(np.argmin(deviance))
         table.append((float(deviance[0]), float(deviance[at]), float(total[0]), float(total[at])))
     without, best, plain, left = np.array(table).T
@@ -269,20 +250,26 @@ def _deviances(fit: Fit, basis: SlowBasis, noise: Noise, below: float) -> _Devia
 
 def quick_look(fit: Fit, basis: SlowBasis) -> Level:
     """Slow noise in the means of the residual angle over a few bins of every stretch; the model is kept fixed."""
+    starts = int(np.count_nonzero(fit.design.run.begins))
+    rows = means_of_bins(fit, basis, int(np.clip(NOISE.look_most_bins // starts, 2, NOISE.look_bins)))
+    if len(rows) <= basis.count:
+        return Level(0.0, 0.0, 0.0)
+    return likely_level(triangle(rows), basis)
+
+
+def means_of_bins(fit: Fit, basis: NoiseColumns, bins: int) -> Array:
+    """Independent rows ``[slow noise | residual]`` (rows, count + 1) from the means of the residual angle over bins."""
     run = fit.design.run
     starts = np.flatnonzero(run.begins)
-    bins = int(np.clip(MOST_BINS // starts.size, 2, BINS))
     rows = [
         basis.placed(_whitened_means(fit, basis, int(left), int(right), bins), int(run.segment[left]))
         for left, right in pairwise(np.append(starts, run.size))
         if right - left >= 2 * bins
     ]
-    if sum(len(part) for part in rows) <= basis.count:
-        return Level(0.0, 0.0, 0.0)
-    return likely_level(_triangle(np.concatenate(rows)), basis)
+    return np.concatenate([np.zeros((0, basis.count + 1)), *rows])
 
 
-def _whitened_means(fit: Fit, basis: SlowBasis, left: int, right: int, bins: int) -> Array:
+def _whitened_means(fit: Fit, basis: NoiseColumns, left: int, right: int, bins: int) -> Array:
     """Differences of neighbouring bin means as independent rows ``[slow noise | residual]`` (bins - 1, size + 1)."""
     edges = np.linspace(0, right - left, bins + 1).astype(np.int64)
     sizes = np.diff(edges)
@@ -300,14 +287,14 @@ def _whitened_means(fit: Fit, basis: SlowBasis, left: int, right: int, bins: int
 def likely_level(factor: Array, basis: SlowBasis) -> Level:
     """Likely variance of the numbers, from a triangular factor of ``[slow noise | model | y]`` rows of unit variance."""
     values, square, _, _ = projected(factor, basis)
-    if values.size < ENOUGH:
+    if values.size < NOISE.slow_enough:
         return Level(0.0, 0.0, 0.0)
-    levels = 10.0 ** np.linspace(-4.0, 4.0, LEVELS) / values[0]
+    levels = 10.0 ** np.linspace(-4.0, 4.0, NOISE.slow_levels) / values[0]
     size = 1.0 + levels[:, None] * values
-    gains = (square - square / size - np.log(size)).sum(axis=1)
+    gains = -restricted(np.log(size), square / size - square).sum(axis=1)
     at = int(np.argmax(gains))
-    information = 0.5 * float(np.sum((values / size[at]) ** 2))
-    return Level(float(levels[at]), 1.0 / math.sqrt(information), float(gains[at]))
+    known = float(information(values[None] / size[at])[0, 0])
+    return Level(float(levels[at]), 1.0 / math.sqrt(known), float(gains[at]))
 
 
 def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, float]:
@@ -319,11 +306,11 @@ def projected(factor: Array, basis: SlowBasis) -> tuple[Array, Array, float, flo
     size = factor.shape[1] - 1
     model = size - basis.count
     order = [*range(basis.count, size), *range(basis.count), size]
-    turned = _triangle(factor[:, order])
+    turned = triangle(factor[:, order])
     block, y = turned[model:size, model:size], turned[model:size, -1]
     vectors, values, _ = np.linalg.svd(block)
     square = (vectors.T @ y) ** 2
-    seen = values > UNDETERMINED * math.sqrt(float(np.sum(factor[:, : basis.count] ** 2)))
+    seen = values > NOISE.slow_undetermined * math.sqrt(float(np.sum(factor[:, : basis.count] ** 2)))
     rest = float(square[~seen].sum()) + (float(turned[size, -1] ** 2) if turned.shape[0] > size else 0.0)
     diagonal = np.abs(np.diag(turned)[:model])
     return values[seen] ** 2, square[seen], rest, 2.0 * float(np.log(diagonal).sum())

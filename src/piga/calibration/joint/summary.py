@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.calibration.budget.uncertainty import Source, sources, stated_scatter
-from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
+from piga.calibration.fit.one_run import Fit, fit_run, refine_counted, without_slow
 from piga.calibration.fit.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.intervals.added_noise import AddedNoise, added_noise
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
-from piga.calibration.intervals.faint_walk import include_faint_walk
-from piga.calibration.intervals.slow_noise import include_slow_noise, include_stated_scatter
+from piga.calibration.intervals.included import include_noise
 from piga.calibration.model.design import PHASELESS, Design, given_servo
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
@@ -238,9 +237,7 @@ def prepare(run: Run, request: Request, name: str) -> LiveRun:
         wish = replace(request, terms=terms)
         try:
             fit = refine_counted(fit_run(run, wish))
-            fit = include_stated_scatter(fit, stated)
-            fit = include_slow_noise(fit, clear=math.inf) if fit.design.per_segment else include_slow_noise(fit)
-            fit = include_faint_walk(fit)
+            fit = include_noise(fit, stated, math.inf) if fit.design.per_segment else include_noise(fit, stated)
         except IdentifiabilityError as error:
             dropped = _given_up(terms, error.terms)
             undetermined += [*dict.fromkeys((*error.terms, *dropped))]
@@ -311,9 +308,10 @@ def _as_weighted(fit: Fit) -> Fit:
             slow_part=None,
             slow_deviation=0.0,
             faint=None,
-            covariance=fit.solution.covariance,
+            colour=None,
+            covariance=without_slow(fit).covariance if fit.colour is not None else fit.solution.covariance,
         )
-        if fit.slow_part is not None or fit.faint is not None
+        if fit.slow_part is not None or fit.faint is not None or fit.colour is not None
         else fit
     )
 

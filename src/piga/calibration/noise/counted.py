@@ -27,10 +27,10 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Solution, solve
 from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.likelihood import restricted
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.slow_bases import NoiseColumns
 from piga.calibration.noise.stretches import (
-    HARMONICS,
-    LOOKED,
     SawTooth,
     Stretch,
     counting_covariances,
@@ -46,33 +46,6 @@ from piga.calibration.noise.stretches import (
 from piga.records.run import Run
 
 Array = NDArray[np.float64]
-
-WHITE = 0.15
-"""White noise [squared counts] above which it dithers the counting and plain whitening is right (one twelfth of
-it is the counting itself)."""
-WALKS = 0.1
-"""Random walk from sample to sample [squared counts] above which it dithers the counting."""
-PASSES = 9
-"""Most alternations between path, noise levels and estimate."""
-TRUSTED = 3
-"""Passes before the estimated random walk may dither the counting. Earlier, errors of the path look like a random
-walk; if their dither were used, the iteration would end without a random walk."""
-LEVELS = 6
-"""Levels of white noise tried, over three decades."""
-SIGNIFICANT = 0.5
-"""Gain in twice the log-likelihood above which white noise besides the counting is accepted."""
-SETTLED = 0.03
-"""Relative change of the random walk's variance that ends the alternation."""
-WALKS_TRIED = 13
-"""Trial random walks in each of three rounds, in ever narrower ranges."""
-UNLIKELY = 18.0
-"""Loss in twice the log-probability above which a random walk is dropped."""
-LONG = 1 << 16
-"""Rows above which the saw-tooth along the path is tested first. If it is white, no more is computed."""
-SAME = 0.05
-"""Largest motion of the path, in counts over the number of harmonics, before it is followed again."""
-SPREADS = (0.5, 0.2)
-"""Uncertainty of the path over a stretch [counts] in the first passes, before there is an estimate."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +73,7 @@ class Stretches:
             np.array([part.rows for part in parts]),
             np.array([walk_covariance(part) for part in parts]),
             np.array([white_covariance(part) for part in parts]),
-            np.zeros((HARMONICS + 1, 0, 0, 0)),
+            np.zeros((NOISE.harmonics + 1, 0, 0, 0)),
             np.array([part.segment for part in parts]),
             count,
             design,
@@ -120,7 +93,7 @@ class Stretches:
 
     def covariance(self, noise: Noise) -> Array:
         """Covariance of the rows (S, K, K) for noise besides the counting; white noise dithers the harmonics."""
-        order = np.arange(1, HARMONICS + 2)
+        order = np.arange(1, NOISE.harmonics + 2)
         kept = np.exp(-4.0 * np.pi**2 * order**2 * noise.white / self.count**2)
         lost = float(_shares(self.count) @ (1.0 - kept))
         return np.tensordot(kept, self.counting, 1) + noise.walk * self.walk + (noise.white + lost) * self.white
@@ -143,14 +116,14 @@ class Path:
     def next(self, stretches: Stretches, solution: Solution) -> Path:
         """The path of another solution; it is followed again only if it differs."""
         finest = max(len(tooth.cosines) for tooth in self.teeth)
-        if stretches.moved(solution.values - self.followed) < SAME * stretches.count / finest:
+        if stretches.moved(solution.values - self.followed) < NOISE.counting_same * stretches.count / finest:
             return replace(self, solution=solution)
         return Path.of(stretches, solution)
 
 
 def _shares(count: float) -> Array:
     """Variance of each harmonic of the counting followed, and of all others together [rad^2]."""
-    shares = count**2 / (2.0 * np.pi**2 * np.arange(1, HARMONICS + 1) ** 2)
+    shares = count**2 / (2.0 * np.pi**2 * np.arange(1, NOISE.harmonics + 1) ** 2)
     return np.append(shares, count**2 / 12.0 - shares.sum())
 
 
@@ -223,29 +196,34 @@ def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution) -> 
     """Fit with the covariance of coarse counts; None where plain whitening with ``noise`` is right."""
     count = count_of(design.run)
     step = design.run.median_step
-    dithered = noise.white > WHITE * count**2 or noise.walk * step > WALKS * count**2
+    dithered = (
+        noise.white > NOISE.counting_white * count**2 or noise.walk * step > NOISE.counting_walk * count**2
+    )
     if mode != "increments" or count == 0.0 or dithered or design.request.angle_rms is not None:
         return None
     modes = modes_of(design)
-    if modes < 3 or (design.run.size > LONG and _is_white(design, solution, modes, count)):
+    if modes < 3 or (design.run.size > NOISE.counting_long and _is_white(design, solution, modes, count)):
         return None
     stretches = Stretches.of(design, modes, count)
     noise = Noise(0.0, 0.0)
     path = Path.of(stretches, solution)
-    for index in range(PASSES):
-        spread = SPREADS[index] if index < len(SPREADS) else 0.0
-        dither = noise if index >= TRUSTED else Noise(0.0, 0.0)
+    for index in range(NOISE.counting_passes):
+        spread = NOISE.counting_spreads[index] if index < len(NOISE.counting_spreads) else 0.0
+        dither = noise if index >= NOISE.counting_trusted else Noise(0.0, 0.0)
         path = path.next(stretches, solution)
         stretches = stretches.along(path, dither, spread)
         before = noise
         rows = _rows(stretches, solution.values if design.has_phases else None)
-        noise, walks = _levels(rows, stretches, noise.white, again=index == TRUSTED)
-        if index > TRUSTED:
+        noise, walks = _levels(rows, stretches, noise.white, again=index == NOISE.counting_trusted)
+        if index > NOISE.counting_trusted:
             noise = Noise(noise.white, 0.5 * (noise.walk + before.walk))
         counted = Counted(stretches, modes, noise, walks)
         summaries = counted.reduce(design)
         solution = solve(design, summaries)
-        if index > TRUSTED and abs(noise.walk - before.walk) <= SETTLED * before.walk:
+        if (
+            index > NOISE.counting_trusted
+            and abs(noise.walk - before.walk) <= NOISE.counting_settled * before.walk
+        ):
             break
     levels = Noise(counted.noise.white + count**2 / 12.0, counted.noise.walk)
     return CountedFit(counted, levels, summaries, solution)
@@ -254,7 +232,7 @@ def fit_counted(design: Design, mode: str, noise: Noise, solution: Solution) -> 
 def _is_white(design: Design, solution: Solution, modes: int, count: float) -> bool:
     """True where the saw-tooth along the path of the plain fit is white."""
     run = design.run
-    most = min(LOOKED // int(np.count_nonzero(run.begins)), most_modes(run))
+    most = min(NOISE.white_contrasts // int(np.count_nonzero(run.begins)), most_modes(run))
     stretches = empty_stretches(run, max(modes, most), 0)
     return looks_white(follow(design, stretches, count, solution.values))
 
@@ -273,7 +251,7 @@ def _levels(
     """Noise besides the counting by restricted likelihood: the random walk; with ``again`` also white noise."""
     walk, walks = _likely_walks(rows, stretches, white)
     if again:
-        levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, LEVELS)
+        levels = stretches.count**2 * 10.0 ** np.linspace(-3.0, 0.0, NOISE.counting_levels)
         white = _best(lambda white: _deviance(rows, stretches.covariance(Noise(white, walk))), levels)
         walk, walks = _likely_walks(rows, stretches, white)
     return Noise(white, walk), walks
@@ -289,12 +267,12 @@ def _likely_walks(rows: Array, stretches: Stretches, white: float) -> tuple[floa
     strongest = float(np.median(eigen.reshape(len(rows), -1)[:, -1]))
     low, high = -3.0, 5.0
     for _ in range(3):
-        grid = np.linspace(low, high, WALKS_TRIED)
+        grid = np.linspace(low, high, NOISE.counting_walks)
         levels = 10.0**grid / strongest
         likelihoods = np.array([_log_probability(flat, eigen, level) for level in levels]) + 2.0 * np.log(
             levels
         )
-        likely = np.flatnonzero(likelihoods > likelihoods.max() - UNLIKELY)
+        likely = np.flatnonzero(likelihoods > likelihoods.max() - NOISE.counting_unlikely)
         low, high = grid[max(likely[0] - 1, 0)], grid[min(likely[-1] + 1, grid.size - 1)]
     weights = np.exp(0.5 * (likelihoods - likelihoods.max()))
     weights /= weights.sum()
@@ -307,7 +285,8 @@ def _log_probability(flat: Array, eigen: Array, walk: float) -> float:
     size = 1.0 + walk * eigen
     q, r = np.linalg.qr(flat / np.sqrt(size)[:, None])
     diagonal, share, basis = np.abs(np.diag(r)), eigen / size, q[:, :-1]
-    deviance = float(np.log(size).sum()) + 2.0 * float(np.log(diagonal[:-1]).sum()) + float(diagonal[-1] ** 2)
+    logarithm = float(np.log(size).sum()) + 2.0 * float(np.log(diagonal[:-1]).sum())
+    deviance = float(restricted(logarithm, diagonal[-1] ** 2))
     inner = basis.T * share @ basis
     information = float(share @ share - 2.0 * np.sum((share[:, None] * basis) ** 2) + np.sum(inner**2))
     return math.log(max(information, 1e-300)) - deviance
@@ -331,7 +310,7 @@ def _best(deviance: Callable[[float], float], levels: Array) -> float:
         curvature = left - 2.0 * middle + right
         shift = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
         best *= float((levels[1] / levels[0]) ** shift)
-    return best if deviance(0.0) - deviances[at] > SIGNIFICANT else 0.0
+    return best if deviance(0.0) - deviances[at] > NOISE.counting_in_covariance else 0.0
 
 
 def _deviance(rows: Array, covariance: Array) -> float:
@@ -344,4 +323,4 @@ def _deviance(rows: Array, covariance: Array) -> float:
 def _restricted(white: Array) -> float:
     """Residual sum of squares of whitened rows ``[x | y]``, and ``log|X'X|``."""
     diagonal = np.abs(np.diag(np.linalg.qr(white, mode="r")))
-    return 2.0 * float(np.log(diagonal[:-1]).sum()) + float(diagonal[-1] ** 2)
+    return float(restricted(2.0 * np.log(diagonal[:-1]).sum(), diagonal[-1] ** 2))

@@ -11,23 +11,13 @@ from numpy.typing import NDArray
 
 from piga._kernels.estimation.noise import CANDIDATES, likelihoods
 from piga.calibration.model.reduction import workers
+from piga.calibration.noise.likelihood import restricted
+from piga.calibration.noise.settings import NOISE
 from piga.records.spool import exact_median, spans
 
 Array = NDArray[np.float64]
 Information = Callable[[Array], Array]
 """``log|X' V^-1 X|`` (up to a constant) as a function of ``log10(q h/r)``."""
-
-LOWEST, HIGHEST = -10.0, 4.0
-"""Search range of ``log10(q h/r)``: from pure angle noise to pure random walk."""
-SAMPLE = 1 << 17
-"""Increments used by the first, coarse passes over a long record."""
-SIGNIFICANT = 1.5
-"""Gain in twice the log-likelihood above which a random walk enters the weights. A smaller one enters only the
-covariance (:mod:`piga.calibration.intervals.faint_walk`)."""
-NEGLIGIBLE = 1e-3
-"""Gain below which a level does not affect the weights and is left as it is."""
-REFINEMENTS = 4
-"""Passes over the residuals; one less if the ratio is known to a decade."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +98,7 @@ def find_noise(
     """Noise levels of residual increments ``d`` (n,) over intervals ``h`` (n,; 0 begins a stretch).
 
     It maximises the restricted likelihood of the first-order moving average (docs/theory/calibration), concentrated
-    over its scale, on a grid of the ratio kappa = q/r that is refined ``REFINEMENTS`` times:
+    over its scale, on a grid of the ratio kappa = q/r that is refined ``refinements`` times:
     ``(n - m) log S + sum log v + log|X' V^-1 X|``, with m ``parameters`` fitted. The last term is the slow noise that the
     fit took up; it is ``information`` as a function of ``log10(kappa h)``. Without ``information`` it is left
     out. ``floor`` [rad] is the smallest angle noise returned. ``near`` narrows the search to a decade
@@ -117,35 +107,35 @@ def find_noise(
     count = sum(int(np.count_nonzero(h[rows] > 0.0)) for rows in spans(h.size))
     freedom = max(count - parameters, 1)
     step = exact_median(lambda: (part[part > 0.0] for part in (h[rows] for rows in spans(h.size))))
-    low, high, passes = LOWEST, HIGHEST, REFINEMENTS
+    low, high, passes = NOISE.lowest_ratio, NOISE.highest_ratio, NOISE.refinements
     if near is not None and near.white > 0.0 and near.walk > 0.0:
         centre = math.log10(near.walk * step / near.white)
         low, high, passes = max(low, centre - 1.0), min(high, centre + 1.0), passes - 2
     best, size = low, 1.0
     for index in range(passes):
-        coarse = near is None and index < passes - 2 and d.size > 4 * SAMPLE
+        coarse = near is None and index < passes - 2 and d.size > 4 * NOISE.first_rows
         grid = np.linspace(low, high, CANDIDATES)
         log, square = (
-            deviance_sums(d[:SAMPLE], h[:SAMPLE], 10.0**grid / step)
+            deviance_sums(d[: NOISE.first_rows], h[: NOISE.first_rows], 10.0**grid / step)
             if coarse
             else deviance_sums(d, h, 10.0**grid / step)
         )
         if coarse:
-            log, square = log * (d.size / SAMPLE), square * (d.size / SAMPLE)
-        objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log
+            log, square = log * (d.size / NOISE.first_rows), square * (d.size / NOISE.first_rows)
+        objective = restricted(log, square / count, freedom)
         if information is not None:
             objective = objective + information(grid)
         best = least_on_grid(grid, objective)
         size = float(np.exp(np.interp(best, grid, np.log(np.maximum(square, 1e-300)))))
         spacing = (high - low) / (CANDIDATES - 1)
-        low, high = max(best - spacing, LOWEST), min(best + spacing, HIGHEST)
+        low, high = max(best - spacing, NOISE.lowest_ratio), min(best + spacing, NOISE.highest_ratio)
     if information is not None:
-        grid = np.append(LOWEST, np.full(CANDIDATES - 1, best))
+        grid = np.append(NOISE.lowest_ratio, np.full(CANDIDATES - 1, best))
         log, square = deviance_sums(d, h, 10.0**grid / step)
-        objective = freedom * np.log(np.maximum(square, 1e-300) / count) + log + information(grid)
-        if NEGLIGIBLE < objective[0] - objective[1] < SIGNIFICANT:
-            best, size = LOWEST, float(square[0])
-    ratio = 0.0 if best <= LOWEST + 1e-9 else 10.0**best / step
+        objective = restricted(log, square / count, freedom) + information(grid)
+        if NOISE.negligible < objective[0] - objective[1] < NOISE.walk_in_weights:
+            best, size = NOISE.lowest_ratio, float(square[0])
+    ratio = 0.0 if best <= NOISE.lowest_ratio + 1e-9 else 10.0**best / step
     white = size / freedom
     white = max(white, floor**2 / (1.0 + ratio * step))
     return Noise(white, ratio * white)

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.solution import KNOTS
 from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.settings import NOISE
 from piga.records.run import Run
 
 Array = NDArray[np.float64]
-
-FEWEST, MOST_SEGMENTS = 4, 128
-"""Fewest and most segments for the scatter search."""
 
 
 class NoiseColumns(Protocol):
@@ -147,7 +145,7 @@ class BesideStated:
     """Columns of the scatter from segment to segment, followed by those of another slow noise, if any."""
 
     segments: SegmentBasis
-    other: SlowBasis | None
+    other: NoiseColumns | None
 
     @property
     def size(self) -> int:
@@ -179,5 +177,5 @@ class BesideStated:
 def slow_bases(run: Run) -> tuple[SlowBasis, ...]:
     """Slow noises to search in a record: bias drift, and scatter if there are enough segments."""
     drift = DriftBasis.of(run)
-    few = not FEWEST <= len(run.labels) <= MOST_SEGMENTS
+    few = not NOISE.fewest_segments <= len(run.labels) <= NOISE.most_segments
     return (drift,) if few else (drift, SegmentBasis.of(run))

@@ -18,16 +18,11 @@ from numpy.typing import NDArray
 from piga._kernels.estimation.noise import add_waves, saw_tooth_covariance
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.solution import Solution
+from piga.calibration.noise.settings import NOISE
 from piga.records.run import Run
 from piga.records.spool import extent
 
 Array = NDArray[np.float64]
-
-LEAST, LOST = 8, 0.01
-"""Fewest samples of a used stretch; largest share of all samples in unused short stretches."""
-MODES = 24
-"""Fewest cosines per stretch; four more per turn of the output and order of the model."""
-MOST_MODES = 160
 
 
 @dataclass(frozen=True)
@@ -96,13 +91,13 @@ def modes_of(design: Design) -> int:
     starts, stops, _ = _limits(run)
     turns = float(np.abs(run.output[stops - 1] - run.output[starts]).max()) / (2.0 * math.pi)
     order = max((1, *design.request.harmonics))
-    return max(min(MODES + math.ceil(4.0 * turns * order), MOST_MODES, most_modes(run)), 0)
+    return max(min(NOISE.modes + math.ceil(4.0 * turns * order), NOISE.most_modes, most_modes(run)), 0)
 
 
 def most_modes(run: Run) -> int:
     """Most contrasts for all stretches, except the shortest ones that hold a hundredth of the samples."""
     sizes = np.sort(_limits(run)[2])
-    usable = sizes[(np.cumsum(sizes) > LOST * sizes.sum()) & (sizes >= LEAST)]
+    usable = sizes[(np.cumsum(sizes) > NOISE.stretch_lost * sizes.sum()) & (sizes >= NOISE.stretch_least)]
     return int(usable.min()) - 2 if usable.size else 0
 
 
@@ -121,7 +116,7 @@ def empty_stretches(run: Run, modes: int, columns: int) -> list[Stretch]:
     return [
         Stretch.of(run, int(start), int(stop), int(size), modes, columns)
         for start, stop, size in zip(*_limits(run), strict=True)
-        if size >= max(LEAST, modes + 2)
+        if size >= max(NOISE.stretch_least, modes + 2)
     ]
 
 
@@ -200,22 +195,6 @@ def white_covariance(stretch: Stretch) -> Array:
     return (stretch.contrasts / np.diff(stretch.edges)) @ stretch.contrasts.T
 
 
-HARMONICS = 8
-"""Harmonics of the saw-tooth that white noise damps one by one."""
-FINE, SHORT = 24, 10_000
-"""Harmonics followed in stretches of up to so many samples (else ``HARMONICS``); the rest counts as white."""
-SLOW, FINEST = 4.0, 96
-"""Most counts in a stretch for which ``FINEST`` harmonics are followed; that number."""
-MOST_DAMPED = 0.5
-"""Largest correction for damping by errors of the estimate, as a share of the damping by the random walk."""
-GROUPS, EVEN, RARE = 4, 0.6, 7.0
-"""Test of the saw-tooth against white noise. Number of contrast groups, slow to fast; allowed difference of their mean
-power ratio from one; allowed ratio of a single contrast beyond the logarithm of their number (the ratio is
-exponentially distributed)."""
-LOOKED = 160
-"""Contrasts in all stretches together for this test, if the stretches have as many."""
-
-
 @dataclass(frozen=True)
 class SawTooth:
     """The saw-tooth along the path of a stretch: sums over bins of cosines and sines (M, bins) of its harmonics."""
@@ -228,9 +207,9 @@ class SawTooth:
     @classmethod
     def of(cls, stretch: Stretch, count: float) -> SawTooth:
         """An empty saw-tooth."""
-        followed = FINE if stretch.size <= SHORT else HARMONICS
-        if stretch.span < SLOW * count:
-            followed = FINEST
+        followed = NOISE.harmonics_short if stretch.size <= NOISE.short_stretch else NOISE.harmonics
+        if stretch.span < NOISE.slow_counts * count:
+            followed = NOISE.harmonics_slow
         shape = (followed, stretch.time.size)
         return cls(stretch, count, np.zeros(shape), np.zeros(shape))
 
@@ -241,7 +220,7 @@ class SawTooth:
         return variances
 
     def covariance(self, walk: float, spread: float) -> Array:
-        """Covariance of the contrasts by each harmonic, and by all others (HARMONICS + 1, K, K) [rad^2].
+        """Covariance of the contrasts by each harmonic, and by all others (harmonics + 1, K, K) [rad^2].
 
         The path moves by a random walk of ``walk`` [counts^2/s], which reduces the correlation of the waves. The ends of a
         line along the path have a further relative uncertainty ``spread`` [counts^2]. A negative ``spread`` removes
@@ -250,7 +229,7 @@ class SawTooth:
         stretch, phi, bins = self.stretch, self.stretch.contrasts, self.stretch.time.size
         times = stretch.mean(stretch.time)
         ramp = times / (stretch.limits[1] - stretch.limits[0])
-        harmonics = np.zeros((HARMONICS + 1, bins, bins))
+        harmonics = np.zeros((NOISE.harmonics + 1, bins, bins))
         cosines, sines = stretch.mean(self.cosines), stretch.mean(self.sines)
         saw_tooth_covariance(cosines, sines, self.power, times, ramp, walk, spread, harmonics)
         rest = self.count**2 / 12.0 - float(self.power.sum())
@@ -285,14 +264,16 @@ def _residuals(design: Design, values: Array) -> Iterator[tuple[Block, Array]]:
 def looks_white(teeth: list[SawTooth]) -> bool:
     """True if the saw-tooth has the power of white noise in slow and fast contrasts."""
     over = np.stack([tooth.over_white()[:-1] for tooth in teeth])
-    even = all(abs(part.mean() - 1.0) < EVEN for part in np.array_split(over, GROUPS, axis=1))
-    return bool(even and over.max() < RARE + math.log(over.size))
+    even = all(
+        abs(part.mean() - 1.0) < NOISE.white_even for part in np.array_split(over, NOISE.white_groups, axis=1)
+    )
+    return bool(even and over.max() < NOISE.white_rare + math.log(over.size))
 
 
 def counting_covariances(
     teeth: list[SawTooth], solution: Solution, groups: tuple[int, ...], walk: float, spread: float
 ) -> Array:
-    """Covariances (HARMONICS + 1, S, K, K) by the counting along a path [rad^2].
+    """Covariances (harmonics + 1, S, K, K) by the counting along a path [rad^2].
 
     ``walk`` [rad^2/s] is the random walk; ``spread`` [counts] is the uncertainty of the path besides the solution.
     """
@@ -308,4 +289,4 @@ def _damped(stretch: Stretch, solution: Solution, groups: tuple[int, ...], walk:
     jacobian = solution.jacobians[groups[stretch.segment]]
     far = stretch.end[:-1]
     damped = float(far @ (jacobian @ solution.covariance @ jacobian.T) @ far)
-    return min(damped, MOST_DAMPED * walk * float(stretch.limits[1] - stretch.limits[0]))
+    return min(damped, NOISE.most_damped * walk * float(stretch.limits[1] - stretch.limits[0]))

@@ -14,6 +14,7 @@ from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, workers
 from piga.calibration.model.solution import DRIFT_NAMES, KNOTS
 from piga.calibration.noise.levels import Noise
+from piga.calibration.noise.settings import NOISE
 from piga.calibration.noise.slow_bases import (
     BesideStated,
     DriftBasis,
@@ -24,8 +25,6 @@ from piga.records.spool import arrays_like
 
 Array = NDArray[np.float64]
 
-FIXED = 1e-12
-"""Variance of the rate of a segment without scatter, relative to the largest scatter."""
 RATE = "rate of the segment"
 """Name of the scatter column before it is integrated out."""
 
@@ -126,7 +125,7 @@ def _reduce_scattered(
     summaries = _absorbed(design, (RATE, *names), ((b, columns[order]) for b, columns in blocks))
     scattered = noise.scattered
     variance = np.full(len(summaries), noise.scatter) if scattered is None else scattered
-    variance = np.maximum(variance, FIXED * variance.max())
+    variance = np.maximum(variance, NOISE.fixed_rate * variance.max())
     for part, own in zip(summaries, variance, strict=True):
         known = np.zeros((len(names) + 2, 1))
         known[0] = 1.0 / math.sqrt(own)

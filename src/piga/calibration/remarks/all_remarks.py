@@ -42,7 +42,7 @@ def find_remarks(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Remarks:
     coefficients:
         Those of the result, with combined standard uncertainties.
     """
-    slow = fit.noise.slow > 0.0
+    slow = fit.noise.slow > 0.0 or fit.colour is not None
     plain = without_slow(fit)
     known = _known_without_slow(fit, plain, coefficients) if slow else coefficients
     leverage, alone, moved = find_leverage(plain, known, slow)
@@ -71,8 +71,7 @@ def with_remarks(
     advice = advise(fit.design.run, fit.design.request) if looks_wrong(result) else ()
     missing = () if advice else remarks.missing
     diagnostics = replace(result.diagnostics, leverage=remarks.leverage, advice=advice, missing_terms=missing)
-    slow = "bias drift" if fit.noise.drift > 0.0 else "scatter of the segments"
-    also = f"; the {slow} found may be the same effect" if fit.noise.slow > 0.0 else ""
+    also = f"; the {_slow_words(fit)} found may be the same effect" if _slow_words(fit) else ""
     sources = [doubt.source for doubt in doubts]
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
@@ -83,6 +82,15 @@ def with_remarks(
     )
     cause = (*advice, *suggested) or remarks.moved
     return replace(result, notes=(*cause, *result.notes, *remarks.alone), diagnostics=diagnostics)
+
+
+def _slow_words(fit: Fit) -> str:
+    """The slow noise of a fit; empty without one."""
+    if fit.colour is not None:
+        return "coloured noise"
+    if fit.noise.drift > 0.0:
+        return "bias drift"
+    return "scatter of the segments" if fit.noise.scatter > 0.0 else ""
 
 
 def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:

@@ -41,6 +41,10 @@ class Electronics:
         White rate noise of the instrument [rad/sqrt(s)].
     bias_random_walk:
         Random walk of the bias [m/s^2/sqrt(s)].
+    bias_flicker:
+        Flicker noise of the bias: standard deviation in one decade of frequency [m/s^2].
+    bias_markov, bias_markov_time:
+        First-order Markov noise of the bias: standard deviation [m/s^2] and correlation time [s].
     clock_offset, clock_jitter:
         Offset and standard deviation of the sampling instants [s]. The relative error of the clock's rate
         is the stand imperfection ``timing``.
@@ -54,6 +58,9 @@ class Electronics:
     angle_noise: float = 0.0
     angle_random_walk: float = 0.0
     bias_random_walk: float = 0.0
+    bias_flicker: float = 0.0
+    bias_markov: float = 0.0
+    bias_markov_time: float = 0.0
     clock_offset: float = 0.0
     clock_jitter: float = 0.0
 
@@ -62,9 +69,22 @@ class Electronics:
             raise ArgumentError("electronics sample_rate and counts_per_revolution must be positive")
         if self.counter_bits is not None and not 1 <= self.counter_bits <= 62:
             raise ArgumentError(f"electronics counter_bits: {self.counter_bits} is outside 1 to 62")
-        for name in ("angle_noise", "angle_random_walk", "bias_random_walk", "clock_jitter"):
+        levels = (
+            "angle_noise",
+            "angle_random_walk",
+            "bias_random_walk",
+            "bias_flicker",
+            "bias_markov",
+            "clock_jitter",
+        )
+        for name in levels:
             if getattr(self, name) < 0.0:
                 raise ArgumentError(f"electronics {name}: {getattr(self, name):g} is negative")
+        if self.bias_markov > 0.0 and not self.bias_markov_time > 0.0:
+            raise ArgumentError(
+                "noise markov: its correlation time is missing or not positive",
+                remedy='set [noise] markov_time, e.g. "5 s"',
+            )
 
     @property
     def interval(self) -> float:
@@ -92,6 +112,44 @@ def random_walk(rng: np.random.Generator, size: int, step: float, density: float
         return np.zeros(size)
     increments = density * math.sqrt(step) * rng.standard_normal(size - 1)
     return np.concatenate([[0.0], np.cumsum(increments)])
+
+
+def wandering_bias(
+    e: Electronics, rng: np.random.Generator, colour: np.random.Generator, size: int, step: float
+) -> Array:
+    """Bias [m/s^2] at nodes ``step`` [s] apart: random walk from ``rng``, flicker and Markov noise from ``colour``."""
+    return (
+        random_walk(rng, size, step, e.bias_random_walk)
+        + flicker_noise(colour, size, e.bias_flicker)
+        + markov_noise(colour, size, step, e.bias_markov, e.bias_markov_time)
+    )
+
+
+def flicker_noise(rng: np.random.Generator, size: int, level: float) -> Array:
+    """Noise of the one-sided spectrum ``level^2/(ln(10) f)`` at equidistant nodes, from half a period in the record up.
+
+    Each decade of frequency has the variance ``level^2``.
+    """
+    if level == 0.0 or size < 2:
+        return np.zeros(size)
+    count = 1 << math.ceil(math.log2(2 * size))
+    order = np.arange(1, count // 2 + 1)
+    waves = rng.standard_normal((2, order.size))
+    spectrum = np.append(0.0, (waves[0] + 1j * waves[1]) * np.sqrt(1.0 / order))
+    scale = level * count / (2.0 * math.sqrt(math.log(10.0)))
+    return np.asarray(scale * np.fft.irfft(spectrum, count)[:size])
+
+
+def markov_noise(rng: np.random.Generator, size: int, step: float, level: float, time: float) -> Array:
+    """Stationary first-order Markov process at nodes ``step`` [s] apart: ``level^2 exp(-lag/time)`` is its covariance."""
+    if level == 0.0 or size < 1:
+        return np.zeros(size)
+    from scipy.signal import lfilter
+
+    kept = math.exp(-step / time)
+    drawn = rng.standard_normal(size)
+    drawn[1:] *= math.sqrt(-math.expm1(-2.0 * step / time))
+    return np.asarray(level * lfilter([1.0], [1.0, -kept], drawn))
 
 
 def held_noise(rng: np.random.Generator, size: int, step: float, density: float) -> Array:

@@ -126,6 +126,15 @@ def drift_found(cal: Calibration) -> str:
     return f"{shown} µg/√s ({printed(short(cal.bias_drift))} rad/s/√s)"
 
 
+def coloured_found(cal: Calibration) -> str:
+    """Coloured noise of the rate in words, or that none was detected."""
+    noise = cal.coloured_noise
+    if noise is None:
+        return "none seen"
+    shown = short(noise.rms / cal.scale_factor_nominal / G0 * 1e6)
+    return f"{noise.words}, {shown} µg ({printed(short(noise.rms))} rad/s)"
+
+
 def scatter_found(cal: Calibration) -> str:
     """Scatter of the rate from segment to segment in words, or that none was detected."""
     if cal.segment_scatter == 0.0:
@@ -184,6 +193,11 @@ def _text_figures(cal: Calibration) -> list[str]:
             else []
         ),
         *([("scatter of segments", scatter_found(cal).replace("µ", "u"))] if cal.segment_scatter > 0.0 else []),
+        *(
+            [("coloured noise", coloured_found(cal).replace("µ", "u"))]
+            if cal.coloured_noise is not None
+            else []
+        ),
         ("condition number", short(cal.condition)),
     ]
     rows += [(f"data: {event.kind}", f"{event.count} {event.detail}".strip()) for event in cal.quality.events]
@@ -470,6 +484,7 @@ def _identifiability(cal: Calibration, figures: dict[str, Figure]) -> Section:
         ("Angle random walk", f"{walk} arcsec/√s ({printed(short(cal.angle_random_walk))} rad/√s)"),
         ("Bias drift", drift_found(cal)),
         ("Scatter of the rate from segment to segment", scatter_found(cal)),
+        ("Coloured noise of the rate", coloured_found(cal)),
         *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
