@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numba
@@ -15,8 +16,9 @@ from piga.calibration.fit.one_run import fit_run, without_slow
 from piga.calibration.intervals import coloured_noise
 from piga.calibration.intervals.coloured_noise import include_coloured_noise
 from piga.calibration.model.request import make_request
-from piga.calibration.noise.components import RATES, RateBins
+from piga.calibration.noise.components import COMPONENTS, RATES, RateBins
 from piga.calibration.noise.likelihood import Contrasts, estimate
+from piga.calibration.noise.rules import RULES, table
 from piga.calibration.noise.settings import NOISE
 from tests.calibration.scenarios import Array, Scenario, tumble
 
@@ -198,3 +200,10 @@ def test_the_record_keeps_it(tmp_path) -> None:
     again = piga.Calibration.from_json(tmp_path / "c.json")
     assert again.coloured_noise == result.coloured_noise
     assert again.verdict == result.verdict
+
+
+def test_the_page_shows_the_rules_of_the_code() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "theory" / "noise.md").read_text(encoding="utf-8")
+    shown = page.split("<!-- rules: noise -->\n")[1].split("<!-- end -->")[0]
+    assert shown == table(), "run python -m piga.calibration.noise.rules"
+    assert [rule.component for rule in RULES] == list(COMPONENTS)

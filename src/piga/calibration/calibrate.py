@@ -281,7 +281,7 @@ def _assemble(
         segment_scatter=fit.noise.segment_scatter,
         coloured_noise=None
         if fit.colour is None
-        else ColouredNoise(fit.colour.name, fit.colour.rms, fit.colour.time),
+        else ColouredNoise(fit.colour.name, fit.colour.rms, fit.colour.time, fit.colour.gain),
         condition=fit.examination.condition,
         notes=notes,
         budget=budget,

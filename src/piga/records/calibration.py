@@ -631,12 +631,14 @@ class ColouredNoise:
     """Coloured noise of the rate in a record.
 
     ``kind`` is the likeliest: ``flicker``, ``markov``, and in rate logs ``drift`` or ``scatter``. ``rms`` [rad/s] is the
-    standard deviation of the rate that it makes, ``time`` [s] the correlation time (0: it has none).
+    standard deviation of the rate that it makes, ``time`` [s] the correlation time (0: it has none), ``gain`` the gain of
+    twice the log-likelihood by it.
     """
 
     kind: str
     rms: float
-    time: float = 0.0
+    time: float
+    gain: float
 
     @property
     def words(self) -> str:

@@ -101,6 +101,7 @@ class _Coloured(msgspec.Struct, frozen=True):
     kind: Literal["flicker", "markov", "drift", "scatter"]
     rms: _Level
     time: _Level
+    gain: Level
 
 
 class _Noise(msgspec.Struct, frozen=True):
@@ -232,7 +233,7 @@ def _coloured(noise: ColouredNoise | None) -> dict[str, Any]:
     if noise is None:
         return {}
     rms, time = {"value": noise.rms, "unit": "rad/s"}, {"value": noise.time, "unit": "s"}
-    return {"coloured": {"kind": noise.kind, "rms": rms, "time": time}}
+    return {"coloured": {"kind": noise.kind, "rms": rms, "time": time, "gain": noise.gain}}
 
 
 def _residual(c: Calibration) -> dict[str, Any]:
@@ -433,7 +434,7 @@ def _of_schema(raw: bytes, path: Path, read: Callable[[], T]) -> T:
 
 
 def _coloured_noise(noise: _Coloured | None) -> ColouredNoise | None:
-    return None if noise is None else ColouredNoise(noise.kind, noise.rms.value, noise.time.value)
+    return None if noise is None else ColouredNoise(noise.kind, noise.rms.value, noise.time.value, noise.gain)
 
 
 def _level(level: _Level | None) -> float:

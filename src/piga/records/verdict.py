@@ -37,6 +37,9 @@ class Thresholds:
         the same ratio as the noise levels.
     used:
         Least share [1] of used rows. A smaller share gives a remark.
+    coloured:
+        Gain of twice the log-likelihood by coloured noise above which it is a doubt. A fainter one is in the
+        uncertainties without a word: one sound record in twenty shows it by chance.
     scale:
         Ratio [1] of the estimated to the nominal scale factor (or its inverse) above which data or units are wrong.
     """
@@ -45,6 +48,7 @@ class Thresholds:
     separated: float = 1e6
     residual_rms: float = 0.1
     used: float = 0.95
+    coloured: float = 9.0
     scale: float = 2.0
 
 
@@ -141,7 +145,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
         return
     coloured = calibration.coloured_noise
-    if coloured is not None:
+    if coloured is not None and coloured.gain > THRESHOLDS.coloured:
         level = coloured.rms / calibration.scale_factor_nominal / G0 * 1e6
         yield Doubt(
             f"the rate has coloured noise ({coloured.words}, {level:.2g} ug): the standard uncertainties hold it, as far as a "

@@ -94,13 +94,12 @@ class RateBins:
 class Component:
     """A component of the noise.
 
-    ``unit`` is that of its level, ``exists`` says in which records it is looked for.
+    ``unit`` is that of its level. When it is looked for: :mod:`piga.calibration.noise.rules`.
     """
 
     name: str
     meaning: str
     unit: str
-    exists: str
 
 
 def _walk(bins: RateBins, _time: float) -> Array:
@@ -150,13 +149,13 @@ def _scatter(bins: RateBins, _time: float) -> Array:
 COMPONENTS = {
     component.name: component
     for component in (
-        Component("white", "white noise of the angle, or of the rates of a rate log", "rad²", "always"),
-        Component("walk", "white noise of the rate: the angle walks", "rad²/s", "in angle logs"),
-        Component("counting", "whole counts", "rad²", "where white noise and walk do not dither the counts"),
-        Component("flicker", "1/f noise of the rate", "rad²/s² a decade", "in records of four parts or more"),
-        Component("markov", "rate noise that forgets in a time", "rad²/s²", "as flicker"),
-        Component("drift", "random walk of the rate", "rad²/s³", "in records of 256 increments or more"),
-        Component("scatter", "a rate of its own in each segment", "rad²/s²", "in 4 to 128 segments"),
+        Component("white", "white noise of the angle, or of the samples of a rate log", "rad²"),
+        Component("walk", "white noise of the rate: the angle walks", "rad²/s"),
+        Component("counting", "the angle is read in whole counts", "rad²"),
+        Component("flicker", "1/f noise of the rate", "rad²/s² a decade"),
+        Component("markov", "noise of the rate that is forgotten within a time", "rad²/s²"),
+        Component("drift", "random walk of the rate", "rad²/s³"),
+        Component("scatter", "each segment has a rate of its own", "rad²/s²"),
     )
 }
 """The components of the noise of a record, in the order of the rules."""

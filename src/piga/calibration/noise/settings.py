@@ -259,8 +259,8 @@ class NoiseSettings:
     colour_most: int = 32
     colour_least: int = 8
     colour_means: int = 2
-    colour_suspected: float = 1.0
-    colour_in_covariance: float = 2.0
+    colour_suspected: float = 1.5
+    colour_in_covariance: float = 4.0
     colour_ahead: float = 2.0
     colour_prior: float = 1.0 / 3.0
     colour_spacing: float = 3.0
