@@ -289,7 +289,9 @@ class ConstantForce:
             power = self._flicker_power()
             size = 2 * power.size
             waves = rng.standard_normal((2, power.size))
-            spectrum = np.append(0.0, np.sqrt(0.5 * power) * (waves[0] + 1j * waves[1])) * (size / math.sqrt(2.0))
+            spectrum = np.append(0.0, np.sqrt(0.5 * power) * (waves[0] + 1j * waves[1])) * (
+                size / math.sqrt(2.0)
+            )
             rate += np.fft.irfft(spectrum, size)[np.round((t - t[0, 0]) / h).astype(int)]
         level, time = self.markov
         if level:
@@ -318,7 +320,9 @@ class ConstantForce:
         lag = np.abs(np.subtract.outer(t, t))
         amplitude, period = self.cycle
         level, time = self.markov
-        covariance: Array = level**2 * np.exp(-lag / time) + 0.5 * amplitude**2 * np.cos(2.0 * np.pi * lag / period)
+        covariance: Array = level**2 * np.exp(-lag / time) + 0.5 * amplitude**2 * np.cos(
+            2.0 * np.pi * lag / period
+        )
         if self.flicker:
             power = self._flicker_power()
             size = 2 * power.size
@@ -364,9 +368,7 @@ class ConstantForce:
         angles = run.output + self.phi
         if self.kind == "rate":
             angles = self._angles(run)
-        parts = [
-            self._derivatives(angles[run.segment == s], s, h) for s in range(len(self.forces))
-        ]
+        parts = [self._derivatives(angles[run.segment == s], s, h) for s in range(len(self.forces))]
         if self.drift or self.flicker or self.markov[0] or self.cycle[0]:
             t = self._times().ravel()
             together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)

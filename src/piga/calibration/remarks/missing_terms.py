@@ -470,7 +470,7 @@ def _scatter(parts: list[Array], scale: Array, model: Array, R: Array, size: Arr
     weight = information @ size
     ratio = float(weight @ np.linalg.pinv(scatter) @ weight) / q
     inverse = np.linalg.inv(information)
-    spread = np.sqrt(np.diag(inverse @ scatter @ inverse))
+    spread = np.sqrt(np.maximum(np.diag(inverse @ scatter @ inverse), 0.0))
     return float(fdtrc(q, freedom, ratio)), spread, freedom
 
 
