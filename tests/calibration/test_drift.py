@@ -11,6 +11,7 @@ import pytest
 import piga
 from piga.calibration.allan import allan_deviation, drift_line
 from piga.calibration.fit.one_run import Fit, fit_run, refine_counted
+from piga.calibration.intervals import included
 from piga.calibration.intervals.degrees_of_freedom import type_a_degrees
 from piga.calibration.intervals.slow_noise import include_slow_noise, quick_look
 from piga.calibration.joint.summary import RunSummary
@@ -120,6 +121,13 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     assert type_a_degrees(replace(found, slow_deviation=0.0))[0] > 40.0
 
 
+@pytest.fixture
+def no_colour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coloured noise is not looked for: a short record hardly tells it from a drift."""
+    monkeypatch.setattr(included, "include_coloured_noise", lambda fit: fit)
+
+
+@pytest.mark.usefixtures("no_colour")
 def test_a_drift_beside_coarse_counts_is_in_the_covariance() -> None:
     """Twelve records: intervals hold; with the covariance of the counts alone hardly more than half of them do."""
     inside, drift, degrees = [], [], []
@@ -192,6 +200,7 @@ def test_quick_look_sees_what_a_long_record_shows() -> None:
     assert np.median(gains) < 0.3
 
 
+@pytest.mark.usefixtures("no_colour")
 def test_allan_deviation_rises_along_the_drift_found() -> None:
     """Four records of one long position: at long averaging times the Allan deviation is that of the drift that is found.
 
