@@ -118,7 +118,7 @@ def test_the_corpus_ends_alike(
 def test_a_growing_file_is_refused_at_every_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture, length: str
 ) -> None:
-    run, collect = Case("grows", text(rows()), "error").write(tmp_path), raw_columns._collect
+    run, collect = Case("grows", text(rows()), "error").write(tmp_path), raw_columns.collect
     as_long(monkeypatch, length)
 
     def grow(path: Path, *more: object) -> raw_columns.RawColumns:
@@ -127,7 +127,7 @@ def test_a_growing_file_is_refused_at_every_length(
             log.write(b"2.0,20358,1.0,0.1,0.0\n")
         return found
 
-    monkeypatch.setattr(raw_columns, "_collect", grow)
+    monkeypatch.setattr(raw_columns, "collect", grow)
     found = ends(monkeypatch, capsys, run)
     assert all("changed while it was read" in str(end) for end in found.values()), found
 
