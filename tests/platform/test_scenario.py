@@ -70,7 +70,7 @@ def test_cases_at_rest(tmp_path):
         (LEAST + '[case_rotation]\nperiod = "5 s"\n', "fewer than 8 samples"),
         (LEAST + '[case_rotation]\nreversal = "often"\n', "'each-turn'"),
         (LEAST + '[polar]\nharmonics = [[0, "1 arcmin", "0 deg"]]\n', r"\[polar\] harmonics\[0\]"),
-        (LEAST + '[motion]\nkind = "track"\n', "needs file"),
+        (LEAST + '[motion]\nkind = "track"\n', "needs a file"),
         (LEAST + '[motion]\nkind = "sway"\n[compensation]\nattitude = "aligned"\n', "static base"),
         (LEAST + "[compensation]\nmodels = []\n", "models is empty"),
         (LEAST + '[compensation]\nmodels = ["D"]\n', "models"),

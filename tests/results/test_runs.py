@@ -252,3 +252,12 @@ def test_a_simulated_test_is_a_run_without_a_file(kind):
     assert len(run.labels) == 4
     found = piga.calibrate(run, ["scale_factor", "tan_beta"])
     assert found["tan_beta"].value == pytest.approx(inst.tan_beta, abs=max(6.0 * found["tan_beta"].std, 2e-5))
+
+
+def test_units_that_a_frame_states_are_used(run):
+    """Those of ``attrs``, as ``to_dataframe`` writes them; the caller's own come first."""
+    frame = pd.DataFrame(a_table(run))
+    frame.attrs["units"] = UNITS | {"psi": "rad"}
+    made = piga.Run.from_dataframe(frame, **(LAB | {"units": {"psi": "deg"}}))
+    assert np.allclose(made.output, run.output, rtol=0, atol=1e-12)
+    assert np.allclose(made.t, run.t)
