@@ -350,3 +350,37 @@ def test_a_phase_of_its_own_costs_information(tmp_path: Path, phase: str) -> Non
     order = [name for name in names if name != "phi"] + ["phi"]
     kept = [order.index(name) for name in names]
     np.testing.assert_allclose(found, np.linalg.inv(covariance[:, kept][:, :, kept]), rtol=1e-9, atol=1e-9)
+
+
+def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> None:
+    """A position along gravity has no coupling to show its phase; a segment of one sample has no increment."""
+    inst = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="100 arcsec")
+    generator = np.random.default_rng(3)
+    t, f, psi, segment = [], [], [], []
+    for number, angle in enumerate((0.0, 30.0, 60.0, 90.0, 90.0, 120.0, 150.0)):
+        count = 1 if number == 4 else 200
+        time = 0.1 * np.arange(count) + 100.0 * number
+        force = np.tile(9.8 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0]), (count, 1))
+        force[np.abs(force) < 1e-12] = 0.0
+        turned = piga.propagate(inst, time - time[0], force) if count > 1 else np.zeros(1)
+        t.append(time), f.append(force), segment.append(np.full(count, number, np.int32))
+        psi.append(turned + 1e-5 * generator.standard_normal(count))
+    run = piga.Run.from_arrays(
+        np.concatenate(t), np.concatenate(psi), np.concatenate(f), scale_factor=inst.scale_factor,
+        segment=np.concatenate(segment), serial="P",
+    )  # fmt: skip
+    cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phase="per-segment")
+    assert np.isfinite(cal.covariance).all()
+    phases = [c for c in cal.coefficients if c.name == "phi"]
+    assert [c.std == pytest.approx(np.pi / np.sqrt(3.0)) for c in phases] == [
+        True,
+        False,
+        False,
+        False,
+        True,
+        False,
+        False,
+    ]
+    for name, truth in (("scale_factor", 0.8884), ("tan_beta", inst.tan_beta), ("k0", 0.0)):
+        assert abs(cal[name].value - truth) < 4.0 * cal[name].std, name
+    assert cal["scale_factor"].std < 1e-4

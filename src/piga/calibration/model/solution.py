@@ -25,6 +25,8 @@ KNOTS = 32
 DRIFT_NAMES = tuple(f"drift step {k + 1}" for k in range(KNOTS))
 """Names of the drift columns in a summary."""
 
+UNSEEN = 1e-12
+"""Size of a phase's column, relative to the largest column, below which no sample shows the phase."""
 ITERATIONS = 50
 SCAN = 72
 """Phases tried for each group before refinement; the cost has at most two minima on the circle."""
@@ -280,7 +282,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
             if damping > 1e6:
                 break
     R, _ = _linearised(layout, amplitudes, phases, factors)
-    covariance = _inverse_information(R)
+    covariance = _inverse_information(R, layout.size)
     rss = cost + sum(float(part.weight[0, -1]) for part in parts)
     jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
     return Estimate(amplitudes, phases, covariance, rss, jacobians)
@@ -359,16 +361,30 @@ def _damped_step(R: Array, residual: Array, damping: float) -> Array:
     return np.linalg.lstsq(stacked, np.concatenate([residual, np.zeros(R.shape[1])]), rcond=None)[0]
 
 
-def _inverse_information(R: Array) -> Array:
-    """``(R'R)^-1`` with column scaling; an undetermined phase gets the spread of the circle."""
+def _inverse_information(R: Array, first_phase: int) -> Array:
+    """``(R'R)^-1`` with column scaling. A phase that no sample shows gets the variance of an even spread over the circle.
+
+    Parameters
+    ----------
+    R:
+        Linearised triangular factors.
+    first_phase:
+        Index of the first phase among the columns.
+    """
     scale = np.linalg.norm(R, axis=0)
+    seen = np.ones(scale.size, np.bool_)
+    seen[first_phase:] = scale[first_phase:] > UNSEEN * scale.max()
+    scale = scale[seen]
     scale[scale == 0.0] = 1.0
-    _, r = np.linalg.qr(R / scale)
-    diagonal = np.abs(np.diag(r))
-    if diagonal.min() < 1e-13:
-        return np.linalg.pinv(r.T @ r, rcond=1e-13) / np.outer(scale, scale)
-    inverse = solve_upper(r, np.eye(r.shape[0]))
-    return inverse @ inverse.T / np.outer(scale, scale)
+    _, r = np.linalg.qr(R[:, seen] / scale)
+    if np.abs(np.diag(r)).min() < 1e-13:
+        known = np.linalg.pinv(r.T @ r, rcond=1e-13) / np.outer(scale, scale)
+    else:
+        inverse = solve_upper(r, np.eye(r.shape[0]))
+        known = inverse @ inverse.T / np.outer(scale, scale)
+    covariance = np.diag(np.full(seen.size, np.pi**2 / 3.0))
+    covariance[np.ix_(seen, seen)] = known
+    return covariance
 
 
 Owner = tuple[str | None, str | None]
