@@ -166,7 +166,7 @@ def test_what_is_no_store_of_ours(tmp_path: Path) -> None:
     for raw in (b"", b"hello", b"SQLite format 3\x00", b"\x00" * 5000):
         path.write_bytes(raw)
         for create in (False, True):
-            with pytest.raises(StoreError, match="no SQLite database"):
+            with pytest.raises(StoreError, match="not an SQLite database"):
                 open_store(path, create=create)
         assert path.read_bytes() == raw
     path.unlink()

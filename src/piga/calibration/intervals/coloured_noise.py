@@ -160,9 +160,13 @@ def _candidates(contrasts: Contrasts, bins: RateBins, segments: int) -> list[_Ca
 
 
 def _averaged(fit: Fit, bins: RateBins, moved: Array, candidates: list[_Candidate], best: _Candidate) -> Fit:
-    """The fit with the covariance averaged over the candidates."""
+    """The fit with the covariance averaged over the candidates.
+
+    Levels may be negative, so that the variances are right on average; the correlations are those of the levels from zero
+    on, so that the matrix is a covariance.
+    """
     white = fit.solution.covariance * (fit.sample_variance if fit.mode == "samples" else 1.0)
-    kept, covariances, variances, relative = [], [], [], []
+    kept, covariances, own, variances, relative = [], [], [], [], []
     for candidate in candidates:
         parts = [white]
         if not bins.point:
@@ -173,12 +177,16 @@ def _averaged(fit: Fit, bins: RateBins, moved: Array, candidates: list[_Candidat
         shares = np.array([_named(fit, part) for part in stack])
         variance = candidate.levels.values @ shares
         uncertain = np.einsum("ik,ij,jk->k", shares, candidate.levels.covariance, shares)
-        if variance.min() <= 0.0:
+        diagonal = candidate.levels.values @ np.einsum("kii->ki", stack)
+        if variance.min() <= 0.0 or diagonal.min() <= 0.0:
             continue
         kept.append(candidate)
-        covariances.append(np.tensordot(candidate.levels.values, stack, 1))
+        own.append(diagonal)
+        covariances.append(np.tensordot(np.maximum(candidate.levels.values, 0.0), stack, 1))
         variances.append(variance)
         relative.append(uncertain / variance**2)
+    if not kept:
+        return fit
     gains = np.array([candidate.gain for candidate in kept])
     weights = np.array([candidate.prior for candidate in kept]) * np.exp(0.5 * (gains - gains.max()))
     weights /= weights.sum()
@@ -186,8 +194,7 @@ def _averaged(fit: Fit, bins: RateBins, moved: Array, candidates: list[_Candidat
     mean = weights @ precision
     spread = weights @ ((precision / mean - 1.0) ** 2 + (precision / mean) ** 2 * np.array(relative))
     average = np.tensordot(weights, np.array(covariances), 1)
-    own = 1.0 / (weights @ (1.0 / np.array([np.diag(part) for part in covariances])))
-    size = np.sqrt(own / np.diag(average))
+    size = np.sqrt(1.0 / (weights @ (1.0 / np.array(own))) / np.diag(average))
     colour = _colour(bins, best, 2.0 / spread)
     return replace(fit, covariance=average * np.outer(size, size), colour=colour)
 
