@@ -134,6 +134,7 @@ def test_covariance_of_one_component_is_the_dense_one(monkeypatch: pytest.Monkey
     assert 0.7 < white[0] / fit.sample_variance < 1.0, "flicker is not white noise as well"
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("scenario", [FLICKER, RATES_LOG], ids=["angles", "rates"])
 def test_intervals_hold_flicker(scenario: Scenario) -> None:
     """Ten records: at least five times wider than by white noise and walk alone, and the truth inside nearly always."""
@@ -153,6 +154,7 @@ def test_intervals_hold_flicker(scenario: Scenario) -> None:
     assert said == len(wider) >= 0.6 * seeds
 
 
+@pytest.mark.only_compiled
 def test_white_noise_and_walk_have_no_colour() -> None:
     plain = replace(HEAD, walk=2e-5)
     seeds = 4 if numba.config.DISABLE_JIT else 20
@@ -174,6 +176,7 @@ def test_not_with_given_levels_and_in_records_too_short() -> None:
     assert include_coloured_noise(short) is short
 
 
+@pytest.mark.only_compiled
 def test_long_records_are_looked_at_by_means_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """The quick test sees what the whole sees, and passes over white noise and walk."""
     monkeypatch.setattr(coloured_noise, "NOISE", replace(NOISE, restricted_rows=100))
@@ -182,6 +185,7 @@ def test_long_records_are_looked_at_by_means_first(monkeypatch: pytest.MonkeyPat
     assert include_coloured_noise(fitted(plain, 1)).colour is None
 
 
+@pytest.mark.only_compiled
 def test_a_joint_run_and_a_stored_one_carry_it(tmp_path) -> None:
     """Two runs together are more certain than one, and as certain from a file."""
     runs = [FLICKER.record(np.random.default_rng([seed, 24])) for seed in (0, 2)]
@@ -194,6 +198,7 @@ def test_a_joint_run_and_a_stored_one_carry_it(tmp_path) -> None:
     assert 0.2 < together["k2"].std / alone["k2"].std < 1.0
 
 
+@pytest.mark.only_compiled
 def test_the_record_keeps_it(tmp_path) -> None:
     result = piga.calibrate(FLICKER.record(np.random.default_rng([0, 24])), TERMS)
     result.to_json(tmp_path / "c.json")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -72,10 +73,16 @@ def stream(runner: Runner) -> None:
     ]
 
 
+def lab_log(runner: Runner) -> None:
+    """A log of a spreadsheet, as the page names it."""
+    shutil.copy(Path(__file__).parents[1] / "data" / "logs" / "iso.csv", runner.folder / "log.csv")
+
+
 PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "docs/compensation.md": (bench,),
     "docs/how-to/live-stream.md": (bench, stream),
     "docs/how-to/triad.md": (triad,),
     "docs/calibration-howto.md": (bench,),
     "docs/records.md": (bench,),
+    "docs/lab-data.md": (lab_log,),
 }

@@ -40,6 +40,7 @@ def mypy(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.only_compiled
 def test_mypy_takes_the_documented_examples_and_sees_mistakes(scripts):
     done = mypy(scripts, "README.py", "api.py")
     assert done.returncode == 0, done.stdout
@@ -48,6 +49,7 @@ def test_mypy_takes_the_documented_examples_and_sees_mistakes(scripts):
     assert len(found) == 3, done.stdout
 
 
+@pytest.mark.only_compiled
 @pytest.mark.skipif(shutil.which("node") is None, reason="pyright needs Node")
 def test_pyright_takes_the_documented_examples(scripts):
     """Strict, but for what pandas and pyarrow leave untyped."""

@@ -65,6 +65,7 @@ def test_a_job_that_is_killed_is_lost_and_another_process_is_not_taken_for_it(jo
     jobs.stop(stranger)  # does not signal this process
 
 
+@pytest.mark.only_compiled
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_the_server_is_killed_and_its_job_goes_on(tmp_path: Path) -> None:
     shipped_record(tmp_path)
