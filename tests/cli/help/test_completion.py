@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from piga.cli.common import without_types
 from piga.cli.main import app
-from tests.cli.test_help import commands
+from tests.cli.help.test_help import commands
 
 
 def asked(**environment: str) -> str:

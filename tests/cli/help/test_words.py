@@ -9,8 +9,8 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
+from piga.cli.help.words import FILES, explain, places
 from piga.cli.main import app
-from piga.cli.words import FILES, explain, places
 from piga.describe.keys import key_table
 from piga.records.run_file import METHOD_WORDS, METHODS
 from piga.records.terms import MEANING, TERM_WORDS, UNITS, term_words

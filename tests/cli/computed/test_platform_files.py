@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from piga.cli import platform
+from piga.cli.computed import platform
 from piga.cli.main import app
 
 SCENARIO = """\

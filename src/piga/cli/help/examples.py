@@ -37,7 +37,7 @@ def examples(
 def example_files() -> dict[str, bytes]:
     """Content of each example, by its name with ``/``: from the package, or from the checkout it runs in."""
     packed = files("piga.data").joinpath("examples")
-    root = packed if packed.is_dir() else Path(__file__).resolve().parents[3] / "examples"
+    root = packed if packed.is_dir() else Path(__file__).resolve().parents[4] / "examples"
     return dict(sorted(_walk(root, "")))
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from piga.cli.examples import example_files
+from piga.cli.help.examples import example_files
 from piga.cli.main import app
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_every_example_is_written(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_in_a_terminal_it_asks(tmp_path: Path) -> None:
 
     log = Path(shutil.copy(LOGS / "labview.lvm", tmp_path))
     master, slave = pty.openpty()
-    source = str(Path(__file__).resolve().parents[2] / "src")
+    source = str(Path(__file__).resolve().parents[3] / "src")
     process = subprocess.Popen(
         [sys.executable, "-m", "piga", "init", str(log)],
         stdin=slave, stdout=slave, stderr=slave, close_fds=True,
