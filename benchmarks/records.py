@@ -26,7 +26,7 @@ from piga.cli.recorded.calibrate import copy_example
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.documents import IDENTITY, Identity, Position, decode, encode, new_id
 from piga.ledger.store.rows import read_head, read_identity
-from piga.records.calibration_json import to_document
+from piga.records.calibration.document import to_document
 
 MOST = 3000
 CHILD = """

@@ -36,7 +36,7 @@ with atheris.instrument_imports(include=["piga.records", "piga.units"]):
     from piga.formats.containers.container import READERS, read_container
     from piga.formats.containers.parquet_reader import ParquetStream
     from piga.formats.text.reader import TextStream
-    from piga.records.calibration_json import read_calibration
+    from piga.records.calibration.document import read_calibration
     from piga.records.run_file import read_run_file
 
 from builders.fuzz_seeds import NAMES, SEEDS, SUFFIX, seeds

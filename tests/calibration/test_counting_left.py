@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from piga.calibration.fit.residuals import WHITENESS, counting_probability
-from piga.records.verdict import COUNTED
+from piga.records.calibration.verdict import COUNTED
 from tests.calibration.synthetic import TERMS, record
 
 COUNT = 2.0 * np.pi / 72000

@@ -15,7 +15,7 @@ import piga
 from piga.calibration.intervals import included
 from piga.calibration.joint.summary import RunSummary
 from piga.formats.parquet_writer import write_residuals
-from piga.records.calibration_json import to_document
+from piga.records.calibration.document import to_document
 from piga.records.distribution import Spread
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS

@@ -14,7 +14,7 @@ import pytest
 
 import piga
 from piga.calibration.joint.summary import RunSummary
-from piga.records.calibration_json import to_document
+from piga.records.calibration.document import to_document
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.scenarios_joint import TERMS, TRUE_SCALE, joint_test, scores

@@ -16,7 +16,7 @@ from piga.calibration.intervals.degrees_of_freedom import level_information
 from piga.calibration.noise.levels import Noise
 from piga.errors import RunFileError
 from piga.records import spool
-from piga.records.coverage import coverage_factor, welch_satterthwaite
+from piga.records.calibration.coverage import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run_file import UncertaintyTable
 from tests.calibration.scenarios import SCENARIOS

@@ -19,8 +19,8 @@ from piga.certificate.certificate_file import ConformityTable
 from piga.certificate.dcc.dsi_units import DIGITS, dsi_unit, from_dsi, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
 from piga.records.calibration import Coefficient, Diagnostics
-from piga.records.calibration_json import to_document
-from piga.records.coverage import joint_factor
+from piga.records.calibration.coverage import joint_factor
+from piga.records.calibration.document import to_document
 from piga.records.terms import UNITS, si_factor, unit_of
 from tests.certificate.certificate_data import SCHEMAS, budgeted, changed, complete
 from tests.reports.example import calibration

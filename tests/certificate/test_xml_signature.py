@@ -324,7 +324,7 @@ def test_a_record_of_other_coefficients_inside(cal, tmp_path):
     import base64
     from dataclasses import replace
 
-    from piga.records.calibration_json import calibration_to_bytes
+    from piga.records.calibration.document import calibration_to_bytes
 
     fewer = replace(
         cal, coefficients=cal.coefficients[:-1], covariance=cal.covariance[:-1, :-1], terms=cal.terms[:-1]

@@ -19,7 +19,7 @@ import pytest
 import piga
 from piga.compensation.files.live import compensate_arrow, compensate_lines
 from piga.compensation.model import make_model
-from piga.records.calibration_json import calibration_from_bytes, calibration_to_bytes
+from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import read_run_file
 from tests.certificate.certificate_data import budgeted, complete
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of

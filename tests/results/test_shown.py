@@ -208,7 +208,7 @@ def test_summary_and_report(run, cal, tmp_path):
 
 
 def test_a_rate_record_shows_itself_too():
-    from tests.records.test_verdict import rate_log
+    from tests.records.calibration.test_verdict import rate_log
 
     run = rate_log()
     assert labelled(run.plot())

@@ -86,7 +86,7 @@ def test_xarray_has_units_and_a_labelled_covariance(run, cal):
 
 
 def test_a_rate_log_and_its_residuals_have_rates():
-    from tests.records.test_verdict import TERMS, rate_log
+    from tests.records.calibration.test_verdict import TERMS, rate_log
 
     run = rate_log()
     assert run.table_columns()["output"].unit == "rad/s"

@@ -15,7 +15,7 @@ from piga._kernels.arithmetic import interpolation as kernels
 from piga.compensation.model import FLAGS
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration
-from piga.records.coverage import TYPE_A_ONLY
+from piga.records.calibration.coverage import TYPE_A_ONLY
 from piga.records.run import Run
 from piga.results import Column, Reported, Result, Tabular, plotted
 

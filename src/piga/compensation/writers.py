@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.formats.parquet_writer import number_column
-from piga.records.coverage import TYPE_A_ONLY
+from piga.records.calibration.coverage import TYPE_A_ONLY
 
 UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
 """Unit of each column that is neither a force nor an increment."""

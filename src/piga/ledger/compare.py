@@ -90,7 +90,7 @@ def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibra
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
     """The content of ``calibration.json`` without :data:`UNCOMPARED`."""
-    from piga.records.calibration_json import to_document
+    from piga.records.calibration.document import to_document
 
     document = to_document(calibration)
     provenance = {key: value for key, value in document["provenance"].items() if key not in UNCOMPARED}

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from piga.certificate.certificate_file import read_certificate_file
-from piga.records.calibration_json import to_document
+from piga.records.calibration.document import to_document
 from tests.certificate.certificate_data import EXAMPLE, budgeted, complete, key_pair
 from tests.cli.test_commands import piga
 from tests.reports.example import calibration

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from piga.calibration.budget.rows import Budget
 from piga.calibration.fit.one_run import Fit
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
-from piga.records.coverage import coverage_factor
+from piga.records.calibration.coverage import coverage_factor
 from piga.records.terms import si_factor
 
 Array = NDArray[np.float64]

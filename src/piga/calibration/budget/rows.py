@@ -14,7 +14,7 @@ from piga.calibration.budget.uncertainty import SharedSource, Source, contributi
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient
-from piga.records.coverage import welch_satterthwaite
+from piga.records.calibration.coverage import welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
 

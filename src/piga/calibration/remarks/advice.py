@@ -24,10 +24,10 @@ from piga.calibration.noise.weighting import Whitener
 from piga.calibration.remarks.missing_terms import smooth_step, term_values
 from piga.errors import PigaError
 from piga.records.calibration import Calibration
+from piga.records.calibration.verdict import COUNTED
 from piga.records.run import Run
 from piga.records.spool import gathered
 from piga.records.terms import SERVO_TERMS
-from piga.records.verdict import COUNTED
 from piga.results import Result
 from piga.units import G0
 

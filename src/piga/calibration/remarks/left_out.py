@@ -72,7 +72,7 @@ LEFT_OUT = LeftOutSettings()
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
-"""Names in the budget. They begin as :data:`piga.records.coverage.OF_THE_MODEL` requires."""
+"""Names in the budget. They begin as :data:`piga.records.calibration.coverage.OF_THE_MODEL` requires."""
 TURNED = ("phi", "tan_beta")
 """Coefficients that take up most of a missing ``servo_damping``."""
 

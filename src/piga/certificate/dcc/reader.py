@@ -27,8 +27,8 @@ from piga.certificate.dcc.dsi_units import dsi_unit, from_dsi, power_of_g, signi
 from piga.certificate.dcc.xml_signature import check_profile, read_xml
 from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration_json import calibration_from_bytes
-from piga.records.coverage import PROBABILITY, coverage_factor, joint_factor
+from piga.records.calibration.coverage import PROBABILITY, coverage_factor, joint_factor
+from piga.records.calibration.document import calibration_from_bytes
 from piga.records.terms import check_name, unit_of
 
 if TYPE_CHECKING:

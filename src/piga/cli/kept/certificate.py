@@ -100,7 +100,7 @@ def issue(
 
     from piga.certificate.certificate_file import read_certificate_file
     from piga.certificate.page import certificate_html, write_certificate
-    from piga.records.calibration_json import calibration_from_bytes
+    from piga.records.calibration.document import calibration_from_bytes
 
     if (key is None) != (certificate is None):
         raise PigaError("--key and --certificate belong together", remedy="give both, or none")
@@ -153,7 +153,7 @@ def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
 def _bytes(path: Path) -> bytes:
     """The bytes of a calibration.json. They are read once, so the certificate shows the digest of the certified record."""
     from piga.output import settle
-    from piga.records.calibration_json import MAX_BYTES
+    from piga.records.calibration.document import MAX_BYTES
     from piga.records.limits import read_whole
 
     settle(path.parent)
@@ -162,7 +162,7 @@ def _bytes(path: Path) -> bytes:
 
 def _before(file: CertificateFile, data: Path) -> Calibration | None:
     """The calibration before adjustment. Its path is relative to the TOML file."""
-    from piga.records.calibration_json import read_calibration
+    from piga.records.calibration.document import read_calibration
 
     return read_calibration(data.parent / file.adjustment.before) if file.adjustment.before else None
 

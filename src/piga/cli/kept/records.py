@@ -119,7 +119,7 @@ def difference_document(difference: Difference) -> dict[str, Any]:
 
 def _type_a_only(difference: Difference) -> list[str]:
     """Remark on records whose uncertainties are of Type A only."""
-    from piga.records.coverage import TYPE_A_ONLY
+    from piga.records.calibration.coverage import TYPE_A_ONLY
 
     return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
 
@@ -358,7 +358,7 @@ def show(
 
     Shows who, when and why, the inputs, the software and the coefficients.
     """
-    from piga.records.calibration_json import to_document
+    from piga.records.calibration.document import to_document
 
     with opened(store) as kept:
         shown, head = kept.record(record), kept.head()

@@ -133,7 +133,7 @@ def _files(sources: list[Path]) -> list[Path]:
 
 def _entry(path: Path) -> tuple[str, dt.datetime, CalibrationFigures]:
     """A file as a record. Its path is the id; the time is that of the evaluation."""
-    from piga.records.calibration_json import read_calibration
+    from piga.records.calibration.document import read_calibration
 
     calibration = read_calibration(path)
     created = calibration.provenance.created

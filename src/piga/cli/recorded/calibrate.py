@@ -84,7 +84,7 @@ def calibrate(
             written = write_results(calibration, stage, report=report)
             written += write_summaries(items, stage) if summary else []
     if as_json:
-        from piga.records.calibration_json import to_document
+        from piga.records.calibration.document import to_document
 
         print_json(to_document(calibration))
         return

@@ -82,7 +82,7 @@ def compensate(
     """
     from piga.compensation.files.file_to_file import was_begun
     from piga.compensation.model import Phase
-    from piga.records.calibration_json import read_with_digest
+    from piga.records.calibration.document import read_with_digest
     from piga.units import to_si
 
     read = [read_with_digest(path) for path in calibration or []]

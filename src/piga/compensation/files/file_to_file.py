@@ -27,7 +27,7 @@ from piga.compensation.writers import Inputs, TableWriter
 from piga.errors import ArgumentError
 from piga.output import hold, put_in_place, write_whole
 from piga.records.calibration import Calibration
-from piga.records.calibration_json import calibration_to_bytes
+from piga.records.calibration.document import calibration_to_bytes
 from piga.records.run import Run
 from piga.records.spool import give_back, spans
 

@@ -27,7 +27,7 @@ from piga.compensation.sets.triad import check_member, check_together, mounted_o
 from piga.compensation.writers import Inputs, TableWriter, inputs_listed
 from piga.errors import RunFileError
 from piga.records import Calibration, read_toml
-from piga.records.calibration_json import read_with_digest
+from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
 from piga.records.run_file import Quantity
 from piga.records.spool import give_back, trim

@@ -148,7 +148,7 @@ class Store:
 
     def calibration(self, name: str | int) -> Calibration:
         """The calibration of a record (without residuals)."""
-        from piga.records.calibration_json import calibration_from_bytes
+        from piga.records.calibration.document import calibration_from_bytes
 
         return calibration_from_bytes(self.read(name, "calibration"), Path(f"record {name}"))
 
@@ -158,7 +158,7 @@ class Store:
         Superseded records are left out, because their successors replace them. For a trend over thousands of
         records use :meth:`figures`: it needs far less time and memory.
         """
-        from piga.records.calibration_json import calibration_from_bytes
+        from piga.records.calibration.document import calibration_from_bytes
 
         return list(self._calibrations(serial, calibration_from_bytes))
 
@@ -167,7 +167,7 @@ class Store:
 
         A calibration that cannot be read is left out, and a :class:`piga.PigaWarning` names it.
         """
-        from piga.records.calibration_json import figures_from_bytes
+        from piga.records.calibration.document import figures_from_bytes
 
         return self._calibrations(serial, figures_from_bytes)
 
@@ -299,7 +299,7 @@ class Store:
             self._check_superseded(connection, document, document.supersedes)
 
     def _check_calibration(self, connection: sa.Connection, document: RecordDocument) -> None:
-        from piga.records.calibration_json import MAX_BYTES, calibration_from_bytes
+        from piga.records.calibration.document import MAX_BYTES, calibration_from_bytes
 
         for file in document.files:
             if file.role != "calibration":

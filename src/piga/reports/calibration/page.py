@@ -7,9 +7,9 @@ import textwrap
 from pathlib import Path
 
 from piga.records.calibration import Calibration
-from piga.records.coverage import TYPE_A_ONLY
+from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.verdict import COUNTED, THRESHOLDS, whitened_rms
 from piga.records.terms import meaning_of, shown_unit
-from piga.records.verdict import COUNTED, THRESHOLDS, whitened_rms
 from piga.reports.calibration.figures import budget_figure, calibration_figures, elapsed_time
 from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (

@@ -24,7 +24,7 @@ from piga.certificate.certificate_file import ConformityTable
 from piga.certificate.page import certificate_html
 from piga.certificate.statements import verdicts
 from piga.records.calibration import Calibration
-from piga.records.calibration_json import calibration_to_bytes, to_document
+from piga.records.calibration.document import calibration_to_bytes, to_document
 from piga.records.run_file import UncertaintyTable
 from piga.reports.calibration.page import calibration_page, calibration_text
 from piga.reports.render.page import page_html

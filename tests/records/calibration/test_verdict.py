@@ -13,9 +13,9 @@ import pytest
 
 import piga
 from piga.records.calibration import BudgetEntry, Diagnostics
-from piga.records.calibration_json import calibration_to_bytes
-from piga.records.coverage import TYPE_A_ONLY
-from piga.records.verdict import THRESHOLDS, verdict
+from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.records.calibration.document import calibration_to_bytes
+from piga.records.calibration.verdict import THRESHOLDS, verdict
 from piga.reports.calibration.page import calibration_page, calibration_text
 from piga.reports.render.page import page_html
 from piga.reports.trend import trend_document, trend_page, trend_text

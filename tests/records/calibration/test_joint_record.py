@@ -12,7 +12,6 @@ import pytest
 
 from piga.errors import CalibrationError
 from piga.formats.parquet_writer import write_residuals
-from piga.records import calibration_json
 from piga.records.calibration import (
     Calibration,
     Coefficient,
@@ -20,8 +19,9 @@ from piga.records.calibration import (
     Quality,
     Residuals,
     RunRecord,
+    document,
 )
-from piga.records.coverage import coverage_factor
+from piga.records.calibration.coverage import coverage_factor
 from tests.reports.example import calibration
 
 
@@ -123,6 +123,6 @@ def test_a_file_too_large_to_be_one(
     joint: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     joint.to_json(tmp_path / "c.json")
-    monkeypatch.setattr(calibration_json, "MAX_BYTES", 1000)
+    monkeypatch.setattr(document, "MAX_BYTES", 1000)
     with pytest.raises(CalibrationError, match=r"c\.json: larger than 1000 bytes"):
         Calibration.from_json(tmp_path / "c.json")

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError
 from piga.records.calibration import Calibration, Coefficient, Diagnostics, Given, Provenance, Quality
-from piga.records.calibration_json import calibration_from_bytes, calibration_to_bytes
+from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import PHASE_SOURCES
 from piga.records.terms import check_name, unit_of
 from piga.units import from_si, to_si

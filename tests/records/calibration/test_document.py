@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.records.calibration_json import calibration_to_bytes
+from piga.records.calibration.document import calibration_to_bytes
 from tests.calibration.synthetic import TERMS, record
 from tests.cli.runner import exit_code
 from tests.records.files import lines, write_log, write_run

@@ -1,0 +1,433 @@
+"""The calibration record. Calibration writes it, compensation reads it. It is data only.
+
+JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piga.records.calibration.budget import BudgetEntry, BudgetTable, TypeB
+from piga.records.calibration.coefficient import Coefficient, rounded
+from piga.records.calibration.coverage import TYPE_A_ONLY, is_of_reference
+from piga.records.calibration.diagnostics import ColouredNoise, Diagnostics
+from piga.records.calibration.residuals import Outlier, Quality, Residuals, SegmentSummary
+from piga.records.calibration.verdict import Verdict, verdict
+from piga.results import (
+    ByValue,
+    Column,
+    Correlated,
+    Plots,
+    Reported,
+    Result,
+    Tabular,
+    above,
+    first_lines,
+    html_of,
+    shortened,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from piga.instrument.parameters import ErrorModel, Instrument
+
+Array = NDArray[np.float64]
+
+_SHOWN, _DOUBTS = 5, 3
+"""Lines of ``repr`` for coefficients and for doubts. With heading and verdict it has ten lines at most."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunRecord(Result):
+    """One run of a joint calibration: its identity, noise, residuals, quality and inputs.
+
+    ``raw`` is False if only the summary of the run was available. Its residual figures are then those of its own fit.
+    ``undetermined`` names the terms that this run alone cannot determine.
+    """
+
+    name: str
+    source: str
+    stand: str | None
+    phase: str
+    raw: bool
+    rows: int
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: Quality
+    undetermined: tuple[str, ...] = ()
+    input_sha256: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Provenance(Result):
+    """Origin of the numbers: software, method and inputs."""
+
+    input_sha256: dict[str, str]
+    software: str
+    created: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationFigures(Result):
+    """The part of a calibration that the history of an instrument needs. It is small: thousands fit into memory."""
+
+    serial: str
+    terms: tuple[str, ...]
+    coefficients: tuple[Coefficient, ...]
+    type_b: tuple[TypeB, ...]
+    has_budget: bool
+
+
+class CalibrationPlots(Plots):
+    """Figures of a calibration. See :class:`piga.results.Plots` for ``ax``.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration has no data for the figure, for instance no residuals after reading calibration.json.
+    """
+
+    def residuals(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Residuals against time, before and after calibration: two panels."""
+        return self._draw("residuals", ax)
+
+    def orders(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Ripple that the residuals show, against revolution order."""
+        return self._draw("orders", ax)
+
+    def ripple(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Ripple around the turn of the output: two panels."""
+        return self._draw("ripple", ax)
+
+    def segments(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Residuals of each segment."""
+        return self._draw("segments", ax)
+
+    def budget(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Share of each source in the variance of each coefficient."""
+        return self._draw("budget", ax)
+
+    def allan(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Allan deviation of the residual rate, with the noise of the model."""
+        return self._draw("allan", ax)
+
+    def whiteness(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Tests of the whitened residual."""
+        return self._draw("whiteness", ax)
+
+    def convergence(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        """Estimates while the record comes in, for method "recursive"."""
+        return self._draw("convergence", ax)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
+    """Result of a calibration: coefficients with covariance, noise, residual figures and doubts.
+
+    It is a mapping of coefficients in their order: ``cal["tan_beta"].value``; per-segment phases are ``cal["phi[3]"]``.
+    ``in``, iteration, ``len``, ``keys``, ``values`` and ``items`` work as those of a dict. Coefficients are in the units
+    of calibration.json; ``cal["k0"].si`` is SI, and so is everything else.
+    Two calibrations are equal if they state the same. ``residuals`` and ``history`` do not count, and a pickle leaves them
+    out: they are as long as the record.
+    ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
+    ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
+    of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
+    ``bias_drift`` [rad/s/sqrt(s)] or ``segment_scatter`` [rad/s] is the slow noise of the rate, 0 if none was detected.
+    ``coloured_noise`` is in the uncertainties and not in the weights; None if none was detected.
+    """
+
+    serial: str
+    scale_factor_nominal: float
+    terms: tuple[str, ...]
+    phase: str
+    phase_source: str
+    method: str
+    coefficients: tuple[Coefficient, ...]
+    covariance: Array
+    surplus_observations: float
+    angle_rms: float
+    angle_random_walk: float
+    residual_rms: float
+    residual_rms_before: float
+    residual_max_before: float
+    residual_max_after: float
+    quality: Quality
+    condition: float
+    notes: tuple[str, ...]
+    budget: tuple[BudgetEntry, ...]
+    diagnostics: Diagnostics
+    segments: tuple[SegmentSummary, ...]
+    provenance: Provenance
+    temperature_reference: float = 293.15
+    time_reference: float = 0.0
+    residuals: Residuals | None = field(default=None, compare=False)
+    history: dict[str, Array] | None = field(default=None, compare=False)
+    runs: tuple[RunRecord, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
+    bias_drift: float = 0.0
+    segment_scatter: float = 0.0
+    coloured_noise: ColouredNoise | None = None
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "budget", BudgetTable(self.budget))
+
+    @property
+    def type_a_only(self) -> bool:
+        """True if the budget has no Type B source of the reference. The reference then counts as exact."""
+        return not self.given and not any(
+            row.type == "B" and is_of_reference(row.source) for row in self.budget
+        )
+
+    @property
+    def given(self) -> bool:
+        """True if the coefficients were given (:meth:`from_coefficients`), not estimated from a record."""
+        return self.quality.rows == 0 and not self.segments and not self.runs
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict of :func:`piga.records.calibration.verdict.verdict`: what holds, what does not, what to do."""
+        return verdict(self)
+
+    def __repr__(self) -> str:
+        named = (
+            f"<Calibration of {self.serial or 'an instrument'} by method {self.method}, standard uncertainties"
+        )
+        rows = [f"{c.key} = {rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients]
+        judged = self.verdict
+        doubts = [f"  does not hold: {doubt.words}" for doubt in judged.doubts]
+        lines = [
+            *first_lines(rows, _SHOWN),
+            f"verdict: {judged.headline}",
+            *first_lines(doubts, _DOUBTS, ": summary()"),
+        ]
+        return "\n  ".join([named, *(shortened(line) for line in lines)]) + ">"
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    @property
+    def plot(self) -> CalibrationPlots:
+        """The report's figures, drawn with Matplotlib: ``cal.plot.residuals()``."""
+        return CalibrationPlots(self)
+
+    def table_columns(self) -> dict[str, Column]:
+        """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
+        from piga.records.terms import si_unit_of
+
+        held = self.coefficients
+        texts = {
+            "coefficient": [c.key for c in held],
+            "name": [c.name for c in held],
+            "segment": [c.segment or "" for c in held],
+            "run": [c.run or "" for c in held],
+            "unit": [c.unit for c in held],
+            "unit_si": [si_unit_of(c.name) for c in held],
+        }
+        numbers = {
+            "value": [c.value for c in held],
+            "std": [c.std for c in held],
+            "expanded": [c.expanded for c in held],
+            "low": [c.limits[0] for c in held],
+            "high": [c.limits[1] for c in held],
+            "degrees_of_freedom": [c.degrees_of_freedom for c in held],
+            "value_si": [c.value_si for c in held],
+            "std_si": [c.si.std for c in held],
+        }
+        columns = {name: np.array(values, dtype=object) for name, values in texts.items()}
+        columns |= {name: np.array(values, dtype=float) for name, values in numbers.items()}
+        row_unit = dict.fromkeys(("value", "std", "expanded", "low", "high"), "as in column unit")
+        row_unit |= dict.fromkeys(("value_si", "std_si"), "as in column unit_si")
+        return {name: Column(values, row_unit.get(name, "1")) for name, values in columns.items()}
+
+    def table_notes(self) -> tuple[str, ...]:
+        """The remark that uncertainties are of Type A only, where it holds."""
+        return (TYPE_A_ONLY,) if self.type_a_only else ()
+
+    def correlated(
+        self, library: Literal["uncertainties", "GTC"] | None = None, *, si: bool = False
+    ) -> dict[str, Correlated]:
+        """The coefficients as numbers that know their covariance, by key, to compute on with.
+
+        Parameters
+        ----------
+        library:
+            ``"uncertainties"`` or ``"GTC"``. None: the one that is installed, ``uncertainties`` first. GTC takes over the
+            fewest effective degrees of freedom of all coefficients: it has one number for correlated quantities.
+        si:
+            In SI; else in the units of calibration.json.
+
+        Examples
+        --------
+        >>> import piga
+        >>> cal = piga.Calibration.from_coefficients({"scale_factor": (0.9, 1e-3), "k0": (1e-4, 1e-6)})
+        >>> c = cal.correlated("uncertainties")
+        >>> f"{c['scale_factor'] * c['k0']:.2u}"
+        '(9.00+/-0.09)e-05'
+
+        Raises
+        ------
+        MissingPackageError
+            If the library is not installed.
+        """
+        made: dict[str, Correlated] = above("correlated")(self, library, si=si)
+        return made
+
+    def __getitem__(self, key: str) -> Coefficient:
+        for coefficient in self.coefficients:
+            if coefficient.key == key:
+                return coefficient
+        raise KeyError(f"no coefficient '{key}'; there are: {', '.join(c.key for c in self.coefficients)}")
+
+    def __iter__(self) -> Iterator[str]:
+        return (coefficient.key for coefficient in self.coefficients)
+
+    def __len__(self) -> int:
+        return len(self.coefficients)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"residuals": None, "history": None}
+
+    def __copy__(self) -> Calibration:
+        return replace(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Calibration:
+        return replace(self, **{f.name: deepcopy(getattr(self, f.name), memo) for f in fields(self)})
+
+    def instrument(self, alpha0: float | str = 0.0) -> Instrument:
+        """The calibrated instrument (SI): its scale factor, and ``beta`` from ``tan_beta``.
+
+        A scale factor that was not estimated is the nominal one. ``alpha0`` [rad] is the gimbal angle at the start. It belongs
+        to a run, so a calibration does not know it.
+        """
+        instrument: Instrument = above("instrument")(self, alpha0)
+        return instrument
+
+    def error_model(self) -> ErrorModel:
+        """The other coefficients as an error model (SI), to propagate or simulate with.
+
+        Warns
+        -----
+        PigaWarning
+            If a coefficient has no place in the exact motion and is left out: a harmonic from the second on, or a term of
+            the servo. The message names it.
+        """
+        model: ErrorModel = above("error_model")(self)
+        return model
+
+    @classmethod
+    def from_coefficients(
+        cls,
+        coefficients: Mapping[str, Given],
+        *,
+        covariance: ArrayLike | None = None,
+        serial: str = "",
+        scale_factor_nominal: float | str | None = None,
+        phase_source: str = "output",
+    ) -> Calibration:
+        """Make a calibration without a run, for instance from a data sheet.
+
+        Parameters
+        ----------
+        coefficients:
+            Value by name. A number is in the unit of calibration.json (``scale_factor`` rad/s/g, ``k0`` g); text carries
+            its unit. A pair is value and standard uncertainty. A :class:`Coefficient` stands for itself.
+            Phases of segments are named ``phi[3]``.
+        covariance:
+            Covariance (n, n) of the coefficients in their order and units. None: uncorrelated.
+        serial, scale_factor_nominal, phase_source:
+            As in a run file; the nominal scale factor is in SI or carries its unit. None: that of ``coefficients``.
+
+        Raises
+        ------
+        ArgumentError
+            If a name or unit is not known, or the covariance contradicts the uncertainties.
+
+        Examples
+        --------
+        >>> import piga
+        >>> cal = piga.Calibration.from_coefficients({"scale_factor": 0.8884, "tan_beta": (4.8e-3, 1e-6), "phi": 0.3})
+        >>> cal["tan_beta"].std, list(cal)
+        (1e-06, ['scale_factor', 'tan_beta', 'phi'])
+        """
+        from piga.records.calibration.given import calibration_of
+
+        return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source)
+
+    def figures(self) -> CalibrationFigures:
+        """The part that a history of the instrument needs."""
+        type_b = tuple(
+            TypeB(row.source, row.degrees_of_freedom or math.inf, row.contributions)
+            for row in self.budget
+            if row.type == "B"
+        )
+        return CalibrationFigures(self.serial, self.terms, self.coefficients, type_b, bool(self.budget))
+
+    def for_run(self, name: str) -> Calibration:
+        """One run of a joint calibration as a calibration: the common coefficients and those of the run, under plain names.
+
+        Raises
+        ------
+        CalibrationError
+            If there is no such run.
+        """
+        from piga.errors import CalibrationError
+
+        record = next((run for run in self.runs if run.name == name), None)
+        if record is None:
+            known = ", ".join(run.name for run in self.runs) or "none: it is a calibration of one run"
+            raise CalibrationError(f"the calibration has no run '{name}'", remedy=f"runs: {known}")
+        chosen = [i for i, c in enumerate(self.coefficients) if c.run in (None, name)]
+        names = {self.coefficients[i].key: replace(self.coefficients[i], run=None).key for i in chosen}
+        return replace(
+            self,
+            coefficients=tuple(replace(self.coefficients[i], run=None) for i in chosen),
+            covariance=self.covariance[np.ix_(chosen, chosen)],
+            phase=record.phase,
+            angle_rms=record.angle_rms,
+            angle_random_walk=record.angle_random_walk,
+            budget=tuple(row.renamed(names) for row in self.budget),
+            residuals=None,
+            runs=(),
+        )
+
+    def to_json(self, path: str | Path) -> None:
+        """Write ``calibration.json`` (schema ``piga.calibration/1``)."""
+        from piga.records.calibration.document import write_calibration
+
+        write_calibration(self, Path(path))
+
+    @staticmethod
+    def from_json(path: str | Path) -> Calibration:
+        """Read ``calibration.json``.
+
+        Raises
+        ------
+        CalibrationError
+            If the file is not a calibration record of a known schema.
+        """
+        from piga.records.calibration.document import read_calibration
+
+        return read_calibration(Path(path))
+
+
+Given = float | str | tuple[float | str, float | str] | Coefficient
+"""A coefficient as :meth:`Calibration.from_coefficients` takes it."""
