@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from piga.calibration.allan import AllanDeviation, allan_deviation
     from piga.calibration.choice.model_choice import ModelComparison, TermSet, compare_models
+    from piga.calibration.choice.prospects import TermProspect, term_prospects
     from piga.calibration.joint.summary import RunSummary
     from piga.calibration.model.reduction import Reduction
 
@@ -18,8 +19,10 @@ _LAZY = {
     "ModelComparison": "choice.model_choice",
     "Reduction": "model.reduction",
     "RunSummary": "joint.summary",
+    "TermProspect": "choice.prospects",
     "TermSet": "choice.model_choice",
     "compare_models": "choice.model_choice",
+    "term_prospects": "choice.prospects",
 }
 
 __all__ = [
@@ -27,9 +30,11 @@ __all__ = [
     "ModelComparison",
     "Reduction",
     "RunSummary",
+    "TermProspect",
     "TermSet",
     "allan_deviation",
     "compare_models",
+    "term_prospects",
 ]
 
 

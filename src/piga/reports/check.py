@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from piga.calibration import TermProspect
 from piga.records.run import Run
 from piga.records.spool import spans, steps
 from piga.reports.render.decimate import POINTS, envelope_rows
@@ -125,8 +126,8 @@ def check_page(run: Run) -> Page:
     )
 
 
-def check_document(record: Run) -> dict[str, Any]:
-    """What is in a record, as plain data for JSON."""
+def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[str, Any]:
+    """What is in a record, as plain data for JSON; ``prospects`` say what it determines."""
     low, high = np.inf, 0.0
     for part in spans(record.size):
         size = np.linalg.norm(record.f[part], axis=1)
@@ -141,6 +142,7 @@ def check_document(record: Run) -> dict[str, Any]:
         "phase_kept": len(set(record.phase_group)) == 1,
         "calibration": calibration_words(record),
         "input_sha256": record.input_sha256,
+        **({"terms": [prospect.document() for prospect in prospects]} if prospects else {}),
     }
 
 
@@ -163,6 +165,18 @@ def check_text(record: Run, name: str = "") -> str:
             f"  found      {event.count} x {event.kind}{row}{': ' + event.detail if event.detail else ''}"
         )
     return "\n".join(lines if record.quality.events else [*lines, "  findings   none"])
+
+
+def prospects_text(prospects: Sequence[TermProspect]) -> str:
+    """Which terms the record determines, as lines for the terminal."""
+    width = max(len(prospect.term) for prospect in prospects)
+    lines = []
+    for prospect in prospects:
+        mark = "asked" if prospect.asked else ""
+        lines.append(f"  {mark:<9}  {prospect.term:<{width}}  {prospect.words()}")
+        if prospect.remedy and prospect.asked:
+            lines.append(f"{'':{width + 15}}remedy: {prospect.remedy}")
+    return "\n".join(lines)
 
 
 def calibration_words(run: Run) -> str:

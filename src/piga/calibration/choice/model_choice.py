@@ -21,7 +21,12 @@ from piga.calibration.fit.one_run import Fit, refine_counted
 from piga.calibration.fit.servo import at_state, find_state, refuse_if_servo_confounded
 from piga.calibration.joint.summary import prepare, run_name
 from piga.calibration.model.design import PHASELESS, Design, ServoState, phaseless_columns
-from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded, refuse_useless
+from piga.calibration.model.identifiability import (
+    alike_in_words,
+    examine_parts,
+    refuse_if_confounded,
+    refuse_useless,
+)
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Estimate, Layout, merged, name_parameters, solve_parts
@@ -47,6 +52,10 @@ class TermSet:
         The terms.
     reason:
         Why the record cannot determine the set or cannot be predicted with it; empty if it can.
+    remedy:
+        What to do about that.
+    alike:
+        Coefficients that are hard to tell apart, one sentence each.
     parameters:
         Number of coefficients, including phases.
     chi_square, log_likelihood, bic, aic:
@@ -61,6 +70,8 @@ class TermSet:
 
     terms: tuple[str, ...]
     reason: str = ""
+    remedy: str = ""
+    alike: tuple[str, ...] = ()
     parameters: int = 0
     chi_square: float | None = None
     log_likelihood: float | None = None
@@ -183,9 +194,9 @@ def compare_models(
     wanted = tuple(term_names(terms) for terms in (run.model.compare if term_sets is None else term_sets))
     _check_sets(wanted)
     wanted = _with_servo_first(run, wanted)
-    union = _union(wanted)
+    union = union_of(wanted)
     request = make_request(run, union, "information", phase, None, ())
-    weighed = _Weighed.of(run, request)
+    weighed = Weighed.of(run, request)
     rows = [weighed.compared(terms) for terms in wanted]
     rows = _with_weights(_with_best_prediction(rows))
     best = _least([row.bic for row in rows])
@@ -258,15 +269,15 @@ def _check_sets(wanted: tuple[tuple[str, ...], ...]) -> None:
         check_terms(terms, where=f"term set {index}")
 
 
-def _union(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+def union_of(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
     """All terms in order of appearance; ``k1`` uses the column of ``scale_factor``."""
     union = tuple(dict.fromkeys(term for terms in wanted for term in terms))
     return tuple(term for term in union if not (term == "k1" and "scale_factor" in union))
 
 
 @dataclass(frozen=True)
-class _Weighed:
-    """The record, whitened and reduced over the union of all columns: one summary per part."""
+class Weighed:
+    """A record, whitened and reduced over the union of all columns: one summary per part."""
 
     fit: Fit
     design: Design
@@ -277,7 +288,7 @@ class _Weighed:
     log_determinant: float
 
     @classmethod
-    def of(cls, run: Run, request: Request) -> _Weighed:
+    def of(cls, run: Run, request: Request) -> Weighed:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
         fit = refine_counted(prepare(run, request, run_name(run, 0)).fit)
         columns = tuple(dict.fromkeys((*request.terms, PROBE)))
@@ -302,8 +313,8 @@ class _Weighed:
         """Number of groups of parts; a group is left out together."""
         return int(fold_of(len(self.parts))[-1]) + 1
 
-    def compared(self, terms: tuple[str, ...]) -> TermSet:
-        """Figures of one set, or the reason why there are none."""
+    def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
+        """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
         harmonics = replace(self.design.request, terms=terms).harmonics
         local: tuple[str, ...] = ("p", "q") if "tan_beta" in terms else ()
         local += tuple(f"{kind}{order}" for order in harmonics for kind in ("s", "c"))
@@ -318,19 +329,20 @@ class _Weighed:
             state, chosen = self._at_state(layout, local, shared, own)
             refuse_if_confounded(examine_parts(layout, chosen))
             estimate = solve_parts(layout, chosen)
-            coefficients = self._named(layout, estimate, terms, own)
+            coefficients, alike = self._named(layout, estimate, terms, own)
         except (CalibrationError, IdentifiabilityError) as error:
-            return TermSet(terms, error.message)
+            return TermSet(terms, error.message, error.remedy or "")
         n, m = self.observations, len(estimate.amplitudes) + len(estimate.phases)
         likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
         return TermSet(
             terms,
+            alike=alike,
             parameters=m,
             chi_square=estimate.cost,
             log_likelihood=likelihood,
             bic=m * math.log(n) - 2.0 * likelihood,
             aic=2.0 * m - 2.0 * likelihood,
-            prediction=None if own else self._predicted(local, shared, state),
+            prediction=self._predicted(local, shared, state) if predict and not own else None,
             coefficients=coefficients,
         )
 
@@ -389,15 +401,18 @@ class _Weighed:
 
     def _named(
         self, layout: Layout, estimate: Estimate, terms: tuple[str, ...], own: bool
-    ) -> tuple[Coefficient, ...]:
+    ) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
+        """The coefficients, and which of them are hard to tell apart."""
         run = self.design.run
         owners: list[tuple[str | None, str | None]] = [
             (label if own else None, None) for label in run.labels[: estimate.phases.size]
         ]
-        named, _ = name_parameters(layout, estimate, estimate.covariance, run.scale_factor, terms, owners)
+        named, covariance = name_parameters(
+            layout, estimate, estimate.covariance, run.scale_factor, terms, owners
+        )
         spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
         refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
-        return named
+        return named, tuple(alike_in_words(named, covariance))
 
 
 def _refuse_servo_alone(terms: tuple[str, ...]) -> None:

@@ -255,7 +255,7 @@ def notes_in_words(
     scatter: SegmentScatter,
 ) -> tuple[str, ...]:
     """Doubts about the estimate, one sentence each."""
-    notes = _alike(coefficients, covariance)
+    notes = alike_in_words(coefficients, covariance)
     for coefficient in coefficients:
         if coefficient.name == "tan_beta" and coefficient.value < 4.0 * coefficient.std:
             notes.append(
@@ -285,7 +285,7 @@ def notes_in_words(
     return tuple(notes)
 
 
-def _alike(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str]:
+def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str]:
     """Groups of coefficients that are hard to tell apart, one sentence each."""
     plain = [i for i, c in enumerate(coefficients) if c.name != "phi"]
     std = np.sqrt(np.diag(covariance))

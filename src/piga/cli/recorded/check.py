@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,9 @@ from piga.cli.common import (
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, results
 
+if TYPE_CHECKING:
+    from piga.calibration import TermProspect
+
 
 def check(
     run: Annotated[
@@ -31,6 +34,12 @@ def check(
     fix_suggestions: Annotated[
         bool,
         typer.Option("--fix-suggestions", help="Print lines for the run file that settle the open questions."),
+    ] = False,
+    terms: Annotated[
+        bool,
+        typer.Option(
+            "--terms", help="Also say which terms the record determines. This takes as long as a fit."
+        ),
     ] = False,
     explain: Annotated[
         str | None,
@@ -56,12 +65,21 @@ def check(
         if fix_suggestions:
             print_suggestions(run)
         raise
-    from piga.reports.check import check_document, check_text
+    from piga.reports.check import check_document, check_text, prospects_text
 
+    prospects: tuple[TermProspect, ...] = ()
+    if terms:
+        from piga.calibration import term_prospects
+
+        with progress("asking for each term"):
+            prospects = term_prospects(record)
     if as_json:
-        print_json(check_document(record))
+        print_json(check_document(record, prospects))
     else:
         say(check_text(record, str(run)))
+        if prospects:
+            say("Terms that the record determines, each beside the asked ones:")
+            say(prospects_text(prospects))
     if fix_suggestions and not as_json:
         print_suggestions(run)
     if out is not None:
