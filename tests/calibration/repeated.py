@@ -45,7 +45,7 @@ class Repeated:
     def record(self, rng: np.random.Generator, *, tell: bool = True) -> piga.Run:
         """One simulated test; the lab states what repeats, or not."""
         run = replace(self.scenario, forces=self.set_forces(rng)).record(rng)
-        asked = (self.scenario.forces * G0)[run.segment]
+        asked = (self.scenario.forces * G0)[run.segment_index]
         told = UncertaintyTable(**self.stated) if tell else UncertaintyTable()
         return replace(run, f=asked, uncertainty=told, stand=self.stand)
 

@@ -132,7 +132,10 @@ def dense(scenario: Scenario, record: piga.Run, part: RunSummary) -> tuple[np.nd
     one -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
     count = len(scenario.forces)
     X = np.concatenate(
-        [scenario._derivatives(record.output[record.segment == s] + scenario.phi, s, h) for s in range(count)]
+        [
+            scenario._derivatives(record.output[record.segment_index == s] + scenario.phi, s, h)
+            for s in range(count)
+        ]
     )
     white = np.kron(np.eye(count), np.linalg.inv(one)) @ X
     t = scenario._times().ravel()

@@ -104,7 +104,7 @@ def test_a_drift_that_is_not_weighted_by_is_in_the_covariance() -> None:
     V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
     run, count = found.design.run, len(DRIFT.forces)
     X = np.concatenate(
-        [DRIFT._derivatives(run.output[run.segment == s] + DRIFT.phi, s, h) for s in range(count)]
+        [DRIFT._derivatives(run.output[run.segment_index == s] + DRIFT.phi, s, h) for s in range(count)]
     )
     white = np.kron(np.eye(count), np.linalg.inv(V)) @ X
     gain = np.linalg.solve(X.T @ white, white.T)

@@ -72,7 +72,8 @@ def test_covariance_is_that_of_the_dense_matrix_with_the_weights_of_white_noise(
     inverse = np.linalg.inv(increments_covariance(Noise(1.0, 0.0), steps, h))
     V = increments_covariance(found.levels, steps, h)
     parts = [
-        SMALL._derivatives(run.output[run.segment == s] + SMALL.phi, s, h) for s in range(len(SMALL.forces))
+        SMALL._derivatives(run.output[run.segment_index == s] + SMALL.phi, s, h)
+        for s in range(len(SMALL.forces))
     ]
     bread = np.linalg.inv(sum(X.T @ inverse @ X for X in parts))
     meat = sum(X.T @ inverse @ V @ inverse @ X for X in parts)
@@ -147,7 +148,7 @@ def test_information_is_that_of_the_dense_restricted_likelihood() -> None:
     ]
     V = units[0] + share * slowest(fit) * units[1]
     X = np.concatenate(
-        [SMALL._derivatives(run.output[run.segment == s] + SMALL.phi, s, h) for s in range(count)]
+        [SMALL._derivatives(run.output[run.segment_index == s] + SMALL.phi, s, h) for s in range(count)]
     )
     inverse = np.linalg.inv(V)
     P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)

@@ -60,7 +60,7 @@ def test_joint_of_split_record_is_the_record() -> None:
         runs[0].estimation, angle_rms="2.5e-5 rad", angle_random_walk="1e-5 rad/sqrt(s)"
     )
     whole = replace(runs[0], estimation=given)
-    part = whole.segment < 6
+    part = whole.segment_index < 6
     halves = [_rows(whole, part), _rows(whole, ~part)]
     terms = ["scale_factor", "tan_beta", "k0", "m_Y"]
     split = piga.calibrate(halves, terms, phase="per-segment")
@@ -76,7 +76,7 @@ def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
         run.output[mask],
         run.f[mask],
         scale_factor=run.scale_factor,
-        segment=run.segment[mask],
+        segment=run.segment_index[mask],
         serial=run.serial,
     )
     return replace(made, estimation=run.estimation)

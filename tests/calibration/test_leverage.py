@@ -20,11 +20,11 @@ def known_noise(run):
 
 
 def without(run, label):
-    keep = run.segment != run.labels.index(label)
-    index = np.unique(run.segment[keep], return_inverse=True)[1].astype(np.int32)
+    keep = run.segment_index != run.labels.index(label)
+    index = np.unique(run.segment_index[keep], return_inverse=True)[1].astype(np.int32)
     labels = tuple(name for name in run.labels if name != label)
     return replace(
-        run, t=run.t[keep], output=run.output[keep], f=run.f[keep], segment=index, labels=labels,
+        run, t=run.t[keep], output=run.output[keep], f=run.f[keep], segment_index=index, labels=labels,
         begins=run.begins[keep], phase_group=(0,) * len(labels), row=run.row[keep],
     )  # fmt: skip
 
@@ -79,7 +79,7 @@ def test_a_position_that_is_wrong_is_named():
     run = scenario.record(np.random.default_rng(1))
     off = np.zeros((12, 3))
     off[3, 0] = 3e-4 * G0
-    found = piga.calibrate(replace(run, f=run.f + off[run.segment]), TERMS)
+    found = piga.calibrate(replace(run, f=run.f + off[run.segment_index]), TERMS)
     assert any("without segment '3'" in note for note in found.notes)
     assert not any("without segment" in note for note in piga.calibrate(run, TERMS).notes)
 
@@ -97,13 +97,13 @@ def test_positions_that_all_scatter_are_not_named_one_by_one():
     assert not any("without segment" in note for note in notes)
     off = np.zeros((16, 3))
     off[3, 0] = 3e-2 * G0
-    notes = piga.calibrate(replace(run, f=run.f + off[run.segment]), scenario.terms).notes
+    notes = piga.calibrate(replace(run, f=run.f + off[run.segment_index]), scenario.terms).notes
     assert any("without segment '3'" in note for note in notes)
 
 
 def test_one_segment_has_no_leverage():
     run = SCENARIOS["static"].record(np.random.default_rng(2))
-    keep = run.segment == 0
+    keep = run.segment_index == 0
     alone = piga.Run.from_arrays(run.t[keep], run.output[keep], run.f[keep], scale_factor=run.scale_factor)
     assert not piga.calibrate(alone, ["k1"]).diagnostics.leverage
 

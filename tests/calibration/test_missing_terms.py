@@ -93,7 +93,7 @@ def test_errors_of_single_positions_are_not_taken_for_a_term():
         run = EVERYWHERE.record(rng)
         off = 2e-5 * G0 * rng.standard_normal((len(run.labels), 3))
         alarms += bool(
-            piga.calibrate(replace(run, f=run.f + off[run.segment]), TERMS).diagnostics.missing_terms
+            piga.calibrate(replace(run, f=run.f + off[run.segment_index]), TERMS).diagnostics.missing_terms
         )
     assert alarms == 0
 

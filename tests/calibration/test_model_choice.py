@@ -58,7 +58,7 @@ def test_figures_as_brute_force(run, compared):
     noise = Noise(compared.angle_rms**2, compared.angle_random_walk**2)
     logarithm, count = 0.0, 0
     for segment in range(len(run.labels)):
-        h = np.diff(run.t[run.segment == segment])
+        h = np.diff(run.t[run.segment_index == segment])
         covariance = np.diag(noise.walk * h + 2.0 * noise.white)
         covariance -= noise.white * (np.eye(h.size, k=1) + np.eye(h.size, k=-1))
         logarithm += float(np.linalg.slogdet(covariance)[1])

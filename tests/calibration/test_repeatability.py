@@ -97,7 +97,7 @@ def dense(case: Repeated, run: piga.Run) -> np.ndarray:
     whole = np.zeros((len(s.names),) * 2)
     for k, force in enumerate(s.forces):
         rate = 0.8884 * force[1] * 2.0 * ARCSEC
-        columns = s._derivatives(run.output[run.segment == k] + s.phi, k, h)
+        columns = s._derivatives(run.output[run.segment_index == k] + s.phi, k, h)
         whole += columns.T @ np.linalg.solve(V + (rate * h) ** 2, columns)
     return np.sqrt(np.diag(np.linalg.inv(whole)))
 
@@ -231,7 +231,8 @@ def test_the_reference_of_each_level_of_a_centrifuge() -> None:
         return piga.calibrate(r, arm.terms)["scale_factor"].value
 
     moved = [
-        replace(run, f=run.f * (1.0 + 20e-6 * (run.segment == s))[:, None]) for s in range(len(run.labels))
+        replace(run, f=run.f * (1.0 + 20e-6 * (run.segment_index == s))[:, None])
+        for s in range(len(run.labels))
     ]
     expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
     told = replace(run, uncertainty=UncertaintyTable(reference_repeatability="20 ppm"))

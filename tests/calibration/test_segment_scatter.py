@@ -60,7 +60,9 @@ def test_covariance_is_the_dense_one_of_these_weights(monkeypatch: pytest.Monkey
     V = np.diag(np.full(steps, noise.walk * h + 2.0 * noise.white))
     V -= noise.white * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
     run, count = found.design.run, len(SCATTER.forces)
-    columns = [SCATTER._derivatives(run.output[run.segment == s] + SCATTER.phi, s, h) for s in range(count)]
+    columns = [
+        SCATTER._derivatives(run.output[run.segment_index == s] + SCATTER.phi, s, h) for s in range(count)
+    ]
     white = [np.linalg.solve(V, part) for part in columns]
     inverse = np.linalg.inv(sum(a.T @ b for a, b in zip(columns, white, strict=True)))
     meat = sum(part.T @ (V + noise.scatter * h**2) @ part for part in white)
@@ -105,7 +107,7 @@ def test_what_it_adds_beside_coarse_counts_is_that_of_records_whose_segments_tur
         return np.append(solution.amplitudes, solution.phases)
 
     start, size = estimate(np.zeros(run.size)), 1e-9
-    own = [(run.segment == s) * since for s in range(len(run.labels))]
+    own = [(run.segment_index == s) * since for s in range(len(run.labels))]
     moved = np.array([(estimate(size * angle) - start) / size for angle in own]).T
     assert fit.slow_part == pytest.approx(moved @ moved.T, rel=0.02, abs=1e-4 * fit.slow_part.max())
 

@@ -192,7 +192,7 @@ def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]],
     run = replace(
         run,
         uncertainty=table,
-        temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment],
+        temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment_index],
     )
     found = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
     return {row.source: row.contributions for row in found.budget if row.type == "B"}, found

@@ -161,7 +161,7 @@ def residual_of(d: np.ndarray, noise: Noise, stretches: int = 1) -> SimpleNamesp
     """What the quick look needs of a fit: stretches of a record at 10 Hz, with residual increments ``d``."""
     t = 0.1 * np.arange(d.size)
     begins = np.arange(d.size) % (d.size // stretches) == 0
-    run = SimpleNamespace(t=t, size=d.size, begins=begins, segment=np.cumsum(begins) - 1)
+    run = SimpleNamespace(t=t, size=d.size, begins=begins, segment_index=np.cumsum(begins) - 1)
     return SimpleNamespace(design=SimpleNamespace(run=run), noise=noise, d=d)
 
 

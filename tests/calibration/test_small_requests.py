@@ -107,7 +107,7 @@ def test_whole_turns_need_steady_positions_and_a_term() -> None:
     with pytest.raises(piga.CalibrationError, match="needs a term besides tan_beta"):
         piga.calibrate(run, ["tan_beta"], "revolutions")
     f = run.f.copy()
-    f[run.segment == 2] *= (1.0 + 0.2 * np.sin(run.t[run.segment == 2]))[:, None]
+    f[run.segment_index == 2] *= (1.0 + 0.2 * np.sin(run.t[run.segment_index == 2]))[:, None]
     found = piga.calibrate(replace(run, f=f), ["scale_factor", "k0"], "revolutions")
     assert "2" not in {segment.label for segment in found.segments}
     assert "2" in {
@@ -117,7 +117,7 @@ def test_whole_turns_need_steady_positions_and_a_term() -> None:
 
 def test_temperatures_of_reference_of_a_joint_calibration() -> None:
     runs, _ = joint_test(np.random.default_rng(54), seconds=5.0, rate=2.0)
-    warm = [replace(run, temperature=293.15 + 3.0 * np.sin(run.segment)) for run in runs]
+    warm = [replace(run, temperature=293.15 + 3.0 * np.sin(run.segment_index)) for run in runs]
     other = replace(warm[1], model=msgspec.structs.replace(warm[1].model, temperature_reference="25 degC"))
     with pytest.raises(piga.CalibrationError, match="different temperatures of reference"):
         piga.calibrate([warm[0], other], ["scale_factor", "k0", "k0_T"])

@@ -161,7 +161,7 @@ def test_labels_of_parquet_in_their_order(tmp_path: Path) -> None:
         parquet.write_table(pa.table(numbers | {"seg": column}), tmp_path / "run.parquet", row_group_size=15)
         run = piga.read_run(write_run(tmp_path, "run.parquet", data='segment = "seg"'))
         assert run.labels == ("b", "a", "c")
-        assert np.bincount(run.segment).tolist() == [20, 10, 10]
+        assert np.bincount(run.segment_index).tolist() == [20, 10, 10]
 
 
 def test_labels_come_from_the_file_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

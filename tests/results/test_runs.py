@@ -21,7 +21,7 @@ def a_table(run: piga.Run) -> dict[str, np.ndarray]:
     """The record in the units of a lab: milliseconds, degrees, g."""
     degrees = np.degrees(run.output)
     columns = {"ms": 1e3 * run.t, "psi": degrees} | {f"f{a}": run.f[:, i] / G0 for i, a in enumerate("xyz")}
-    return columns | {"position": np.array([f"P{i}" for i in run.segment], dtype=object)}
+    return columns | {"position": np.array([f"P{i}" for i in run.segment_index], dtype=object)}
 
 
 UNITS = {"ms": "ms", "psi": "deg", "fx": "g", "fy": "g", "fz": "g"}
@@ -47,7 +47,7 @@ def test_a_run_that_left_as_a_table_comes_back(leave):
         getattr(run, leave)(), **COLUMNS, scale_factor=SCALE, serial="T-1", temperature="temperature",
         base_rate=["wx", "wy", "wz"],
     )  # fmt: skip
-    for name in ("t", "output", "f", "base_rate", "temperature", "segment", "labels", "begins"):
+    for name in ("t", "output", "f", "base_rate", "temperature", "segment_index", "labels", "begins"):
         assert np.array_equal(getattr(run, name), getattr(again, name)), name
 
 
@@ -216,13 +216,17 @@ def test_a_run_is_cut_by_time(run):
 
 
 def test_a_run_is_cut_by_segment(run):
-    part = run.part("1")
+    part = run.segment("1")
     assert part.labels == ("1",)
     assert part.size == 400
-    assert set(part.segment.tolist()) == {0}
-    assert run.part("0", "1") == replace(run)
-    with pytest.raises(piga.ArgumentError, match=r"no segment '7'\n  remedy: segments: 0, 1"):
-        run.part("7")
+    assert set(part.segment_index.tolist()) == {0}
+    assert run.segment("0", "1") == replace(run)
+    with pytest.raises(piga.ArgumentError, match=r"no segment '7'\n  remedy: segments: '0', '1'"):
+        run.segment("7")
+    with pytest.raises(piga.ArgumentError, match=r"no segment 1\n  remedy: segments: '0', '1'"):
+        run.segment(1)
+    with pytest.raises(piga.ArgumentError, match="no name is given"):
+        run.segment()
 
 
 def test_rows_are_left_out_and_no_increment_crosses_them(run):

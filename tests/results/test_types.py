@@ -17,7 +17,7 @@ import piga
 
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", "docs/reference/api.md")
-WRONG = "run.part(3)\ncal['k0'].si.nothing\npiga.calibrate(run, progres=None)\n"
+WRONG = "run.segment(3)\ncal['k0'].si.nothing\npiga.calibrate(run, progres=None)\n"
 """Mistakes of a user that the types must show."""
 
 

@@ -368,7 +368,7 @@ class ConstantForce:
         angles = run.output + self.phi
         if self.kind == "rate":
             angles = self._angles(run)
-        parts = [self._derivatives(angles[run.segment == s], s, h) for s in range(len(self.forces))]
+        parts = [self._derivatives(angles[run.segment_index == s], s, h) for s in range(len(self.forces))]
         if self.drift or self.flicker or self.markov[0] or self.cycle[0]:
             t = self._times().ravel()
             together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)

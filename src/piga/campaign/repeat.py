@@ -67,7 +67,7 @@ def _write_run(test: ConstantForce, run: Run, folder: Path, name: str) -> list[s
     import pyarrow as pa
     from pyarrow import parquet
 
-    columns = {"t": run.t, "psi": run.output, "segment": run.segment}
+    columns = {"t": run.t, "psi": run.output, "segment": run.segment_index}
     columns |= {f"f{axis}": run.f[:, k] for k, axis in enumerate("xyz")}
     if run.base_rate is not None:
         columns |= {f"w{axis}": run.base_rate[:, k] for k, axis in enumerate("xyz")}

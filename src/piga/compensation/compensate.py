@@ -123,7 +123,7 @@ def compensate_in_pieces(
         part = Compensated(
             chunk.t, computed.ax, computed.dv, computed.u_ax, computed.flags, record.serial, plan.method
         )  # fmt: skip
-        yield record.labels[int(record.segment[rows.start])], chunk, part
+        yield record.labels[int(record.segment_index[rows.start])], chunk, part
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
@@ -202,7 +202,7 @@ class _Plan:
         edges = self.record.segment_edges()
         models: dict[int, Model] = {}
         for start, stop in pairwise(edges.tolist()):
-            index = int(self.record.segment[start])
+            index = int(self.record.segment_index[start])
             if index not in models:
                 models[index] = self._model(self.record.labels[index])
             for part in spans(stop - start):

@@ -194,7 +194,7 @@ def _without_bare_phases(draft: RunFileDraft, run: Run) -> None:
     if "tan_beta" not in terms or draft.comments.get("model.terms") == ["as given"]:
         return
     swing = np.zeros(len(run.labels))
-    np.maximum.at(swing, run.segment, np.hypot(run.f[:, 1], run.f[:, 2]) / G0)
+    np.maximum.at(swing, run.segment_index, np.hypot(run.f[:, 1], run.f[:, 2]) / G0)
     bare = [label for label, size in zip(run.labels, swing, strict=True) if size < LEAST_SWING]
     if bare:
         draft.put(

@@ -101,7 +101,7 @@ class Assembly:
             f=f,
             base_rate=base_rate,
             temperature=self._temperature(),
-            segment=segment,
+            segment_index=segment,
             labels=labels,
             begins=base.begins,
             phase_group=groups,

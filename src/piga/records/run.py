@@ -50,8 +50,8 @@ class Run(Result, Reported, Tabular):
         Inertial angular rate of the base [rad/s], shape (n, 3); None when not recorded.
     temperature:
         [K], or None.
-    segment, labels:
-        Segment index of each sample, and the names of the segments.
+    segment_index, labels:
+        Index of the segment of each sample, and the names of the segments. :meth:`segment` cuts them out by name.
     begins:
         True where a stretch begins. No increment ends at such a sample.
     phase_group:
@@ -77,7 +77,7 @@ class Run(Result, Reported, Tabular):
     f: Array
     base_rate: Array | None
     temperature: Array | None
-    segment: NDArray[np.int32]
+    segment_index: NDArray[np.int32]
     labels: tuple[str, ...]
     begins: NDArray[np.bool_]
     phase_group: tuple[int, ...]
@@ -121,7 +121,7 @@ class Run(Result, Reported, Tabular):
             columns |= {f"w{axis}": Column(self.base_rate[part, i], "rad/s") for i, axis in enumerate("xyz")}
         if self.temperature is not None:
             columns["temperature"] = Column(self.temperature[part], "K")
-        columns["segment"] = Column(self.segment[part].astype(np.int32), "1", self.labels)
+        columns["segment"] = Column(self.segment_index[part].astype(np.int32), "1", self.labels)
         return columns | {"row": Column(self.row[part])}
 
     def in_brief(self) -> list[tuple[str, str]]:
@@ -153,7 +153,7 @@ class Run(Result, Reported, Tabular):
 
     def segment_edges(self) -> NDArray[np.int64]:
         """First sample of each segment, then the number of samples."""
-        edges = [part.start + np.flatnonzero(steps(self.segment, part)) for part in spans(self.size)]
+        edges = [part.start + np.flatnonzero(steps(self.segment_index, part)) for part in spans(self.size)]
         return np.concatenate([[0], *edges, [self.size]]).astype(np.int64)
 
     def _steps_inside(self) -> Iterator[Array]:
@@ -235,7 +235,7 @@ class Run(Result, Reported, Tabular):
             f=f,
             base_rate=None if base_rate is None else np.ascontiguousarray(base_rate, dtype=float),
             temperature=None if temperature is None else np.ascontiguousarray(temperature, dtype=float),
-            segment=places,
+            segment_index=places,
             labels=names,
             begins=base.begins | _gaps(gaps, t.size),
             phase_group=(0,) * len(names),
@@ -349,21 +349,21 @@ class Run(Result, Reported, Tabular):
         low, high = to_si(start, "s", what="between start"), to_si(stop, "s", what="between stop")
         return self._cut((self.t >= low) & (self.t <= high), f"between {low:g} and {high:g} s")
 
-    def part(self, *labels: str) -> Run:
-        """The segments with these labels, as a run.
+    def segment(self, *labels: str) -> Run:
+        """The segments with these names, as a run: ``run.segment("7")``. :attr:`segment_index` tells the samples apart.
 
         Raises
         ------
         ArgumentError
-            If there is no such segment.
+            If no name is given, or there is no such segment.
         """
-        unknown = [label for label in labels if label not in self.labels]
-        if unknown or not labels:
-            raise ArgumentError(
-                f"part: there is no segment '{unknown[0] if unknown else ''}'",
-                remedy=f"segments: {', '.join(self.labels[:40])}",
-            )
-        wanted = np.isin(self.segment, [self.labels.index(label) for label in labels])
+        known = f"segments: {', '.join(map(repr, self.labels[:40]))}{', ...' if len(self.labels) > 40 else ''}"
+        if not labels:
+            raise ArgumentError("segment: no name is given", remedy=known)
+        for label in labels:
+            if label not in self.labels:
+                raise ArgumentError(f"segment: there is no segment {label!r}", remedy=known)
+        wanted = np.isin(self.segment_index, [self.labels.index(label) for label in labels])
         return self._cut(wanted, f"segments {', '.join(labels)}")
 
     def without(self, rows: ArrayLike) -> Run:
@@ -397,7 +397,7 @@ class Run(Result, Reported, Tabular):
             )
         begins = self.begins[index] | (np.diff(index, prepend=index[0]) > 1)
         begins[0] = True
-        old, place = np.unique(self.segment[index], return_inverse=True)
+        old, place = np.unique(self.segment_index[index], return_inverse=True)
         quality, gone = self.quality, self.size - index.size
         events = (*quality.events, Event("cut", gone, None, words)) if gone else quality.events
 
@@ -411,7 +411,7 @@ class Run(Result, Reported, Tabular):
             f=np.ascontiguousarray(self.f[index]),
             base_rate=taken(self.base_rate),
             temperature=taken(self.temperature),
-            segment=place.astype(np.int32),
+            segment_index=place.astype(np.int32),
             labels=tuple(self.labels[i] for i in old),
             begins=begins,
             phase_group=tuple(self.phase_group[i] for i in old),

@@ -257,7 +257,7 @@ def _all_times(followed: FollowedStand, run: Run) -> Array:
     """Time on the stand's plan [s] of all samples, (n,)."""
     times = arrays_like(run.t).empty(run.size)
     for rows in spans(run.size):
-        times[rows] = followed.times(run.t[rows], run.segment[rows])
+        times[rows] = followed.times(run.t[rows], run.segment_index[rows])
     return times
 
 

@@ -332,7 +332,7 @@ def _extremes(low: Array, high: Array, starts: NDArray[np.int64], size: int) -> 
 def _outline(run: Run, t: Array, signals: tuple[Signal, ...]) -> Outline:
     edges = run.segment_edges()
     segments = tuple(
-        (run.labels[int(run.segment[first])], float(t[first]), float(t[last - 1]))
+        (run.labels[int(run.segment_index[first])], float(t[first]), float(t[last - 1]))
         for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
     )
     findings = []

@@ -175,7 +175,7 @@ def _in_segment(run: Run, moved: Run, segment: int) -> Run:
     """The run with the specific force of ``moved`` in one segment."""
 
     def force(part: slice) -> Array:
-        own = run.segment[part, None] == segment
+        own = run.segment_index[part, None] == segment
         return np.where(own, moved.f[part], run.f[part])
 
     return _felt(run, force)
@@ -187,12 +187,12 @@ def stated_scatter(run: Run) -> Array:
     It is the sum over these sources of the squared ``K`` times mean change of the axial specific force.
     """
     variance = np.zeros(len(run.labels))
-    count = np.bincount(run.segment, minlength=variance.size)
+    count = np.bincount(run.segment_index, minlength=variance.size)
     for source in sources(run):
         if source.draw == "segment":
             change = np.zeros(variance.size)
             for part in spans(run.size):
                 axial = source.moved.f[part, 0] - run.f[part, 0]
-                change += np.bincount(run.segment[part], axial, minlength=variance.size)
+                change += np.bincount(run.segment_index[part], axial, minlength=variance.size)
             variance += (run.scale_factor * change / count) ** 2
     return variance

@@ -300,7 +300,7 @@ class Weighed:
             )
         edges, parted_by = row_edges(design.run, per_segment)
         parts, logarithm = _reduce(design, fit, edges)
-        of_part = tuple(groups[int(design.run.segment[edge])] for edge in edges[:-1])
+        of_part = tuple(groups[int(design.run.segment_index[edge])] for edge in edges[:-1])
         return cls(fit, design, parts, of_part, per_segment, parted_by, logarithm)
 
     @property

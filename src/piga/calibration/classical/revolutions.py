@@ -240,7 +240,7 @@ def _scatter_levels(squares: Array, freedom: Array, shape: Array) -> TurnScatter
 
 def _longest_stretch(run: Run, segment: int) -> slice:
     """The longest part of a segment without a gap."""
-    inside = np.flatnonzero(run.segment == segment)
+    inside = np.flatnonzero(run.segment_index == segment)
     starts = np.append(inside[run.begins[inside]], inside[-1] + 1)
     if starts[0] != inside[0]:
         starts = np.insert(starts, 0, inside[0])
@@ -263,7 +263,7 @@ def _mean_run(run: Run, table: Array, used: list[tuple[int, slice]]) -> Run:
         f=np.ascontiguousarray(table[:, 2:5]),
         base_rate=None if run.base_rate is None else mean(run.base_rate),
         temperature=None if run.temperature is None else mean(run.temperature),
-        segment=np.arange(size, dtype=np.int32),
+        segment_index=np.arange(size, dtype=np.int32),
         labels=tuple(run.labels[index] for index, _ in used),
         begins=np.ones(size, dtype=bool),
         phase_group=(0,) * size,
@@ -438,7 +438,7 @@ def revolutions_result(
     before += 0.0 if means.base_rate is None else means.base_rate[:, 0]
     residuals = Residuals(
         means.row, means.t, fit.design.phase_angle, means.f[:, 0], before, fit.rate, fit.rate / positions.std,
-        means.segment,
+        means.segment_index,
     )  # fmt: skip
     figures = residual_figures(residuals)
     quality = cleaned[0].quality

@@ -68,12 +68,20 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     before = _nominal_increments(design)
     whitened = _whitened(d, h, noise, mode)
     if noise.stated and mode == "increments":
-        _take_stated_rates(whitened, _whitened(h, h, noise, mode), run.segment, noise)
+        _take_stated_rates(whitened, _whitened(h, h, noise, mode), run.segment_index, noise)
     if mode != "samples":
         _stretch_angle(d, run.begins)
         _stretch_angle(before, run.begins)
     return Residuals(
-        run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, run.segment, unit=run.output_unit
+        run.row,
+        run.t,
+        design.phase_angle,
+        run.f[:, 0],
+        before,
+        d,
+        whitened,
+        run.segment_index,
+        unit=run.output_unit,
     )
 
 
@@ -163,7 +171,7 @@ def _summary(design: Design, residuals: Residuals, left: int, right: int) -> Seg
         duration += float(h[inside].sum())
         turned += float(step[inside].sum())
     return SegmentSummary(
-        label=run.labels[int(run.segment[left])],
+        label=run.labels[int(run.segment_index[left])],
         rows=right - left,
         duration=duration,
         mean_a_x=mean(run.f[part, 0]),
@@ -204,7 +212,7 @@ def segment_scatter(
         if right - left < 10 or extent(design.run.begins[left + 1 : right])[1] or duration == 0.0:
             continue
         slopes.append(_slope(residuals.t[left:right], residuals.after[left:right]))
-        own = int(design.run.segment[left])
+        own = int(design.run.segment_index[left])
         slow.append(
             coloured**2
             + stated[own]

@@ -119,7 +119,7 @@ def _sums(fit: Fit, walks: Array) -> tuple[Array, Array]:
     log, square = deviance_sums(fit.d, fit.h, walks)
     if not fit.noise.stated:
         return log, square
-    segment, variance = fit.design.run.segment, np.array(fit.noise.stated) / fit.noise.white
+    segment, variance = fit.design.run.segment_index, np.array(fit.noise.stated) / fit.noise.white
     columns = np.stack([fit.h, fit.d])
     for k, walk in enumerate(walks):
         b, d = Whitener("increments", Noise(1.0, float(walk)), 2).apply_columns(columns, fit.h)

@@ -262,7 +262,7 @@ def means_of_bins(fit: Fit, basis: NoiseColumns, bins: int) -> Array:
     run = fit.design.run
     starts = np.flatnonzero(run.begins)
     rows = [
-        basis.placed(_whitened_means(fit, basis, int(left), int(right), bins), int(run.segment[left]))
+        basis.placed(_whitened_means(fit, basis, int(left), int(right), bins), int(run.segment_index[left]))
         for left, right in pairwise(np.append(starts, run.size))
         if right - left >= 2 * bins
     ]

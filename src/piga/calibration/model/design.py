@@ -438,7 +438,7 @@ def _ranges(run: Run) -> list[tuple[int, int, int]]:
     edges = run.segment_edges()
     ranges: list[tuple[int, int, int]] = []
     for left, right in pairwise(edges):
-        segment, end = int(run.segment[left]), int(right)
+        segment, end = int(run.segment_index[left]), int(right)
         start = int(left)
         while start < end:
             stop = min(start + CHUNK, end)

@@ -51,7 +51,7 @@ class Stretch:
         edges = np.linspace(0, size, bins + 1).astype(np.int64)
         least, most = extent(run.output[start:stop])
         return cls(
-            segment=int(run.segment[start]),
+            segment=int(run.segment_index[start]),
             start=start,
             stop=stop,
             edges=edges,

@@ -394,7 +394,7 @@ def sample_of(run: Run, request: Request) -> Sample:
         f=gathered(run.f, index),
         base=np.zeros((index.size, 3)) if run.base_rate is None else gathered(run.base_rate, index),
         warm=t if run.temperature is None else gathered(run.temperature, index) - request.temperature_reference,
-        segment=gathered(run.segment, index),
+        segment=gathered(run.segment_index, index),
         point=point,
     )
 

@@ -47,7 +47,7 @@ def key_of(options: Any, calibration: Calibration, record: Run) -> str:
     digest = hashlib.sha256(repr((__version__, options, record.serial, record.kind, record.labels)).encode())
     digest.update(repr((record.scale_factor, record.phase_group, record.resolution)).encode())
     digest.update(calibration_to_bytes(calibration))
-    columns = (record.t, record.output, *record.f.T, record.segment, record.begins)
+    columns = (record.t, record.output, *record.f.T, record.segment_index, record.begins)
     columns += () if record.base_rate is None else tuple(record.base_rate.T)
     columns += () if record.temperature is None else (record.temperature,)
     for values in columns:

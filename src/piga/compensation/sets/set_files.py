@@ -233,7 +233,7 @@ def _read(path: Path, item: Mounted, force: bool, held: int) -> Run:
     record = read_run(path, need_reference=False, held=held)
     check_member(record, item, force)
     nothing = np.zeros((0, 3))
-    return replace(record, f=nothing, segment=record.segment[:0])
+    return replace(record, f=nothing, segment_index=record.segment_index[:0])
 
 
 def _together(records: Sequence[Run]) -> Iterator[SetRows]:

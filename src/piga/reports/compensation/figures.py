@@ -64,7 +64,7 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
         turn = turn + 0.5 * h * (record.base_rate[1:, 0] + record.base_rate[:-1, 0])
     psi = np.concatenate(([0.0], np.cumsum(turn))) if rate else record.output
     return error_record(
-        record.t, psi, turn / scale_factor - force, result.dv[1:] - force, scale_factor, record.segment
+        record.t, psi, turn / scale_factor - force, result.dv[1:] - force, scale_factor, record.segment_index
     )
 
 

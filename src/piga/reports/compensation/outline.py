@@ -162,7 +162,7 @@ class CompensationOutline(Watch):
 
     def record(self, record: Run, result: Compensated) -> None:
         """Add a whole record."""
-        changes = np.flatnonzero(np.diff(record.segment)) + 1
+        changes = np.flatnonzero(np.diff(record.segment_index)) + 1
         edges = np.unique(np.concatenate((changes, np.arange(0, record.size, SIZES.piece), [record.size])))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             rows = slice(start, stop)
@@ -174,7 +174,7 @@ class CompensationOutline(Watch):
             part = Compensated(
                 result.t[rows], result.ax[rows], result.dv[rows], result.u_ax[rows], result.flags[rows]
             )
-            self.piece(f"{record.segment[start]}", chunk, part)
+            self.piece(f"{record.segment_index[start]}", chunk, part)
 
     def leading(self) -> Residuals:
         """The first rows, at most ``SHOWN``: the running correction as angle [rad] is ``before``, ``after`` is 0.
