@@ -134,7 +134,7 @@ COMPENSATION = {
         *tests_of("compensation", "file_to_file"),
     ],
     "compensation/sets/set_compensator compensation/sets/set_compensator "
-    "compensation/sets/triad compensation/sets/set_compensator": SETS,
+    "compensation/sets/set_records compensation/sets/set_compensator": SETS,
 }
 PLATFORM_ROOM = {
     "platform/identification/alignment platform/identification/observation "

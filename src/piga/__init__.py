@@ -54,7 +54,7 @@ Each takes about five lines; the first page of the Python interface (docs/refere
 Calibrate a record      ``cal = piga.calibrate(piga.read_run("run.toml"))``; ``cal.summary()``
 From arrays or a table  ``piga.Run.from_arrays(...)``, ``piga.Run.from_dataframe(...)``
 Compensate              ``piga.compensate(run, cal)``; live: ``piga.Compensator(cal)``
-A set of instruments    ``piga.compensate_triad(runs, mounted)``
+A set of instruments    ``piga.compensate_set(runs, mounted)``
 Simulate a test         ``piga.run_scenario(piga.read_scenario("scenario.toml"))``
 Plan a test             ``piga.plan_test(piga.read_plan("plan.toml"))``
 Follow over years       ``piga.find_trend([(name, date, cal), ...])``
@@ -106,7 +106,7 @@ if TYPE_CHECKING:
         Mounted,
         Phase,
         compensate,
-        compensate_triad,
+        compensate_set,
         identify_phase,
     )
     from piga.instrument import ErrorModel, Instrument, closed_form, mean_rate, propagate, regime
@@ -128,7 +128,7 @@ _LAZY = {
     "Mounted": "piga.compensation",
     "Phase": "piga.compensation",
     "compensate": "piga.compensation",
-    "compensate_triad": "piga.compensation",
+    "compensate_set": "piga.compensation",
     "identify_phase": "piga.compensation",
     "ErrorModel": "piga.instrument",
     "Instrument": "piga.instrument",
@@ -214,7 +214,7 @@ __all__ = [
     "closed_form",
     "compare_models",
     "compensate",
-    "compensate_triad",
+    "compensate_set",
     "example_run",
     "find_trend",
     "identify_phase",

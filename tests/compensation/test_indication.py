@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga._kernels.compensation import layout as at
-from piga.compensation import Compensator, Mounted, PublishedSet, compensate_triad
+from piga.compensation import Compensator, Mounted, PublishedSet, compensate_set
 from piga.compensation.model import make_model
 from piga.units import G0
 
@@ -109,10 +109,10 @@ def test_published_formula_of_a_set_leaves_the_second_order(kind):
     t = np.arange(0.0, 3.0, 0.01)
     f = np.tile(np.array([1.0, 5.0, -0.8]) * G0, (t.size, 1))
     records, mounted = made(t, f, orthogonal(), kind)
-    found = compensate_triad(records, mounted, method="published")
+    found = compensate_set(records, mounted, method="published")
     error = np.abs(found.f[2:] - f[2:]).max()
     assert 1e-6 * G0 < error < 4.0 * TAN_BETA**2 * 5.0 * G0
-    exact = compensate_triad(records, mounted)
+    exact = compensate_set(records, mounted)
     assert np.abs(exact.f[2:] - f[2:]).max() < 1e-8 * G0
     if kind == "angle":
         stream = PublishedSet(mounted)

@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_triad
+from piga.compensation import FLAGS, Mounted, Phase, Resampler, SetCompensator, compensate_set
 from piga.compensation.files.live import Bounded, _field, compensate_arrow, compensate_lines, unpacked_size
 from piga.compensation.model import MEANING, age_in_days, describe
 from piga.compensation.sets.set_compensator import PublishedSet
@@ -228,14 +228,14 @@ def test_axes_that_are_none(axes: np.ndarray, message: str) -> None:
 def test_sets_of_records_that_do_not_fit() -> None:
     records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3) for i in range(3)]
     with pytest.raises(piga.ArgumentError, match=r"method: 'best' is not known"):
-        compensate_triad(records, mounted(), method="best")
+        compensate_set(records, mounted(), method="best")
     with pytest.raises(piga.ArgumentError, match="a set of 2 instruments"):
-        compensate_triad(records[:2], mounted()[:2])
+        compensate_set(records[:2], mounted()[:2])
     other = run_of(T, F, phi=0.3, kind="rate")
     with pytest.raises(piga.DataError, match="record 2: holds rate, record 0: angle"):
-        compensate_triad([*records[:2], other], mounted())
+        compensate_set([*records[:2], other], mounted())
     with pytest.raises(piga.DataError, match="record 2: has 61 rows that can be used, record 0 has 60"):
-        compensate_triad(
+        compensate_set(
             [*records[:2], run_of(np.append(T, 0.6), np.append(F, F[:1], axis=0), phi=0.3)], mounted()
         )
 
@@ -245,7 +245,7 @@ def test_base_rate_of_some_instruments_of_a_set() -> None:
     rate = np.tile([1e-4, 2e-3, -1e-3], (T.size, 1))
     records = [run_of(T, np.roll(F, -i, axis=1), phi=0.3, base_rate=rate if i == 1 else None) for i in range(3)]
     plain = [Mounted(calibration_of({**CAL, "k0": 0.0}), np.roll(np.eye(3), -i, axis=0)) for i in range(3)]
-    found = compensate_triad(records, plain)
+    found = compensate_set(records, plain)
     assert np.abs(found.f[1:] - F[1:]).max() < 1e-9 * G0
 
 

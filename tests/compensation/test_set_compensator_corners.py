@@ -9,7 +9,7 @@ import pytest
 
 import piga
 from piga._kernels.compensation.layout import TILE
-from piga.compensation import Mounted, SetCompensator, compensate_triad, identify_phase
+from piga.compensation import Mounted, SetCompensator, compensate_set, identify_phase
 from piga.units import G0
 
 from .test_triad import SKEWED, made, orthogonal, rotation
@@ -53,7 +53,7 @@ def test_a_stretch_begins_without_an_increment(axes: str) -> None:
         stream = SetCompensator(mounted, sampled=True, uncertainty=uncertainty)
         sampled = stream.push(t, psi, rate=rate, begins=begins)
         assert np.flatnonzero(sampled.flagged("no_increment")).tolist() == [0, 25]
-    recorded = compensate_triad([replace(run, begins=begins | (t == 0.0)) for run in runs], mounted)
+    recorded = compensate_set([replace(run, begins=begins | (t == 0.0)) for run in runs], mounted)
     assert recorded.flags.tolist() == found.flags.tolist()
 
 
@@ -64,7 +64,7 @@ def test_intervals_that_turn_far_under_a_changing_force(axes: str) -> None:
     f = np.array([8.0, -7.0, 9.0]) * G0 * (1.0 + 0.02 * t)[:, None]
     runs, mounted = made(t, f, AXES[axes], base=np.array([7e-5, 3e-3, -2e-3]))
     assert max(np.abs(np.diff(run.output)).max() for run in runs) > 0.6
-    found = compensate_triad(runs, mounted)
+    found = compensate_set(runs, mounted)
     error = found.f[1:] - 0.5 * (f[1:] + f[:-1])
     assert np.abs(error).max() < 1e-7 * G0
 
@@ -121,7 +121,7 @@ def test_products_of_changing_forces_in_a_set(name: str) -> None:
     t = 0.01 * np.arange(40)
     f = G0 * (1.0 + 8.0 * t)[:, None] * np.array([1.0, -0.7, 0.8])
     runs, mounted = made(t, f, AXES["orthogonal"], errors={name: 0.02})
-    error = compensate_triad(runs, mounted).f[1:] - 0.5 * (f[1:] + f[:-1])
+    error = compensate_set(runs, mounted).f[1:] - 0.5 * (f[1:] + f[:-1])
     assert np.abs(error[2:10]).max() < 3e-6 * G0
 
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from piga.compensation import FLAGS, SetCompensator, compensate_triad
+from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.compensation.sets.set_files import SetRows
 from piga.records.calibration.coverage import TYPE_A_ONLY
 from piga.reports.compensation import page as compensation_set
@@ -62,7 +62,7 @@ def test_misfits_make_the_residual_and_flags_the_flags():
     together = np.bitwise_or.reduce(found.each, axis=0)
     assert np.array_equal(together[1:], found.flags[1:] & ~FLAGS["fault"])
     assert (found.each[:, 0] == FLAGS["no_increment"]).all()
-    records = compensate_triad(runs, mounted, details=True)
+    records = compensate_set(runs, mounted, details=True)
     assert records.misfit.shape == (4, 300)
 
 

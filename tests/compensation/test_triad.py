@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.compensation import Mounted, SetCompensator, compensate_triad
+from piga.compensation import Mounted, SetCompensator, compensate_set
 from piga.units import G0
 
 from .twin_data import K_G, TAN_BETA, calibration_of, run_of
@@ -46,7 +46,7 @@ def test_constant_force_comes_back_in_any_mounting(axes):
     t = np.arange(ROWS) * 0.01
     f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (t.size, 1))
     runs, mounted = made(t, f, axes, base=np.array([7e-5, 3e-3, -2e-3]))
-    found = compensate_triad(runs, mounted)
+    found = compensate_set(runs, mounted)
     rounding = 4 * np.finfo(float).eps * 3.0 * max(1.0, 0.009 * ROWS) / (K_G / G0 * 0.01)
     assert np.abs(found.f[1:] - f[1:]).max() < max(rounding, 1e-13)
 
@@ -79,7 +79,7 @@ def test_full_error_model_of_angles():
         "c1": 2e-5,
     }
     runs, mounted = made(t, f, [rotation(a) for a in SKEWED[:3]], errors=errors)
-    found = compensate_triad(runs, mounted)
+    found = compensate_set(runs, mounted)
     assert np.abs(found.f[1:] - f[1:]).max() < 2e-12 * G0 * max(1.0, 0.009 * ROWS)
 
 

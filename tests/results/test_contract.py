@@ -76,7 +76,7 @@ def samples(run, cal):
         "Quality": cal.quality,
         "Provenance": cal.provenance,
         "Compensated": piga.compensate(run, cal),
-        "CompensatedSet": piga.compensate_triad(runs, [piga.Mounted(known, a) for a in axes]),
+        "CompensatedSet": piga.compensate_set(runs, [piga.Mounted(known, a) for a in axes]),
         "Instrument": inst,
         "ErrorModel": piga.ErrorModel(k0="1 ug"),
         "SimulatedTest": piga.simulate_test(head, Specimen(inst), Electronics(sample_rate=5.0)),

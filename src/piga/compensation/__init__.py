@@ -6,7 +6,7 @@ from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
 from piga.compensation.result import Compensated, CompensatedSet, Resampler
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
-from piga.compensation.sets.triad import compensate_triad
+from piga.compensation.sets.set_records import compensate_set
 
 __all__ = [
     "FLAGS",
@@ -23,7 +23,7 @@ __all__ = [
     "SetCompensator",
     "Step",
     "compensate",
-    "compensate_triad",
+    "compensate_set",
     "identify_phase",
     "init_state",
     "step",

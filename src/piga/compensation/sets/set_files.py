@@ -23,7 +23,7 @@ from piga.compensation.model import FLAGS, Phase
 from piga.compensation.phase import RateAngle
 from piga.compensation.result import CompensatedSet, Resampler, notes_on
 from piga.compensation.sets.set_compensator import Mounted, PublishedSet, SetCompensator
-from piga.compensation.sets.triad import check_member, check_together, mounted_on, set_stream
+from piga.compensation.sets.set_records import check_member, check_together, mounted_on, set_stream
 from piga.compensation.writers import Inputs, TableWriter, inputs_listed
 from piga.errors import RunFileError
 from piga.records import Calibration, read_toml
@@ -157,7 +157,7 @@ def compensate_set_files(
     DataError
         If the files differ in their times or in the kind of output.
     CalibrationError, ArgumentError
-        As :func:`piga.compensation.compensate_triad`.
+        As :func:`piga.compensation.compensate_set`.
     """
     resampler = None if period is None else Resampler(period)
     held = HELD_ROWS // len(runs)

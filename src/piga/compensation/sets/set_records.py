@@ -1,4 +1,4 @@
-"""Whole records of a triad, or of any set of three or more instruments."""
+"""Whole records of a set: three or more instruments on one base."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ APART = 1e-6
 """Largest difference between the times of one row in the records of a set, as a share of the first interval."""
 
 
-def compensate_triad(
+def compensate_set(
     records: Sequence[Run],
     instruments: Sequence[Mounted],
     *,
