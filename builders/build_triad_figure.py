@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from tests.compensation.twin_triad import run, spectrum
+from tests.compensation.sets.twin_triad import run, spectrum
 
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.render.static import write_figure

@@ -37,8 +37,9 @@ SOURCE = ROOT / "src" / "piga"
 
 
 def tests_of(room: str, *names: str) -> list[str]:
-    """Paths of test files of a room."""
-    return [f"tests/{room}/test_{name}.py" for name in names]
+    """Paths of test files of a room or of a room inside it."""
+    paths = {path.name: path for path in (ROOT / "tests" / room).rglob("test_*.py")}
+    return [str(paths[f"test_{name}.py"].relative_to(ROOT)) for name in names]
 
 
 EQUATIONS = ["tests/docs/test_equations.py"]
@@ -126,15 +127,13 @@ INSTRUMENT = {
     "instrument/twin/run instrument/twin/linear instrument/twin/parameters": TWIN,
 }
 COMPENSATION = {
-    "compensation/compensate compensation/compensator compensation/model compensation/compensator "
-    "compensation/model compensation/result": COMPENSATED,
-    "compensation/phase compensation/result compensation/phase": [
+    "compensation/compensate compensation/compensator compensation/model": COMPENSATED,
+    "compensation/phase compensation/result": [
         *PHASES,
         *COMPENSATED,
         *tests_of("compensation", "file_to_file"),
     ],
-    "compensation/sets/set_compensator compensation/sets/set_compensator "
-    "compensation/sets/set_records compensation/sets/set_compensator": SETS,
+    "compensation/sets/set_compensator compensation/sets/set_records": SETS,
 }
 PLATFORM_ROOM = {
     "platform/identification/alignment platform/identification/observation "
@@ -148,23 +147,20 @@ PLATFORM_ROOM = {
     "platform/runs/chain platform/runs/output": TRIADS,
 }
 KERNELS = {
-    "_kernels/compensation/indication "
-    "_kernels/compensation/layout _kernels/compensation/record "
-    "_kernels/compensation/terms "
-    "_kernels/arithmetic/trigonometry _kernels/arithmetic/interpolation": [*COMPENSATED, *SETS],
+    "_kernels/compensation/indication _kernels/compensation/layout _kernels/compensation/record "
+    "_kernels/compensation/terms": [*COMPENSATED, *SETS],
     "_kernels/compensation/set": SETS,
     "_kernels/estimation/noise": [*COUNTED, *SUMS],
     "_kernels/estimation/recursive": FIT,
     "_kernels/arithmetic/double_double _kernels/estimation/regressors _kernels/estimation/square_root": SUMS,
     "_kernels/motion/function_motion": SAMPLES,
-    "_kernels/motion/step _kernels/motion/step _kernels/motion/samples "
-    "_kernels/motion/samples _kernels/motion/step _kernels/arithmetic/trigonometry": SAMPLES,
+    "_kernels/motion/step _kernels/arithmetic/trigonometry": SAMPLES,
     "_kernels/motion/samples": [*SAMPLES, *tests_of("instrument", "fleet")],
     "_kernels/estimation/outliers": [
         *tests_of("kernels", "outlier_scan"),
         *tests_of("calibration", "outliers"),
     ],
-    "_kernels/platform/navigation _kernels/platform/motion _kernels/platform/navigation": [*PLATFORM, *ERRORS],
+    "_kernels/platform/navigation": [*PLATFORM, *ERRORS],
     "_kernels/platform/motion": [*GEOMETRY, *EQUATIONS, *TRIADS],
     "_kernels/arithmetic/interpolation": [*PHASES, *tests_of("compensation", "file_to_file")],
     "_kernels/motion/servo": TWIN,

@@ -13,8 +13,8 @@ from piga.calibration.model.request import make_request
 from piga.records.calibration import Amount
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0, parse_unit
-from tests.calibration.independent import Bench, head
-from tests.calibration.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
+from tests.calibration.made.independent import Bench, head
+from tests.calibration.made.synthetic import BETA, PHI, SCALE, TERMS, TRUTH, errors, record
 
 pytestmark = pytest.mark.only_compiled
 

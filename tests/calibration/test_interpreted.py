@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from tests.calibration.synthetic import TERMS, errors, record
+from tests.calibration.made.synthetic import TERMS, errors, record
 
 pytestmark = pytest.mark.compiled
 

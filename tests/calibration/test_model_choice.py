@@ -16,7 +16,7 @@ from piga.calibration.model.request import make_request
 from piga.calibration.noise.levels import Noise
 from piga.calibration.noise.weighting import weighted_blocks
 from piga.units import G0
-from tests.calibration.synthetic import TERMS, record
+from tests.calibration.made.synthetic import TERMS, record
 
 TRUE = tuple(TERMS)
 SMALLER = ("scale_factor", "tan_beta", "k0", "m_Y")

@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from piga.units import G0
-from tests.calibration.synthetic import SCALE, TERMS, errors, record
+from tests.calibration.made.synthetic import SCALE, TERMS, errors, record
 
 pytestmark = pytest.mark.only_compiled
 

@@ -30,7 +30,7 @@ from piga.planning.mounting import plan_mounting
 from piga.records.calibration import Coefficient, SegmentScatter
 from piga.trend.history import Forecast
 from piga.units import G0
-from tests.calibration.synthetic import BETA, SCALE, TERMS, record
+from tests.calibration.made.synthetic import BETA, SCALE, TERMS, record
 from tests.planning.cases import request
 from tests.planning.test_plan import mounting_request
 

@@ -16,7 +16,7 @@ from scipy.stats import binom, chi2
 
 from piga.campaign import collect, document, plan_campaign, run_campaign
 from piga.campaign.shard import run_shard
-from tests.calibration.scenarios import SCENARIOS
+from tests.calibration.made.scenarios import SCENARIOS
 from tests.campaign.small import one_case, written
 
 FEW = 10 if numba.config.DISABLE_JIT else 200

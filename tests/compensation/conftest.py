@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from . import test_memory
+from tests.compensation.files import test_memory
 
 
 @pytest.fixture(scope="session")

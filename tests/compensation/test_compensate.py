@@ -6,8 +6,7 @@ import pytest
 import piga
 from piga.compensation import FLAGS, Mounted, Phase, SetCompensator
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
 TOLERANCE_RAMPS = 1e-11

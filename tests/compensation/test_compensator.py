@@ -12,8 +12,7 @@ import piga
 from piga.compensation import Chunk, init_state, step
 from piga.compensation.model import make_model
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 ERRORS = {"k0": 1.6e-3, "k2": 2e-5, "m_Y": 2e-4, "k_XY": 1e-4, "s2": 1e-5, "c2": 2e-5}
 STD = {"scale_factor": 1e-6, "tan_beta": 1e-7, "phi": 1e-4, "k0": 1e-6}

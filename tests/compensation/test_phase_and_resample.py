@@ -8,8 +8,7 @@ import pytest
 import piga
 from piga.compensation import PhaseFinder, Resampler, identify_phase
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 
 def rest_record(phi: float, noise: float, seed: int, kind: str = "angle"):

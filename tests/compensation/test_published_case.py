@@ -7,8 +7,7 @@ import pytest
 import piga
 from piga._kernels.arithmetic.trigonometry import sine_cosine
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, mean_force, run_of
 
 RATE = 20.0 if numba.config.DISABLE_JIT else 100.0
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": np.pi / 4})

@@ -6,8 +6,7 @@ import piga
 from piga.reports.compensation.figures import compensation_errors, error_figures
 from piga.reports.render.orders import order_spectrum
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 
 def test_no_line_is_left_at_the_revolution_orders():

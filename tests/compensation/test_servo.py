@@ -12,9 +12,9 @@ import pytest
 import piga
 from piga.compensation import Mounted, PhaseFinder, SetCompensator
 from piga.units import G0
+from tests.compensation.twin_data import calibration_of
 
 from ..instrument.servo_truth import Design, motion
-from .twin_data import calibration_of
 
 DESIGN = Design(beta=1e-3)
 SERVO = DESIGN.K * DESIGN.ml / (2.0 * DESIGN.k_i) * G0**2

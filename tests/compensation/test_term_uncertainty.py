@@ -9,8 +9,7 @@ import piga
 from piga._kernels.arithmetic.trigonometry import LIMIT
 from piga._kernels.compensation.layout import TERMS
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 
 PLAIN = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4}
 

@@ -12,8 +12,7 @@ from scipy.integrate import solve_ivp
 import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.units import G0
-
-from .twin_data import K_G, TAN_BETA, calibration_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 
 K, PHI = K_G / G0, 0.3
 Input = Callable[[float], np.ndarray]

@@ -16,8 +16,8 @@ from piga import output
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, results, settle
 from piga.records.text_files import files_named_in
-from tests.compensation.test_command import command as compensate
-from tests.compensation.test_command import write
+from tests.compensation.command.test_command import command as compensate
+from tests.compensation.command.test_command import write
 from tests.output.kills import kills
 from tests.reading.test_one_reader import command
 

@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.records.calibration.document import calibration_to_bytes
-from tests.calibration.synthetic import TERMS, record
+from tests.calibration.made.synthetic import TERMS, record
 from tests.cli.runner import exit_code
 from tests.records.files import lines, write_log, write_run
 

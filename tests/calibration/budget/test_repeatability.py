@@ -1,0 +1,289 @@
+"""What is set anew at each position, level or run: its draws, budget, joint runs, and that it is not counted twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.budget.monte_carlo import Contribution, source_draws
+from piga.calibration.joint.summary import RunSummary
+from piga.errors import CalibrationError, RunFileError
+from piga.planning.plan import plan_test
+from piga.records.calibration import Amount
+from piga.records.run_file import EstimationTable, UncertaintyTable
+from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
+from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
+from tests.chance import assert_variance
+from tests.planning.cases import request
+
+pytestmark = pytest.mark.compiled
+ROW = "angle_repeatability"
+
+
+def small(case: Repeated, **changes: Any) -> Repeated:
+    return replace(case, scenario=replace(case.scenario, seconds=6.0, rate=5.0, **changes))
+
+
+LINEAR = ("scale_factor", "k0", "k2")
+SETTING = small(head(2.0, positions=10), terms=LINEAR, tan_beta=1e-8, truth={"k0": 1.6e-3, "k2": 2.0e-4})
+
+
+@pytest.fixture(scope="module")
+def record() -> piga.Run:
+    return SETTING.record(np.random.default_rng(5))
+
+
+def rows(found: piga.Calibration) -> dict[str, dict[str, Any]]:
+    return {row.source: row for row in found.budget}
+
+
+def known_noise(run: piga.Run, uncertainty: str = "gum") -> piga.Run:
+    """The record with its noise levels given, so that weights are those of the noise alone."""
+    table = EstimationTable(
+        angle_rms="2.5e-5 rad", angle_random_walk="2e-5 rad/sqrt(s)", uncertainty=uncertainty
+    )
+    return replace(run, estimation=table)
+
+
+def least_squares(scenario: Scenario, angle: Array) -> Array:
+    """Estimates (scale factor, k0, k2) from mean rates of equal weight, the reference off by ``angle`` (positions,) [rad]."""
+    x = np.arctan2(-scenario.forces[:, 1], scenario.forces[:, 0])
+    asked = np.cos(x + angle)
+    rate = 0.8884 * (np.cos(x) + 1.6e-3 + 2.0e-4 * np.cos(x) ** 2)
+    scale, *rest = np.linalg.lstsq(np.stack([asked, asked**0, asked**2], axis=1), rate, rcond=None)[0]
+    return np.array([scale, *(value / scale for value in rest)])
+
+
+def test_one_draw_for_each_position(record: piga.Run) -> None:
+    """The row is the root of the sum of squares of what each position does when it alone is moved."""
+    found = piga.calibrate(known_noise(record), SETTING.scenario.terms)
+    count = len(record.labels)
+    base = least_squares(SETTING.scenario, np.zeros(count))
+    moved = [least_squares(SETTING.scenario, 2.0 * ARCSEC * own) - base for own in np.eye(count)]
+    row = rows(found)[ROW]
+    assert list(row.contributions.values()) == pytest.approx(np.linalg.norm(moved, axis=0), rel=1e-3)
+    assert row.standard_uncertainty == Amount(2.0, "arcsec")
+    type_a = rows(found)["fit residuals (repeatability)"].contributions
+    for c in found.coefficients:
+        assert c.std**2 == pytest.approx(type_a[c.key] ** 2 + row.contributions[c.key] ** 2, rel=1e-9)
+
+
+def test_monte_carlo_draws_each_position(record: piga.Run) -> None:
+    found = piga.calibrate(known_noise(record, "monte-carlo"), SETTING.scenario.terms)
+    for c in found.coefficients:
+        drawn = found.diagnostics.monte_carlo.coefficients[c.key]
+        assert drawn.std == pytest.approx(c.std, rel=0.02)
+
+
+def test_draws_of_a_t_distribution_share_their_scale() -> None:
+    drawn = source_draws(Contribution(np.eye(2), "t", 5.0), 40_000, np.random.default_rng(1))
+    assert drawn.var(axis=0) == pytest.approx([5.0 / 3.0] * 2, rel=0.1)
+    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.03
+    assert np.corrcoef(drawn.T**2)[0, 1] > 0.1
+
+
+def dense(case: Repeated, run: piga.Run) -> np.ndarray:
+    """Standard uncertainties of least squares with the whole covariance: noise, and a rate of each segment."""
+    s = case.scenario
+    steps, h = round(s.seconds * s.rate), 1.0 / s.rate
+    V = np.diag(np.full(steps, s.walk**2 * h + 2.0 * s.white**2))
+    V -= s.white**2 * (np.diag(np.ones(steps - 1), 1) + np.diag(np.ones(steps - 1), -1))
+    whole = np.zeros((len(s.names),) * 2)
+    for k, force in enumerate(s.forces):
+        rate = 0.8884 * force[1] * 2.0 * ARCSEC
+        columns = s._derivatives(run.output[run.segment_index == k] + s.phi, k, h)
+        whole += columns.T @ np.linalg.solve(V + (rate * h) ** 2, columns)
+    return np.sqrt(np.diag(np.linalg.inv(whole)))
+
+
+@pytest.mark.only_compiled
+def test_what_is_stated_is_not_found_again() -> None:
+    """Quiet records, errors of setting far above the noise: nothing is found, and the total is that of least squares."""
+    case = small(
+        head(2.0, walk=5e-7, white=2e-6, positions=12), terms=LINEAR, tan_beta=1e-8, truth={"k0": 1.6e-3}
+    )
+    ratio = []
+    for seed in range(3):
+        run = case.record(np.random.default_rng(seed))
+        told = case.scenario.calibrate(run)
+        assert told.segment_scatter == told.bias_drift == 0.0
+        ratio.append([c.std for c in told.coefficients] / dense(case, run))
+        type_a = rows(told)["fit residuals (repeatability)"].contributions["k0"]
+        assert type_a < 0.3 * rows(told)[ROW].contributions["k0"]
+        silent = case.scenario.calibrate(replace(run, uncertainty=UncertaintyTable()))
+        assert max(silent.segment_scatter, silent.bias_drift, silent.angle_random_walk - 4e-6) > 0.0
+    scale, *others = np.mean(ratio, axis=0)
+    assert others == pytest.approx([1.0, 1.0], abs=0.1)
+    assert scale == pytest.approx(1.0, abs=0.25), "it hangs on the noise levels of 360 samples"
+
+
+@pytest.mark.only_compiled
+def test_more_than_is_stated_is_found_beside_it() -> None:
+    case = small(
+        head(10.0, walk=5e-7, white=2e-6, positions=16, told="2 arcsec"),
+        terms=("scale_factor", "k0"),
+        tan_beta=1e-8,
+        truth={"k0": 1.6e-3},
+    )
+    levels = [
+        case.scenario.calibrate(case.record(np.random.default_rng(seed))).segment_scatter for seed in range(8)
+    ]
+    expected = 0.8884 * 10.0 * ARCSEC / np.sqrt(2.0)  # the error of the angle times the mean size of sin
+    assert_variance(np.mean(np.square(levels)) / expected**2, 8 * (16 - 2), "scatter")
+
+
+@pytest.mark.only_compiled
+def test_what_is_lost_in_the_noise_leaves_the_fit_as_it_is(record: piga.Run) -> None:
+    told = replace(record, uncertainty=UncertaintyTable(angle_repeatability="0.05 arcsec"))
+    with_it, without = (
+        piga.calibrate(r, SETTING.scenario.terms)
+        for r in (told, replace(record, uncertainty=UncertaintyTable()))
+    )
+    assert [c.value for c in with_it.coefficients] == [c.value for c in without.coefficients]
+    assert rows(with_it)["fit residuals (repeatability)"] == rows(without)["fit residuals (repeatability)"]
+
+
+# --- several runs
+
+
+@pytest.fixture(scope="module")
+def pair() -> list[piga.Run]:
+    """Two tests on one head with one reference: repeated settings and mountings, a shared turn of the axis."""
+    stated = UncertaintyTable(
+        reference_id="head 2", angle_repeatability="2 arcsec", reference_misalignment="1 arcsec",
+        mounting_repeatability="1 arcsec",
+    )  # fmt: skip
+    records = [SETTING.record(np.random.default_rng(seed)) for seed in (1, 2)]
+    return [replace(known_noise(run), uncertainty=stated) for run in records]
+
+
+MISALIGNED = ["scale_factor", "k0", "m_Y"]
+
+
+@pytest.mark.only_compiled
+def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run]) -> None:
+    """A turn about Z0 goes into m_Y: shared in full, of two mountings over the square root of two."""
+    found = rows(piga.calibrate(pair, MISALIGNED))
+    shared = found["reference_misalignment Z0 (run 1, run 2)"].contributions["m_Y"]
+    each = [found[f"mounting_repeatability Z0 (run {k})"].contributions["m_Y"] for k in (1, 2)]
+    assert abs(shared) == pytest.approx(ARCSEC, rel=0.01)
+    assert np.hypot(*each) == pytest.approx(ARCSEC / np.sqrt(2.0), rel=0.05)
+
+
+@pytest.mark.only_compiled
+def test_each_segment_of_each_run_has_its_own_draw(pair: list[piga.Run]) -> None:
+    together = rows(piga.calibrate(pair, MISALIGNED))
+    each = [together[f"{ROW} (run {k})"].contributions["k0"] for k in (1, 2)]
+    alone = rows(piga.calibrate(pair[0], MISALIGNED))[ROW].contributions["k0"]
+    assert np.hypot(*each) == pytest.approx(alone / np.sqrt(2.0), rel=0.02)
+
+
+@pytest.mark.only_compiled
+def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None:
+    RunSummary.of(pair[1], MISALIGNED, name="run 2").to_json(tmp_path / "second.json")
+    live = piga.calibrate(pair, MISALIGNED)
+    read = piga.calibrate([pair[0], RunSummary.from_json(tmp_path / "second.json")], MISALIGNED)
+    for mine, other in zip(live.budget, read.budget, strict=True):
+        assert mine.source == other.source
+        assert list(mine.contributions.values()) == pytest.approx(
+            list(other.contributions.values()), rel=1e-6, abs=1e-12
+        )
+    document = msgspec.json.decode((tmp_path / "second.json").read_bytes())
+    source = next(s for s in document["sources"] if s["name"] == ROW)
+    source["segments"][0][0] = 7
+    (tmp_path / "second.json").write_bytes(msgspec.json.encode(document))
+    with pytest.raises(CalibrationError, match="its sources are damaged"):
+        RunSummary.from_json(tmp_path / "second.json")
+
+
+@pytest.mark.only_compiled
+def test_joint_runs_do_not_count_it_twice_either() -> None:
+    """Two quiet runs: each total is that of one run over the square root of two, within what the noise levels do."""
+    case = small(
+        head(2.0, walk=5e-7, white=2e-6, positions=12), terms=LINEAR, tan_beta=1e-8, truth={"k0": 1.6e-3}
+    )
+    runs = [case.record(np.random.default_rng(seed)) for seed in (0, 1)]
+    found = piga.calibrate(runs, case.scenario.terms)
+    expected = 1.0 / np.sqrt(sum(dense(case, run) ** -2.0 for run in runs))
+    scale, *others = [c.std for c in found.coefficients] / expected
+    assert others == pytest.approx([1.0, 1.0], abs=0.1)
+    assert scale == pytest.approx(1.0, abs=0.25), "it hangs on the noise levels of 720 samples"
+
+
+# --- other stands, refusals
+
+
+@pytest.mark.only_compiled
+def test_the_reference_of_each_level_of_a_centrifuge() -> None:
+    """Independent errors of eight levels: what each does to K when it alone is moved."""
+    arm = SCENARIOS["centrifuge"]
+    assert isinstance(arm, Scenario)
+    arm = replace(arm, seconds=2.0, rate=20.0, terms=("scale_factor", "k0"))
+    run = replace(known_noise(arm.record(np.random.default_rng(3))), uncertainty=UncertaintyTable())
+
+    def scale(r: piga.Run) -> float:
+        return piga.calibrate(r, arm.terms)["scale_factor"].value
+
+    moved = [
+        replace(run, f=run.f * (1.0 + 20e-6 * (run.segment_index == s))[:, None])
+        for s in range(len(run.labels))
+    ]
+    expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
+    told = replace(run, uncertainty=UncertaintyTable(reference_repeatability="20 ppm"))
+    found = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
+    assert found.contributions["scale_factor"] == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.only_compiled
+def test_what_is_stated_raises_no_doubts() -> None:
+    """Levels of a centrifuge off by seventeen times the noise: the residuals are white, no term is missing."""
+    case = CASES["centrifuge"]()
+    found = case.scenario.calibrate(case.record(np.random.default_rng([1, 1906])))
+    assert found.diagnostics.ljung_box_probability > 1e-4
+    assert found.diagnostics.segment_scatter_ratio < 2.0
+    assert not found.notes
+
+
+@pytest.mark.only_compiled
+def test_planning_knows_that_each_visit_is_set_anew(tmp_path: Path) -> None:
+    """At 45 deg from the vertical ``K da`` is ``g sin 45 deg`` times the angle; k0 is the mean of N visits."""
+    wish = request(
+        tmp_path, rate=1, positions="45:405:90 deg", duration=150, terms='"scale_factor", "k0"',
+        more='[uncertainty]\nangle_repeatability = "1 arcsec"',
+    )  # fmt: skip
+    plan = plan_test(wish)
+    visits = len(plan.best.visits)
+    assert visits >= 2
+    type_b = np.sqrt(plan.best.combined("k0") ** 2 - plan.best.std("k0") ** 2)
+    assert type_b == pytest.approx(ARCSEC * np.sqrt(0.5 / visits), rel=0.05)
+
+
+def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
+    wrong = replace(record, source="a.toml", uncertainty=UncertaintyTable(rate_repeatability="1 ppm"))
+    with pytest.raises(RunFileError, match=r"rate_repeatability does not exist on a dividing-head") as refused:
+        piga.calibrate(wrong, TERMS)
+    assert "angle_repeatability" in str(refused.value.remedy)
+
+
+def test_a_distribution_may_be_stated(record: piga.Run) -> None:
+    spread = {"half_width": "2 arcsec", "distribution": "rectangular"}
+    told = replace(known_noise(record), uncertainty=UncertaintyTable(angle_repeatability=spread))
+    row = rows(piga.calibrate(told, SETTING.scenario.terms))[ROW]
+    assert row.distribution == "rectangular"
+    assert row.standard_uncertainty.value == pytest.approx(2.0 / np.sqrt(3.0))
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("name", list(CASES))
+def test_intervals_of_records_with_stated_repeatability_hold(name: str) -> None:
+    """300 records: 93 to 97 % of all coefficients together, no coefficient below 91 %."""
+    held, _ = coverage(CASES[name](), 300)
+    assert 0.93 <= held.mean() <= 0.97
+    assert held.min() >= 0.91

@@ -1,0 +1,241 @@
+"""Propagation, budget and degrees of freedom against published examples and an independent program."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.budget.rows import propagate
+from piga.calibration.budget.uncertainty import sources
+from piga.calibration.intervals.degrees_of_freedom import level_information
+from piga.calibration.noise.levels import Noise
+from piga.errors import RunFileError
+from piga.records import spool
+from piga.records.calibration.coverage import coverage_factor, welch_satterthwaite
+from piga.records.distribution import Spread, shape_of, standard_uncertainty
+from piga.records.run_file import UncertaintyTable
+from tests.calibration.made.scenarios import SCENARIOS
+
+
+def test_gum_annex_h1_end_gauge() -> None:
+    """JCGM 100, annex H.1: u_c = 32 nm (first order), 34 nm with the second-order terms; nu = 16, U99 = 93 nm."""
+    sensitivities = [1.0, 1.0, -50e6 * -0.1 * -1.0, -50e6 * 11.5e-6]
+    uncertainties = [25.0, 9.7, 0.58e-6, 0.029]
+    contributions = np.abs(np.array(sensitivities) * np.array(uncertainties))
+    combined = propagate(np.array([sensitivities]), np.diag(np.square(uncertainties)))
+    assert contributions[2:] == pytest.approx([2.9, 16.6], abs=0.08)
+    assert math.sqrt(combined[0, 0]) == pytest.approx(31.7, abs=0.1)
+    degrees = welch_satterthwaite(contributions, [18.0, 25.6, 50.0, 2.0])
+    assert int(degrees) == 16
+    assert coverage_factor(16.0, 0.99) == pytest.approx(2.92, abs=0.005)
+    assert coverage_factor(16.0, 0.99) * 31.7 == pytest.approx(93.0, abs=0.5)
+
+
+H2 = np.array(
+    [
+        [5.007, 4.994, 5.005, 4.990, 4.999],
+        [19.663e-3, 19.639e-3, 19.640e-3, 19.685e-3, 19.678e-3],
+        [1.0456, 1.0438, 1.0468, 1.0428, 1.0433],
+    ]
+)
+"""JCGM 100, table H.2: potential difference [V], current [A], phase [rad], five simultaneous observations."""
+
+
+def _h2() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Resistance, reactance, impedance [ohm], their derivatives, and the covariance of the three means."""
+    v, i, phase = H2.mean(axis=1)
+    z = v / i
+    values = np.array([z * math.cos(phase), z * math.sin(phase), z])
+    derivatives = np.array(
+        [
+            [math.cos(phase) / i, -values[0] / i, -values[1]],
+            [math.sin(phase) / i, -values[1] / i, values[0]],
+            [1.0 / i, -z / i, 0.0],
+        ]
+    )
+    return values, derivatives, np.cov(H2) / 5.0
+
+
+def test_gum_annex_h2_resistance_and_reactance() -> None:
+    """JCGM 100, tables H.3 and H.4: values, standard uncertainties and correlations as printed."""
+    values, derivatives, means = _h2()
+    covariance = propagate(derivatives, means)
+    std = np.sqrt(np.diag(covariance))
+    assert values == pytest.approx([127.732, 219.847, 254.260], abs=5e-4)
+    assert std == pytest.approx([0.071, 0.295, 0.236], abs=6e-4)  # printed from rounded correlations: 0.2956
+    correlation = covariance / np.outer(std, std)
+    assert correlation[0, 1] == pytest.approx(-0.588, abs=5e-4)
+    assert correlation[0, 2] == pytest.approx(-0.485, abs=5e-4)
+    assert correlation[1, 2] == pytest.approx(0.993, abs=5e-4)
+
+
+def test_agreement_with_gtc() -> None:
+    """The same by GTC's own propagation to 1e-12, and its effective degrees of freedom."""
+    gtc = pytest.importorskip("GTC")
+    v, i, phase = gtc.multiple_ureal(
+        H2.mean(axis=1).tolist(), (H2.std(axis=1, ddof=1) / math.sqrt(5.0)).tolist(), 4
+    )
+    _, derivatives, means = _h2()
+    correlation = means / np.sqrt(np.outer(np.diag(means), np.diag(means)))
+    for one, other, value in (
+        (v, i, correlation[0, 1]),
+        (v, phase, correlation[0, 2]),
+        (i, phase, correlation[1, 2]),
+    ):
+        gtc.set_correlation(float(value), one, other)
+    found = [v / i * gtc.cos(phase), v / i * gtc.sin(phase), v / i]
+    covariance = propagate(derivatives, means)
+    assert [gtc.uncertainty(x) for x in found] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12)
+    a, b, c = gtc.ureal(0.0, 3.0, 4), gtc.ureal(0.0, 2.0, 9), gtc.ureal(0.0, 1.0)
+    assert welch_satterthwaite([3.0, 2.0, 1.0], [4.0, 9.0, math.inf]) == pytest.approx(
+        gtc.dof(a + b + c), rel=1e-12
+    )
+
+
+def test_few_degrees_of_freedom_ask_for_student() -> None:
+    """Twelve positions and six coefficients: k = 2 covers 90.8 %; 95 % needs k = 2.45."""
+    assert coverage_factor(6.0) == pytest.approx(2.4469, abs=1e-4)
+    assert coverage_factor(math.inf) == pytest.approx(1.959964, abs=1e-6)
+    assert coverage_factor(6.0, 0.908) == pytest.approx(2.0, abs=0.01)
+
+
+def test_information_of_the_levels() -> None:
+    """White noise alone: n - m values; the random walk's deviation is that of so many independent values."""
+    white = level_information([401] * 10, 0.1, Noise(1e-10, 0.0), 6)
+    assert 2.0 * white[0, 0] * 1e-20 == pytest.approx(4000 - 6)
+    walk = level_information([401] * 10, 0.1, Noise(1e-22, 1e-9), 6)
+    assert 2.0 * walk[1, 1] * 1e-18 == pytest.approx(4000 - 6, rel=1e-6)
+
+
+@pytest.mark.parametrize("block", [1 << 16, 7])
+def test_information_of_mixed_stretches(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values of all stretches in one list, sorted, the most telling ones left out."""
+    monkeypatch.setattr(spool, "BLOCK", block)
+    lengths, noise, fitted = [30, 12, 30, 30, 55, 2], Noise(0.3, 0.7), 5
+    gains = [0.2 / (4.0 * np.sin(0.5 * np.pi * np.arange(1, n) / n) ** 2) for n in lengths]
+    gain = np.sort(np.concatenate(gains))[:-fitted]
+    rows = np.stack([np.ones(gain.size), gain]) / (0.3 + 0.7 * gain)
+    np.testing.assert_allclose(level_information(lengths, 0.2, noise, fitted), 0.5 * rows @ rows.T, rtol=1e-12)
+
+
+def test_distributions_of_type_b() -> None:
+    """Half-widths become standard uncertainties; an ambiguous value is refused."""
+    width = Spread(half_width="10 ppm", distribution="rectangular", degrees_of_freedom=8)
+    assert standard_uncertainty(width, "ppm", "x") == pytest.approx(1e-5 / math.sqrt(3.0))
+    assert shape_of(width) == ("rectangular", 8.0)
+    assert standard_uncertainty("2 arcsec", "arcsec", "x") == standard_uncertainty(
+        Spread(value="2 arcsec"), "arcsec", "x"
+    )
+    for bad in (
+        Spread(value="1 ppm", distribution="arcsine"),
+        Spread(half_width="1 ppm"),
+        Spread(standard="1 ppm", half_width="1 ppm", distribution="triangular"),
+        Spread(standard="1 ppm", distribution="t"),
+        Spread(standard="-1 ppm"),
+    ):
+        with pytest.raises(RunFileError, match="reference_scale"):
+            standard_uncertainty(bad, "ppm", "reference_scale")
+
+
+@pytest.mark.compiled
+def test_result_carries_degrees_of_freedom() -> None:
+    """Short records with a random walk have few; they come back from the file."""
+    scenario = SCENARIOS["static"]
+    found = scenario.calibrate(scenario.record(np.random.default_rng(3)))
+    for coefficient in found.coefficients:
+        assert 20.0 < coefficient.degrees_of_freedom < 1000.0
+        assert coefficient.expanded == pytest.approx(
+            coverage_factor(coefficient.degrees_of_freedom) * coefficient.std
+        )
+
+
+@pytest.mark.only_compiled
+def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
+    """Plain whitening is twenty times too wide here; the exact covariance is not, and holds in 12 of 12 tests."""
+    scenario = SCENARIOS["coarse-slow"]
+    run = scenario.record(np.random.default_rng(5))
+    white = np.sqrt(np.diag(scenario.bound(run)))
+    found = scenario.calibrate(run)
+    ratio = np.array([c.std for c in found.coefficients]) / white
+    assert (ratio < 1.2).all()
+    assert (np.abs(scenario.errors(found)) < 4.0 * np.array([c.std for c in found.coefficients])).all()
+
+
+def test_counts_are_seen_in_a_log_of_angles() -> None:
+    """An angle rounded to counts is found out; a continuous one is not."""
+    from piga.calibration.noise.counted import count_of
+
+    scenario = SCENARIOS["coarse"]
+    run = scenario.record(np.random.default_rng(1))
+    unknown = piga.Run.from_arrays(
+        run.t, run.output, run.f, scale_factor=run.scale_factor, segment=run.segment_index
+    )
+    assert count_of(unknown) == pytest.approx(scenario.count, rel=1e-9)
+    free = SCENARIOS["static"].record(np.random.default_rng(1))
+    assert count_of(free) == 0.0
+
+
+def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
+    """JCGM 101, 9.2: four normal or rectangular inputs summed; published intervals +-3.92 and +-3.88."""
+    from piga.calibration.budget.monte_carlo import Contribution, propagate_distributions
+
+    def total(draws: np.ndarray) -> np.ndarray:
+        return draws.sum(axis=1, keepdims=True)
+
+    for distribution, half in (("normal", 3.92), ("rectangular", 3.88)):
+        sources = [Contribution(np.eye(4)[i], distribution) for i in range(4)]
+        found = propagate_distributions(
+            np.zeros(4), np.zeros((4, 4)), math.inf, sources, total, np.array([[-3.92], [3.92]]), trials=200_000
+        )
+        assert found.std[0] == pytest.approx(2.0, abs=0.01)
+        assert found.shortest[1, 0] - found.shortest[0, 0] == pytest.approx(2 * half, abs=0.06)
+        assert found.validated[0]
+
+
+@pytest.mark.only_compiled
+def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
+    """tan_beta at twice its noise: the first order is refuted, the shortest interval stays above zero."""
+    scenario = replace(SCENARIOS["static"], tan_beta=4e-7, seconds=10.0)
+    found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
+    coupling = found["tan_beta"]
+    assert coupling.value < 6.0 * coupling.std
+    table = found.diagnostics.monte_carlo.coefficients
+    assert not table["tan_beta"].validated
+    assert coupling.interval is not None
+    assert coupling.interval[0] >= 0.0
+    assert table["scale_factor"].std == pytest.approx(found["scale_factor"].std, rel=0.03)
+
+
+@pytest.mark.only_compiled
+def test_near_the_separatrix_the_first_order_is_enough() -> None:
+    """With the angle as read the estimate stays linear there: Monte Carlo agrees, and sources hardly bend.
+
+    100 ug, 60 arcsec, 100 ppm: half the second difference of the moved estimates is below 1.5 % of the uncertainty.
+    """
+    scenario = SCENARIOS["near-critical"]
+    run = scenario.record(np.random.default_rng(1))
+    asked = replace(run, estimation=msgspec.structs.replace(run.estimation, uncertainty="monte-carlo"))
+    table = scenario.calibrate(asked).diagnostics.monte_carlo.coefficients
+    assert all(row.validated for row in table.values())
+    assert not scenario.calibrate(run).diagnostics.monte_carlo
+    given = UncertaintyTable(
+        reference_bias="100 ug", reference_misalignment="60 arcsec", reference_scale="100 ppm", timing="10 ppm"
+    )
+    known = msgspec.structs.replace(
+        run.estimation, angle_rms="2.5e-5 rad", angle_random_walk="2e-5 rad/sqrt(s)", uncertainty="gum"
+    )
+    run = replace(run, uncertainty=given, estimation=known)
+    base = np.array([c.value for c in scenario.calibrate(run).coefficients])
+    std = np.array([c.std for c in scenario.calibrate(run).coefficients])
+
+    def moved(size: float) -> list[np.ndarray]:
+        plain = [replace(source.moved, uncertainty=UncertaintyTable()) for source in sources(run, size)]
+        return [np.array([c.value for c in scenario.calibrate(record).coefficients]) for record in plain]
+
+    bent = [0.5 * (up + down) - base for up, down in zip(moved(1.0), moved(-1.0), strict=True)]
+    assert (np.sqrt(np.sum(np.square(bent), axis=0)) < 0.015 * std).all()

@@ -1,0 +1,259 @@
+"""Spikes, jumps and stuck readings are found, left out with their times, and leave right intervals behind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import piga
+from piga._kernels.estimation.outliers import correct_samples
+from piga.calibration.fit.cleaning import leave_out
+from piga.calibration.fit.outliers import Misses, limit
+from piga.records import spool
+from piga.units import G0
+from tests.calibration.made.synthetic import BETA, SCALE, TERMS, errors, record
+
+pytestmark = pytest.mark.only_compiled
+
+NOISE = {"white": 2.5e-5, "walk": 1e-5, "seconds": 20.0}
+
+
+def spiked(run: piga.Run, seed: int, share: float, size: float) -> tuple[piga.Run, np.ndarray]:
+    rng = np.random.default_rng([seed, 9])
+    bad = np.sort(rng.choice(run.size, int(share * run.size), replace=False))
+    output = run.output.copy()
+    output[bad] += size * rng.standard_normal(bad.size)
+    return replace(run, output=output), bad
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("share", [0.001, 0.05, 0.2])
+def test_spikes_are_left_out(share: float, size: float) -> None:
+    run = record(np.random.default_rng(31), **NOISE)
+    bad, where = spiked(run, 31, share, size)
+    calibration, clean = piga.calibrate(bad, TERMS), piga.calibrate(run, TERMS)
+    found = sum(outlier.samples for outlier in calibration.outliers)
+    assert 0.85 * where.size <= found <= where.size + 12
+    assert {outlier.kind for outlier in calibration.outliers} == {"spike"}
+    assert calibration.quality.used == run.size - found
+    assert all(abs(z) < 4.0 for z in errors(calibration).values()), errors(calibration)
+    for name in TERMS:
+        assert calibration[name].std == pytest.approx(clean[name].std, rel=0.05)
+        assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
+
+
+def test_intervals_hold_under_contamination() -> None:
+    """40 records with 20 % bad samples: mean square of error over uncertainty within the 99.9 % band."""
+    squares = []
+    for seed in range(40):
+        run = record(np.random.default_rng([seed, 33]), **{**NOISE, "seconds": 10.0}, count=8)
+        calibration = piga.calibrate(spiked(run, seed, 0.2, 0.05)[0], TERMS)
+        squares += [z**2 for z in errors(calibration).values()]
+    assert 0.7 < np.mean(squares) < 1.35
+
+
+def test_jumps_and_stuck_readings_have_their_times() -> None:
+    run = record(np.random.default_rng(32), **NOISE)
+    output = run.output.copy()
+    output[1500:] += 0.3
+    output[4500:] -= 2e-3
+    output[2500:2560] = output[2500]
+    calibration = piga.calibrate(replace(run, output=output), TERMS)
+    assert all(abs(z) < 4.0 for z in errors(calibration).values())
+    jumps = [o for o in calibration.outliers if o.kind == "jump"]
+    assert [o.time for o in jumps] == [run.t[1500], run.t[4500]]
+    assert [o.size for o in jumps] == [pytest.approx(0.3, abs=2e-4), pytest.approx(2e-3, abs=2e-4)]
+    stuck = [o for o in calibration.outliers if o.kind == "stuck"]
+    assert len(stuck) == 1
+    assert stuck[0].samples == pytest.approx(59, abs=2)
+    assert sum(e.count for e in calibration.quality.events if e.kind == "outlier-jump") == 2
+
+
+def test_increment_across_a_bad_sample_is_exact() -> None:
+    """Noiseless vibration with every fifth sample bad: merged columns integrate the inner samples too."""
+    fine = np.arange(12_000 * 16) * (0.005 / 16)
+    force = G0 * np.column_stack([1.0 + 3.0 * np.sin(8.0 * fine), np.cos(0.3 * fine), 0.0 * fine])
+    inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
+    t, f, alpha = fine[::16], force[::16], piga.propagate(inst, fine, force)[::16]
+    alpha = alpha + 1e-7 * np.random.default_rng(1).standard_normal(t.size)
+    good = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE)
+    output = alpha.copy()
+    output[2::5] += 0.01
+    bad = piga.Run.from_arrays(t, output, f, scale_factor=SCALE)
+    terms = ["scale_factor", "tan_beta", "k0", "k2"]
+    with_all, without = piga.calibrate(good, terms), piga.calibrate(bad, terms)
+    assert sum(o.samples for o in without.outliers) == output[2::5].size
+    for name in terms:
+        assert without[name].value == pytest.approx(with_all[name].value, abs=3.0 * without[name].std)
+
+
+def test_too_much_is_refused() -> None:
+    run = record(np.random.default_rng(34), **NOISE)
+    with pytest.raises(piga.DataError, match=r"% of the samples do not lie on any path"):
+        piga.calibrate(spiked(run, 34, 0.5, 1.0)[0], TERMS)
+
+
+def test_rate_log() -> None:
+    rng = np.random.default_rng(35)
+    t = np.arange(20_001) * 0.01
+    f = G0 * np.column_stack([1.0 + np.sin(0.3 * t), 3.0 * np.cos(0.2 * t), 0.5 + 0.0 * t])
+    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA), t, f, with_rate=True)
+    rate = rate + 1e-5 * rng.standard_normal(t.size)
+    bad = rng.choice(t.size, 2000, replace=False)
+    rate[bad] += rng.standard_normal(bad.size)
+    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
+    assert sum(o.samples for o in calibration.outliers) == pytest.approx(2000, abs=2)
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), abs=4.0 * calibration["tan_beta"].std)
+    assert calibration.angle_random_walk == pytest.approx(1e-6, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [30.0, 300.0, -5e4])
+@pytest.mark.parametrize("bad", [1, 30])
+def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> None:
+    """Their integral is radians: with it the coupling of the rest of the log would be at another phase."""
+    t = 0.1 * np.arange(600)
+    f = G0 * np.column_stack([0.2 + np.cos(0.05 * t), np.sin(0.05 * t), 0.3 + 0.0 * t])
+    _, rate = piga.propagate(piga.Instrument(scale_factor=SCALE, beta=BETA, alpha0=0.5), t, f, with_rate=True)
+    rng = np.random.default_rng(3)
+    rate += 1e-6 * rng.standard_normal(t.size)
+    rate[rng.choice(np.arange(200, 500), bad, replace=False)] += size
+    run = piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate")
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"])
+    assert sum(o.samples for o in calibration.outliers) == bad
+    assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), rel=2e-3)
+
+
+def test_clean_records_stay_whole() -> None:
+    """20 records, 96 000 good samples: fewer than 5 are left out (1 expected)."""
+    lost = 0
+    for seed in range(20):
+        calibration = piga.calibrate(
+            record(np.random.default_rng([seed, 36]), **NOISE, levels=(1.0,)), TERMS[:3]
+        )
+        lost += sum(outlier.samples for outlier in calibration.outliers)
+    assert lost < 5
+    assert limit(1_000_000) == pytest.approx(5.45, abs=0.01)
+
+
+@pytest.mark.parametrize("count", [2.0 * np.pi / 3600, 2.0 * np.pi / 360])
+def test_coarse_counts_are_no_outliers(count: float) -> None:
+    run = record(np.random.default_rng(37), white=1e-7, count_angle=count)
+    assert piga.calibrate(run, TERMS).outliers == ()
+    assert piga.calibrate(replace(run, resolution=0.0), TERMS).outliers == ()
+
+
+def test_missing_terms_are_no_outliers() -> None:
+    run = record(np.random.default_rng(38), white=1e-7)
+    assert piga.calibrate(run, ["scale_factor"]).outliers == ()
+
+
+def test_outliers_in_the_file(tmp_path) -> None:
+    run = record(np.random.default_rng(39), **NOISE)
+    calibration = piga.calibrate(spiked(run, 39, 0.01, 1.0)[0], TERMS)
+    calibration.to_json(tmp_path / "c.json")
+    assert piga.Calibration.from_json(tmp_path / "c.json").outliers == calibration.outliers
+
+
+def drawn(seed: int, size: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual increments, breaks and marks, anywhere and at the ends."""
+    rng = np.random.default_rng(seed)
+    begins = rng.random(size) < 0.02
+    begins[0] = True
+    flags = rng.choice(np.array([0, 1, 2], dtype=np.int8), size, p=(0.6, 0.35, 0.05))
+    return np.where(begins, 0.0, rng.standard_normal(size)), begins, flags
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_corrections_by_the_definition(seed: int) -> None:
+    """Stretch by stretch with NumPy's interpolation, jumps carried through the record."""
+    d, begins, flags = drawn(seed)
+    found = np.zeros(d.size)
+    correct_samples(d, begins, flags, found)
+    expected, shift = np.zeros(d.size), 0.0
+    edges = [*np.flatnonzero(begins).tolist(), d.size]
+    for start, stop in pairwise(edges):
+        angle, kind = np.cumsum(d[start:stop]), flags[start:stop]
+        own = np.zeros(angle.size)
+        for at in np.flatnonzero(kind == 2):
+            calm = np.flatnonzero(kind[:at] == 0)
+            if calm.size:
+                own[at:] += angle[at] - angle[calm[-1]]
+        good = np.flatnonzero(kind != 1)
+        wrong = shift + own
+        if good.size:
+            bad = np.flatnonzero(kind == 1)
+            wrong[bad] = shift + angle[bad] - np.interp(bad, good, angle[good] - own[good])
+        expected[start:stop] = wrong
+        shift += own[-1]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_left_out_does_not_depend_on_the_blocks(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    d, begins, flags = drawn(seed)
+    t = np.arange(d.size) * 0.1
+    run = piga.Run.from_arrays(t, np.cumsum(d) + t, np.ones((d.size, 3)), scale_factor=SCALE)
+    run = replace(run, begins=begins)
+    misses = Misses(d, np.where(begins, 0.0, 0.1), point=False)
+    whole, listed = leave_out(run, misses, flags)
+    monkeypatch.setattr(spool, "BLOCK", 7)
+    parts, again = leave_out(run, misses, flags)
+    assert listed == again
+    np.testing.assert_array_equal(whole.output, parts.output)
+    np.testing.assert_array_equal(whole.begins, parts.begins)
+    np.testing.assert_array_equal(whole.left_out, flags == 1)
+    assert whole.quality == parts.quality
+    assert whole.quality.masked - run.quality.masked == int((flags == 1).sum())
+    spikes = sum(o.samples for o in listed)
+    assert spikes == int((flags == 1).sum())
+    for start in np.flatnonzero(begins & (flags == 1)):
+        later = start + int(np.argmax(flags[start:] != 1))
+        assert whole.begins[later] or not (flags[start:] != 1).any()
+
+
+@pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
+def test_readings_that_stand_still_are_no_outliers(rate: float) -> None:
+    """A path of so many counts a sample: most readings repeat the one before."""
+    run = slow_counter(rate)
+    calibration = piga.calibrate(run, ["scale_factor"])
+    assert calibration.outliers == ()
+    assert abs(calibration["scale_factor"].value - G0) < 5.0 * calibration["scale_factor"].std
+
+
+@pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
+def test_spikes_are_found_among_readings_that_stand_still(rate: float) -> None:
+    run = slow_counter(rate)
+    bad, where = spiked(run, 12, 0.1, 0.05)
+    calibration = piga.calibrate(bad, ["scale_factor"])
+    assert sum(outlier.samples for outlier in calibration.outliers) == pytest.approx(where.size, rel=0.02)
+    assert abs(calibration["scale_factor"].value - G0) < 5.0 * calibration["scale_factor"].std
+
+
+def slow_counter(rate: float) -> piga.Run:
+    """20 000 samples of a path of ``rate`` counts a sample, swinging by half of it, read in whole counts."""
+    count, n = 1e-4, 20_000
+    t = 0.01 * np.arange(n)
+    f = np.zeros((n, 3))
+    f[:, 0] = rate * count / 0.01 * (1.0 + 0.5 * np.sin(0.1 * t))
+    alpha = np.append(0.0, np.cumsum(0.005 * (f[1:, 0] + f[:-1, 0])))
+    alpha += 0.05 * count * np.random.default_rng(5).standard_normal(n)
+    return piga.Run.from_arrays(t, count * np.round(alpha / count), f, scale_factor=1.0, resolution=count)
+
+
+@pytest.mark.parametrize("zero", [0, 2**24 - 3000])
+def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
+    """More than a quarter of the increments lie on the path without any miss: the core has no width."""
+    count = 2.0 * np.pi / 72000.0
+    t = np.arange(40) * 0.05
+    output = (np.rint(10179.0 * t) + zero) * count
+    force = np.tile(G0 * np.array([1.0, 0.1, 0.0]), (40, 1))
+    run = replace(piga.Run.from_arrays(t, output, force, scale_factor=0.8884 / G0), resolution=count)
+    with pytest.warns(piga.PigaWarning, match="Type A only"):
+        calibration = piga.calibrate(run, ["scale_factor"])
+    assert calibration.outliers == ()
+    assert calibration.quality.used == 40
+    assert calibration["scale_factor"].value == pytest.approx(10179.0 * count, rel=1e-3)  # rad/s/g

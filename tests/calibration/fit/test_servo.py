@@ -1,0 +1,395 @@
+"""The terms of the servo against integrations by SciPy: exact columns, phases, what a record cannot tell."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from piga._kernels.estimation.regressors import cubic_moments, servo_columns
+from piga.calibration import RunSummary, compare_models
+from piga.calibration.calibrate import calibrate
+from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
+from piga.records.distribution import Given, GivenParameter
+from piga.records.run_file import EstimationTable, ServoTable
+from piga.units import G0
+from tests.calibration.made.servo_data import (
+    DAMPING,
+    PHI,
+    STIFFNESS,
+    TERMS,
+    TRUTH,
+    K,
+    head,
+    levels,
+    rate,
+    recorded,
+)
+
+
+def given(run, angle="1e-6 rad", walk="1e-9 rad/sqrt(s)"):
+    return replace(run, estimation=EstimationTable(angle_rms=angle, angle_random_walk=walk))
+
+
+def check(found, truth, tolerance, names=None):
+    for name in names or truth:
+        assert found[name].value == pytest.approx(truth[name], abs=tolerance[name]), name
+
+
+EXACT = {
+    "scale_factor": 3e-9, "tan_beta": 3e-9, "phi": 1e-5, "k0": 3e-9, "k2": 3e-9, "m_Y": 3e-9, "servo": 1e-8,
+    "servo_damping": 1e-8,
+}  # fmt: skip
+"""The columns miss what the output departs from its chord between samples (tan_beta squared)."""
+
+
+def test_moments_and_columns_are_the_integrals():
+    for x in (0.0, 1e-9, 0.3, 0.999, 1.001, -1.7, 4.0):
+        for k, moment in enumerate(cubic_moments(x)):
+            turned = np.sin if k % 2 else np.cos
+            exact = quad(lambda v, k=k, x=x, turned=turned: 0.5 * v**k * turned(x * v), -1.0, 1.0)[0]
+            assert moment == pytest.approx(exact, abs=4e-16)
+    rng = np.random.default_rng(3)
+    w, y, z = rng.normal(size=(3, 3))
+    psi, h, out = np.array([0.3, 0.9, 3.0]), np.array([0.5, 1.2]), np.empty((5, 2))
+    servo_columns(psi, w, y, z, h, np.zeros(2), out)
+    for i in (0, 1):
+
+        def integral(part, i=i):
+            def value(v):
+                p, a, b, c = (q[i] + v * (q[i + 1] - q[i]) for q in (psi, w, y, z))
+                side = b + 1j * c
+                turned = (a * abs(side) ** 2, a * (side * np.exp(-1j * p)) ** 2, a * a * side * np.exp(-1j * p))
+                return (turned[0], turned[1].real, -turned[1].imag, turned[2].real, turned[2].imag)[part]
+
+            return h[i] * quad(value, 0.0, 1.0, epsabs=1e-14)[0]
+
+        assert out[:, i] == pytest.approx([integral(part) for part in range(5)], abs=1e-14)
+
+
+def test_sag_of_the_output_turns_the_columns():
+    one, psi, h, sag = np.full(2, 2.0), np.array([0.3, 1.2]), np.array([0.5]), 1e-5
+    flat, bent = np.empty((5, 1)), np.empty((5, 1))
+    servo_columns(psi, one, one, -one, h, np.zeros(1), flat)
+    servo_columns(psi, one, one, -one, h, np.array([sag]), bent)
+
+    def moved(order, size):
+        def value(v):
+            p = psi[0] + v * (psi[1] - psi[0]) + sag * (1.0 - (2.0 * v - 1.0) ** 2)
+            return np.exp(-1j * order * p)
+
+        parts = [quad(lambda v, part=part: getattr(value(v), part), 0.0, 1.0)[0] for part in ("real", "imag")]
+        return h[0] * size * (parts[0] + 1j * parts[1])
+
+    side = 2.0 - 2.0j
+    second, first = moved(2, 2.0 * side**2), moved(1, 4.0 * side)
+    change = bent[:, 0] - flat[:, 0]
+    exact = np.array([0.0, second.real, -second.imag, first.real, first.imag]) - [0.0, *flat[1:, 0]]
+    assert change == pytest.approx(exact, abs=1e-3 * np.abs(exact).max())
+    assert np.abs(exact).max() > 1e-5
+
+
+@pytest.mark.parametrize(
+    "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
+)
+def test_head_gives_every_coefficient_back(method):
+    found = calibrate(given(recorded(head())), TERMS, method)
+    check(found, TRUTH, EXACT)
+    if method == "recursive":
+        assert found.history["servo"][-1] == pytest.approx(found["servo"].value, rel=1e-6)
+
+
+def test_turning_base_and_the_pulling_across_it():
+    base = np.tile([0.1, -0.3, 0.25], (8, 1)) * np.linspace(0.5, 1.0, 8)[:, None]
+    found = calibrate(given(recorded(head(8), seconds=8.0, base=base)), TERMS)
+    check(found, TRUTH, {name: 2.0 * size for name, size in EXACT.items()})
+
+
+def test_log_of_rates():
+    run = recorded(head(8), seconds=8.0, step=0.125)
+    alpha = run.output + PHI
+    rates = np.array([rate(a, f, np.zeros(3)) for a, f in zip(alpha, run.f, strict=True)])
+    found = calibrate(replace(run, kind="rate", output=rates), TERMS)
+    for name in ("scale_factor", "servo", "servo_damping"):
+        assert found[name].value == pytest.approx(TRUTH[name], rel=5e-3 if name != "scale_factor" else 1e-7)
+
+
+def test_phase_of_its_own_in_each_segment():
+    phases = np.linspace(-2.0, 2.5, 8)
+    run = recorded(head(8), seconds=8.0, phases=phases, d=0.0)
+    found = calibrate(given(run), TERMS[:-1], phase="per-segment")
+    check(found, TRUTH, EXACT, list(TERMS[:-1]))
+    own = [c.value for c in found.coefficients if c.name == "phi"]
+    assert np.abs(np.angle(np.exp(1j * (own - phases)))).max() < 1e-4
+
+
+def test_strong_damping_turns_the_phase_and_is_told_apart():
+    strong = 5e-4 / G0**2
+    found = calibrate(given(recorded(head(8), d=strong)), TERMS)
+    check(found, TRUTH | {"servo_damping": 5e-4}, EXACT)
+
+
+@pytest.mark.slow
+def test_uncertainties_are_those_of_repeated_records():
+    """Estimates of noisy records scatter as stated: the step about the phase carries its derivative."""
+    sizes, run = [], recorded(head(), d=5e-4 / G0**2)
+    for seed in range(30):
+        noisy = replace(run, output=run.output + 2e-5 * np.random.default_rng(seed).standard_normal(run.size))
+        found = calibrate(given(noisy, angle="2e-5 rad"), TERMS)
+        sizes.append(
+            [(c.value - (TRUTH | {"servo_damping": 5e-4})[c.name]) / c.std for c in found.coefficients]
+        )
+    ratio = np.sqrt(np.mean(np.square(sizes), axis=0))
+    assert (ratio > 0.6).all()
+    assert (ratio < 1.5).all()
+
+
+@pytest.mark.only_compiled
+def test_spikes_and_jumps_are_left_out():
+    run = recorded(head(), noise=1e-5)
+    output = run.output.copy()
+    output[[70, 200, 333]] += [0.4, -0.3, 1.1]
+    found = calibrate(replace(run, output=output), TERMS)
+    assert found.outliers
+    assert found["servo"].value == pytest.approx(TRUTH["servo"], abs=4.0 * found["servo"].std)
+    assert found["servo"].std < 5e-6
+
+
+@pytest.mark.only_compiled
+def test_coarse_counts():
+    found = calibrate(recorded(head(), noise=1e-6, count=2.0 * np.pi / 72000), TERMS)
+    for name in ("scale_factor", "servo", "servo_damping"):
+        assert abs(found[name].value - TRUTH[name]) < 4.0 * found[name].std
+
+
+def test_k3_beside_servo_is_refused_on_a_head():
+    with pytest.raises(IdentifiabilityError, match=r"cannot separate scale_factor, k3, servo") as refused:
+        calibrate(given(recorded(head(8))), [*TERMS[:-2], "k3", "servo"])
+    assert "centrifuge" in refused.value.remedy
+    assert "k3 g^2" in refused.value.remedy
+
+
+def test_scale_factor_beside_servo_is_refused_where_the_transverse_force_is_constant():
+    run = recorded(levels(), seconds=4.0, step=0.01)
+    with pytest.raises(IdentifiabilityError, match="cannot separate scale_factor, servo") as refused:
+        calibrate(given(run), ["scale_factor", "tan_beta", "k0", "servo"])
+    assert "dividing head" in refused.value.remedy
+    assert "[instrument] servo" in refused.value.remedy
+
+
+def test_damping_is_refused_where_it_turns_nothing_else_than_the_phase():
+    run = recorded(levels((-8.0, 8.0)), seconds=4.0, step=0.01)
+    with pytest.raises(IdentifiabilityError, match="tan_beta, servo_damping") as refused:
+        calibrate(given(run), ["scale_factor", "tan_beta", "k0", "servo_damping"])
+    assert "|a_x|" in refused.value.remedy
+    own = recorded(head(8), phases=np.linspace(-2.0, 2.5, 8))
+    with pytest.raises(IdentifiabilityError, match="tan_beta, servo_damping") as refused:
+        calibrate(given(own), TERMS, phase="per-segment")
+    assert "shared" in refused.value.remedy
+
+
+@pytest.mark.parametrize("method", ["revolutions", "published"])
+def test_methods_that_do_not_hold_the_terms_say_so(method):
+    with pytest.raises(CalibrationError, match=r"servo|published"):
+        calibrate(recorded(head(3)), ["scale_factor", "tan_beta", "servo"], method)
+
+
+def test_servo_needs_the_phase_of_tan_beta_and_belongs_to_the_instrument():
+    run = recorded(head(3))
+    with pytest.raises(CalibrationError, match="'servo' turns with the output angle"):
+        calibrate(run, ["scale_factor", "k0", "servo"])
+    with pytest.raises(ArgumentError, match="servo"):
+        calibrate(run, TERMS, per_run=["servo"])
+    assert K * STIFFNESS > 0.0 < DAMPING
+
+
+def joint_runs():
+    """A head run, and a centrifuge run whose zero of the output is elsewhere."""
+    across = recorded(levels(), seconds=4.0, step=0.02)
+    first = given(replace(recorded(head(8), seconds=8.0), input_sha256={"head": "1"}))
+    return [first, given(replace(across, output=across.output - 0.9, input_sha256={"arm": "2"}))]
+
+
+@pytest.mark.only_compiled
+def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
+    runs = joint_runs()
+    terms = ["scale_factor", "tan_beta", "k0", "k2", "k3", "m_Y", "servo", "servo_damping"]
+    found = calibrate(runs, terms)
+    check(
+        found,
+        TRUTH | {"k3": 0.0},
+        EXACT | {"k3": 1e-9},
+        ["scale_factor", "tan_beta", "k0", "k2", "k3", *TERMS[-2:]],
+    )
+    own = [c.value for c in found.coefficients if c.name == "phi"]
+    assert own == pytest.approx([PHI, PHI + 0.9], abs=1e-5)
+    assert any(
+        "run 1" in note and "servo" in note and "alone cannot" in note
+        for note in (*found.notes, *found.remarks)
+    )
+    stored = RunSummary.of(runs[0], name="head")
+    stored.to_json(tmp_path / "head.json")
+    again = calibrate([RunSummary.from_json(tmp_path / "head.json"), runs[1]], terms)
+    for name in ("scale_factor", "tan_beta", "servo", "servo_damping", "k3"):
+        assert again[name].value == pytest.approx(found[name].value, rel=1e-9, abs=1e-12)
+        assert again[name].std == pytest.approx(found[name].std, rel=1e-6)
+    with pytest.raises(
+        IdentifiabilityError, match=r"these 2 runs together cannot separate scale_factor, servo"
+    ):
+        calibrate(
+            [runs[1], replace(runs[1], input_sha256={"other": "3"})],
+            ["scale_factor", "tan_beta", "k0", "servo"],
+        )
+
+
+MEANING = "meaning of the cubic signature: servo or k3"
+DAMPING_LEFT = "servo damping that the model lacks"
+
+
+def on_a_head(terms, s=STIFFNESS, positions=12):
+    """Calibration of a noisy head record whose damping is nothing, its noise given."""
+    run = recorded(head(positions), seconds=8.0, noise=2e-7, s=s, d=0.0)
+    return calibrate(given(run, angle="2e-7 rad"), terms)
+
+
+def test_doing_nothing_holds_both_meanings_of_a_cube():
+    found = on_a_head(TERMS[:5])
+    scale = found["scale_factor"]
+    row = next(row for row in found.budget if row.source == MEANING)
+    half = row.contributions["scale_factor"] * np.sqrt(3.0)
+    by_k3 = TRUTH["scale_factor"] * (1.0 - 1.3e-5)
+    for meaning in (TRUTH["scale_factor"], by_k3):
+        assert abs(scale.value - meaning) < 1.05 * abs(half)
+        assert abs(scale.value - meaning) < scale.expanded
+    assert scale.value + half == pytest.approx(by_k3, rel=1e-6)
+    first = found.diagnostics.missing_terms[0]
+    assert first.terms == ("servo",)
+    under = first.scale_factor_under
+    assert under["servo"] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
+    assert under["k3"] == pytest.approx(by_k3, rel=1e-6)
+    note = next(note for note in found.notes if "servo" in note)
+    assert "a choice of meaning" in note
+    assert "holds both" in note
+    assert not any(entry.terms == ("k3",) for entry in found.diagnostics.missing_terms)
+
+
+def test_a_sound_record_has_no_such_row():
+    found = on_a_head(TERMS[:5], s=0.0)
+    assert len(found.budget) == 1
+    assert not found.diagnostics.missing_terms
+
+
+def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
+    found = on_a_head([*TERMS[:5], "k3"], positions=8)
+    note = next(note for note in found.notes if "k3 may as well be the servo" in note)
+    assert "0.8885" in note
+    assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.5)
+    assert "holds both" in note
+    assert "centrifuge" in note
+    scale = found["scale_factor"]
+    assert scale.value == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
+    assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
+    row = next(row for row in found.budget if row.source == MEANING)
+    half = np.sqrt(3.0) * row.contributions["scale_factor"]
+    assert half == pytest.approx(TRUTH["scale_factor"] - scale.value, rel=0.02)
+    assert not any(size for key, size in row.contributions.items() if key != "scale_factor")
+
+
+def test_an_asked_k3_beside_a_given_servo_means_itself():
+    stiff = replace(SERVO[0], value=1e5, standard=0.0)
+    run = replace(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), servo=(stiff, SERVO[2]))
+    found = calibrate(given(run, angle="2e-7 rad"), [*TERMS[:5], "k3"])
+    assert abs(found["k3"].value) > 2.0 * found["k3"].std
+    assert MEANING not in [row.source for row in found.budget]
+
+
+@pytest.mark.only_compiled
+def test_phi_holds_the_damping_that_the_model_lacks():
+    terms = [*TERMS[:5], "servo"]
+    run = recorded(head(), seconds=8.0, noise=2e-6)
+    found = calibrate(given(run, angle="2e-6 rad"), terms)
+    phi = found["phi"]
+    row = next(row for row in found.budget if row.source == DAMPING_LEFT)
+    plain = found.budget[0].contributions["phi"]
+    assert abs(phi.value - PHI) > 3.0 * plain
+    assert abs(phi.value - PHI) < phi.expanded
+    assert row.contributions["phi"] > 3.0 * plain
+    assert any("servo_damping" in note and "hold this" in note for note in found.notes)
+    whole = calibrate(given(run, angle="2e-6 rad"), TERMS)
+    assert DAMPING_LEFT not in [row.source for row in whole.budget]
+    assert whole["phi"].std < 0.3 * phi.std
+
+
+def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
+    run = given(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), angle="2e-7 rad")
+    found = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])
+    sets = [row.terms for row in found.sets]
+    assert sets[1:] == [(*TERMS[:3], "m_Y", "servo"), (*TERMS[:3], "m_Y", "k3")]
+    values = [{c.name: c.value for c in row.coefficients}["scale_factor"] for row in found.sets]
+    assert values[1] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
+    assert values[2] == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
+    assert "choice of meaning" in found.notes[0]
+    assert f"{values[1]:.8g}" in found.notes[0]
+
+
+SERVO = (
+    GivenParameter("integral_gain", 3000.0, 60.0, "N m/(rad s)"),
+    GivenParameter("damping", 0.1, 0.01, "N m s/rad"),
+    GivenParameter("angular_momentum", 0.1, 0.0, "kg m^2/s"),
+)
+"""Parameters of a servo: s = K^2 H/(2 k_i), d = c K^2/k_i."""
+S, D = K**2 * 0.1 / 6000.0, 0.1 * K**2 / 3000.0
+
+
+def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty():
+    run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=SERVO))
+    found = calibrate(run, TERMS[:5])
+    check(found, TRUTH, {name: 3.0 * size for name, size in EXACT.items()}, TERMS[:5])
+    assert found.terms == tuple(TERMS)
+    assert found["servo"].value == pytest.approx(S * G0**2, rel=1e-3)
+    assert found["servo"].std == pytest.approx(0.02 * S * G0**2, rel=0.05)
+    assert found["servo_damping"].std == pytest.approx(np.hypot(0.02, 0.1) * D * G0**2, rel=0.05)
+    rows = {row.source: row.contributions for row in found.budget}
+    assert set(rows) == {"fit residuals (repeatability)", "servo integral gain", "servo damping"}
+    shift = 0.25 * S * G0**2 * TRUTH["scale_factor"]
+    assert rows["servo integral gain"]["scale_factor"] == pytest.approx(-0.02 * shift, rel=0.1)
+    assert abs(rows["servo damping"]["phi"]) > 2.0 * abs(rows["servo integral gain"]["phi"])
+    total = np.sqrt(sum(row["servo_damping"] ** 2 for row in rows.values()))
+    assert total == pytest.approx(found["servo_damping"].std)
+
+
+def test_what_is_asked_for_is_estimated_even_where_it_is_given():
+    wrong = (replace(SERVO[0], value=1500.0), *SERVO[1:])
+    run = given(replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=wrong))
+    found = calibrate(run, TERMS)
+    assert found["servo"].value == pytest.approx(S * G0**2, abs=1e-8)
+    assert [row.source for row in found.budget] == ["fit residuals (repeatability)"]
+
+
+@pytest.mark.parametrize(
+    ("servo", "message"),
+    [
+        ({"integral_gain": 3000.0}, "one of pendulosity and angular_momentum"),
+        ({"integral_gain": -1.0, "pendulosity": 0.009}, "integral_gain: must be positive"),
+        ({"integral_gain": "3 N m", "pendulosity": 0.009}, "integral_gain"),
+        (
+            {"integral_gain": Given("3 N m/(rad s)", standard="-1 N m/(rad s)"), "pendulosity": 1.0},
+            "is negative",
+        ),
+    ],
+)
+def test_faults_of_the_servo_table_are_named(servo, message):
+    with pytest.raises((RunFileError, UnitError), match=message):
+        ServoTable(**servo).parameters()
+
+
+def test_servo_table_in_si():
+    table = ServoTable(
+        Given("3 N m/(rad s)", half_width="0.3 N m/(rad s)", distribution="rectangular"),
+        pendulosity="9e-3 kg m",
+    )
+    gain, lever = table.parameters()
+    assert (gain.value, gain.distribution) == (3.0, "rectangular")
+    assert gain.standard == pytest.approx(0.3 / np.sqrt(3.0))
+    assert lever.name == "pendulosity"

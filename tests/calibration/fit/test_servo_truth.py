@@ -1,0 +1,119 @@
+"""Calibration with the terms of the servo against SciPy's rigid body, and the coverage of its intervals over twin records."""
+
+import math
+
+import numpy as np
+import pytest
+
+import piga
+from tests.calibration.made import servo_campaign as campaign
+from tests.instrument.servo_truth import Design, G, centrifuge_record, head_record, motion
+
+BODY = Design(beta=1e-3, errors={"k0": 3e-4 * G, "k2": 2e-6 / G})
+HEAD = ["scale_factor", "tan_beta", "k0", "k2", "servo", "servo_damping"]
+
+
+def run_of(log, white=2e-7, walk=2e-8, seed=1):
+    """The log as a record of an angle with a little noise."""
+    rng = np.random.default_rng(seed)
+    wander = np.cumsum(walk * math.sqrt(log.t[1] - log.t[0]) * rng.standard_normal(log.t.size))
+    return piga.Run.from_arrays(
+        log.t,
+        log.alpha + wander + white * rng.standard_normal(log.t.size),
+        log.force,
+        scale_factor=0.88 / G,
+        base_rate=log.base_rate,
+        segment=log.segment,
+    )
+
+
+def head(**options):
+    """Twelve positions of 20 s, 30 degrees apart; none at right angles to gravity."""
+    return head_record(
+        BODY, np.radians(7.0 + 30.0 * np.arange(12)), **({"dwell": 20.0, "sampling": 0.2} | options)
+    )
+
+
+def off(found):
+    """Error of K [ppm]; relative errors of tan_beta and the servo's terms."""
+    servo, damping = BODY.K * BODY.ml / (2.0 * BODY.k_i), BODY.c * BODY.K**2 / BODY.k_i
+    return {
+        "K": (found["scale_factor"].value / (BODY.K * G) - 1.0) * 1e6,
+        "tan_beta": found["tan_beta"].value / math.tan(BODY.beta) - 1.0,
+        "servo": found["servo"].value / (servo * G**2) - 1.0,
+        "servo_damping": found["servo_damping"].value / (damping * G**2) - 1.0,
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+def test_head_record_of_the_rigid_body_comes_back():
+    """K to 0.02 ppm, where it is off by some ppm without the terms."""
+    run = run_of(head())
+    errors = off(piga.calibrate(run, HEAD))
+    assert abs(errors["K"]) < 0.02
+    assert abs(errors["tan_beta"]) < 2e-4
+    assert abs(errors["servo"]) < 0.01
+    assert abs(errors["servo_damping"]) < 0.01
+    plain = piga.calibrate(run, HEAD[:4])["scale_factor"].value / (BODY.K * G) - 1.0
+    assert abs(plain) > 2e-6
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+@pytest.mark.parametrize(("levels", "coupling"), [((-10.0, -8.0, 8.0, 10.0), 2e-4), ((-8.0, 8.0, 10.0), 2e-3)])
+def test_head_and_centrifuge_of_the_rigid_body(levels, coupling):
+    """Two runs, a phase each: K to 0.3 ppm and tan_beta to 0.2 %, although the coupling changes with the cube of the rate."""
+    arm = centrifuge_record(BODY, np.array(levels) * G, dwell=20.0, sampling=0.04)
+    found = piga.calibrate([run_of(head()), run_of(arm, seed=2)], HEAD)
+    errors = off(found)
+    assert abs(errors["K"]) < 0.3
+    assert abs(errors["tan_beta"]) < coupling
+    assert abs(errors["servo"]) < 0.02
+    assert abs(errors["servo_damping"]) < 0.02
+
+
+@pytest.mark.only_compiled
+def test_twin_of_the_campaign_is_the_rigid_body():
+    """Positions of 20 s from the same angle: the paths differ by less than 1e-8 rad once both have settled."""
+    path = campaign.motion(1, positions=3, seconds=20.0)
+    p = path.twin
+    body = Design(
+        K=p.K,
+        H=p.angular_momentum,
+        J_x=p.J_x,
+        J_y=p.float_inertia_y,
+        c=p.damping,
+        k_p=p.proportional_gain,
+        k_i=p.integral_gain,
+        beta=p.pick_off_null,
+        errors={"k0": path.k0},
+    )
+    for segment in range(3):
+        rows = path.segment == segment
+        t, alpha = path.t[rows] - path.t[rows][0], path.alpha[rows]
+        own = motion(body, path.force[rows][0], path.base_rate[rows][0], alpha[0], t)[:, 0]
+        assert np.ptp((alpha - own)[2:]) < 1e-8
+
+
+TWIN_RECORDS = 1000
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("terms", [campaign.WITH, campaign.WITHOUT], ids=["with", "without"])
+def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
+    """The seeds are fixed: 95.2 % with the terms."""
+    found = campaign.figures([campaign.one_test(seed, terms) for seed in range(TWIN_RECORDS)])
+    low, high = (0.94, 0.96) if terms == campaign.WITH else (0.93, 1.0)
+    assert low <= found["scale_factor"]["coverage"] <= high
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+def test_intervals_of_phi_hold_without_the_terms():
+    """What the damping turns is in the interval of phi: 7 % of the records held before. More than 90 % wanted."""
+    found = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])
+    assert found["phi"]["coverage"] > 0.9
+    assert found["phi"]["rms_error"] > 0.005
+    assert found["phi"]["mean_half_width"] < 2.0 * found["phi"]["rms_error"]

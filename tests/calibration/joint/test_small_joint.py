@@ -1,0 +1,320 @@
+"""Joint calibrations, summaries, Type B sources and whole turns on records small enough to be interpreted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.joint.summary import RunSummary
+from piga.records.calibration.document import to_document
+from piga.records.run_file import UncertaintyTable
+from piga.units import G0
+from tests.calibration.made.scenarios_joint import TERMS, TRUE_SCALE, joint_test, scores
+from tests.calibration.made.synthetic import SCALE, errors, record
+
+pytestmark = pytest.mark.compiled
+FEW = ["scale_factor", "k0", "k2"]
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[list[piga.Run], dict[str, float]]:
+    return joint_test(np.random.default_rng(11), seconds=5.0, rate=3.0)
+
+
+@pytest.fixture(scope="module")
+def runs(made: tuple[list[piga.Run], dict[str, float]]) -> list[piga.Run]:
+    """The second as a run file of its own names it, with a record of what was read."""
+    first, second = made[0]
+    return [
+        first,
+        replace(second, source="spun/run.toml", input_sha256={"run.csv": "1" * 64, "run.toml": "2" * 64}),
+    ]
+
+
+@pytest.fixture(scope="module")
+def joint(runs: list[piga.Run]) -> piga.Calibration:
+    return piga.calibrate(runs, TERMS)
+
+
+def test_two_small_runs_together(
+    joint: piga.Calibration, made: Any, runs: list[piga.Run], tmp_path: Path
+) -> None:
+    truth = {key.replace("run 2", "spun"): value for key, value in made[1].items()}
+    z = scores(joint, truth)
+    assert set(z) == {*TERMS, "phi[run 1]", "phi[spun]"}
+    assert all(abs(value) < 4.5 for value in z.values()), z
+    assert [(run.name, run.raw, run.rows) for run in joint.runs] == [
+        ("run 1", True, runs[0].size - 12), ("spun", True, runs[1].size - 8)
+    ]  # fmt: skip
+    assert any("run 1" in remark and "alone" in remark for remark in joint.remarks)
+    assert joint.provenance.input_sha256 == {"run.csv": "1" * 64, "run.toml": "2" * 64}
+    assert joint.residuals is not None
+    assert joint.residuals.run is not None
+    assert set(joint.residuals.run.tolist()) == {0, 1}
+    schema = json.loads((Path(piga.__file__).parent / "records/schema/calibration-1.json").read_text())
+    jsonschema.validate(json.loads(json.dumps(to_document(joint))), schema)
+
+
+def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
+    kept = replace(runs[1], uncertainty=UncertaintyTable(reference_scale="10 ppm"))
+    RunSummary.of(kept, FEW).to_json(tmp_path / "old.json")
+    old = RunSummary.from_json(tmp_path / "old.json")
+    assert [source.name for source in old.sources] == ["reference_scale"]
+    merged, fresh, plain = (piga.calibrate([runs[0], other], FEW) for other in (old, kept, runs[1]))
+    for a, b, c in zip(merged.coefficients, fresh.coefficients, plain.coefficients, strict=True):
+        assert (a.key, a.value, a.std) == (
+            b.key,
+            pytest.approx(b.value, rel=1e-9),
+            pytest.approx(b.std, rel=1e-9),
+        )
+        assert a.value == pytest.approx(c.value, rel=1e-9)
+        assert a.std >= c.std * (1.0 - 1e-12)
+    assert merged["scale_factor"].std > 1.01 * plain["scale_factor"].std
+    assert [run.raw for run in merged.runs] == [True, False]
+    assert any("takes part by its summary" in remark for remark in merged.remarks)
+    assert merged.segments[-1].label.startswith("spun:")
+
+
+def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
+    found = piga.calibrate(runs, FEW, per_run=["k0"])
+    assert [c.key for c in found.coefficients] == ["scale_factor", "k0[run 1]", "k0[spun]", "k2"]
+    assert found.for_run("spun")["k0"].value == found["k0[spun]"].value
+    again = piga.calibrate([runs[0], runs[0]], FEW, per_run=["k2"])
+    assert [c.key for c in again.coefficients][2:] == ["k2[run 1]", "k2[run 2]"]
+
+
+def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
+    """10 ppm of one reference for both go into K undiminished, those of two references average."""
+
+    def parts(first: str, second: str) -> list[float]:
+        moved = [
+            replace(run, uncertainty=UncertaintyTable(reference_scale="10 ppm", reference_id=name))
+            for run, name in zip(runs, (first, second), strict=True)
+        ]
+        rows = piga.calibrate(moved, FEW).budget
+        return [row.contributions["scale_factor"] for row in rows if row.type == "B"]
+
+    (shared,) = parts("head 1", "head 1")
+    assert abs(shared) == pytest.approx(10e-6 * TRUE_SCALE, rel=1e-3)
+    apart = parts("head 1", "centrifuge 2")
+    assert len(apart) == 2
+    assert abs(sum(apart)) == pytest.approx(abs(shared), rel=1e-4)
+    assert np.hypot(*apart) < 0.999 * abs(shared)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a, b: [a, replace(b, serial="other")], "is of instrument 'synthetic', run 'spun' of 'other'"),
+        (
+            lambda a, b: [a, replace(b, scale_factor=b.scale_factor * 1.001)],
+            "name different nominal scale factors",
+        ),
+        (lambda a, b: [a, b, b], r"run 'spun \(2\)' has the same data as run 'spun'"),
+        (lambda a, b: [a, "b"], "a list of runs and run summaries"),
+        (lambda a, b: [], "a list of runs and run summaries"),
+    ],
+)
+def test_runs_that_do_not_belong_together(
+    runs: list[piga.Run], change: Callable[[piga.Run, piga.Run], list[Any]], message: str
+) -> None:
+    with pytest.raises(piga.PigaError, match=message):
+        piga.calibrate(change(*runs), FEW)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("k3", "'k3' is not among the terms"),
+        ("scale_factor", "'scale_factor' belongs to the instrument"),
+        ("tan_beta", "'tan_beta' turns with the output angle"),
+    ],
+)
+def test_terms_that_cannot_differ_between_runs(runs: list[piga.Run], name: str, message: str) -> None:
+    with pytest.raises(piga.ArgumentError, match=message):
+        piga.calibrate(runs, TERMS, per_run=[name])
+    with pytest.raises(piga.CalibrationError, match="calibrated together by method 'information'"):
+        piga.calibrate(runs, TERMS, "rate")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["parts"][0]["weight"][0].pop(), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["unit"].pop(), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["names"].__setitem__(0, "speed"), "its summaries are damaged"),
+        (lambda d: d["parts"][0]["weight"][0].__setitem__(0, -1.0), "its summaries are damaged"),
+        (lambda d: d["parts"][0].__setitem__("count", -1), "its summaries are damaged"),
+        (lambda d: d["parts"].append(d["parts"][0]), "its summaries are damaged"),
+        (lambda d: d.pop("noise"), "not a valid run summary"),
+        (lambda d: d.__setitem__("schema", "piga.run-summary/9"), "no run summary of schema"),
+    ],
+)
+def test_a_damaged_summary(
+    runs: list[piga.Run], tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    path = tmp_path / "s.json"
+    RunSummary.of(runs[1], ["scale_factor"]).to_json(path)
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(piga.CalibrationError, match=message):
+        RunSummary.from_json(path)
+
+
+def test_files_that_are_no_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for content, message in (
+        (b"\xff", "not a valid run summary"),
+        (b"[" * 100_000, "not a valid run summary"),
+        (b"{}", "no run summary"),
+    ):
+        (tmp_path / "s.json").write_bytes(content)
+        with pytest.raises(piga.CalibrationError, match=message):
+            RunSummary.from_json(tmp_path / "s.json")
+    with pytest.raises(piga.CalibrationError, match="cannot be read"):
+        RunSummary.from_json(tmp_path / "none.json")
+    monkeypatch.setattr("piga.calibration.joint.summary.MAX_BYTES", 1)
+    with pytest.raises(piga.CalibrationError, match="larger than 1 bytes"):
+        RunSummary.from_json(tmp_path / "s.json")
+
+
+def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]], piga.Calibration]:
+    """Contributions [file units] by source, and the calibration; a tumble at 1 g with a temperature of each position."""
+    run = record(np.random.default_rng(21), seconds=6.0, rate=3.0, count=8, levels=(1.0,))
+    run = replace(
+        run,
+        uncertainty=table,
+        temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment_index],
+    )
+    found = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
+    return {row.source: row.contributions for row in found.budget if row.type == "B"}, found
+
+
+@pytest.mark.parametrize("source", ["reference_scale", "timing"])
+def test_a_scale_goes_into_k(source: str) -> None:
+    found = contributions(UncertaintyTable(**{source: "20 ppm"}))[0][source]
+    assert abs(found["scale_factor"]) == pytest.approx(20e-6 * 0.8884, rel=1e-2)
+    assert abs(found["k0"]) < 20e-6 * 4e-3  # of the bias itself, 1.6e-3 g
+
+
+def test_gravity_goes_into_k() -> None:
+    found = contributions(UncertaintyTable(gravity="20 mGal"))[0]["gravity"]
+    assert abs(found["scale_factor"]) == pytest.approx(20e-5 / G0 * 0.8884, rel=1e-2)
+
+
+def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
+    found, result = contributions(UncertaintyTable(reference_bias="5 ug"))
+    assert abs(found["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
+    assert abs(found["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
+    assert set(found) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
+
+
+def test_a_turn_of_the_reference_about_z_goes_into_the_misalignment() -> None:
+    found, _ = contributions(UncertaintyTable(reference_misalignment="2 arcsec"))
+    assert abs(found["reference_misalignment Z0"]["m_Y"]) == pytest.approx(np.radians(2.0 / 3600.0), rel=1e-2)
+    assert abs(found["reference_misalignment Z0"]["scale_factor"]) < 1e-8
+
+
+def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
+    found, result = contributions(UncertaintyTable(temperature="0.5 K"))
+    assert abs(found["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
+    assert abs(found["temperature"]["scale_factor"]) < 1e-12
+    cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
+    cold = replace(cold, uncertainty=UncertaintyTable(temperature="0.5 K"))
+    assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]
+
+
+# --- whole revolutions
+
+
+MEAN = ["scale_factor", "k0", "k2", "m_Y"]
+
+
+def turning(seed: int, **options: Any) -> piga.Run:
+    return record(
+        np.random.default_rng(seed), **({"seconds": 45.0, "rate": 1.5, "count": 6, "levels": (1.0,)} | options)
+    )
+
+
+def test_whole_turns_of_a_small_record() -> None:
+    run = replace(turning(31), uncertainty=UncertaintyTable(reference_scale="20 ppm"))
+    found = piga.calibrate(run, MEAN, "revolutions")
+    (scale,) = [row.contributions["scale_factor"] for row in found.budget if row.type == "B"]
+    assert abs(scale) == pytest.approx(20e-6 * 0.8884, rel=1e-3)
+    assert found["scale_factor"].std > abs(scale)
+    apart = piga.calibrate(turning(31), MEAN, "revolutions")
+    assert all(abs(z) < 4.5 for z in errors(apart).values()), errors(apart)
+    assert found["scale_factor"].std == pytest.approx(np.hypot(apart["scale_factor"].std, scale), rel=1e-6)
+
+
+def test_positions_without_a_whole_turn() -> None:
+    found = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
+    (event,) = [event for event in found.quality.events if event.kind == "no-whole-revolution"]
+    assert 0 < event.count == 14 - len(found.segments)
+    with pytest.raises(piga.CalibrationError, match="whole turns"):
+        piga.calibrate(turning(33, seconds=5.0), ["scale_factor", "k0"], "revolutions")
+    with pytest.raises(piga.CalibrationError, match="averages harmonics"):
+        piga.calibrate(turning(34), ["scale_factor", "k0", "s2", "c2"], "revolutions")
+
+
+def test_pulling_that_does_not_show_on_a_small_record() -> None:
+    found = piga.calibrate(turning(35), [*MEAN, "tan_beta"], "revolutions")
+    assert "tan_beta" not in {c.name for c in found.coefficients}
+    assert any("does not show tan_beta" in note for note in found.notes)
+
+
+def test_pulling_of_a_strongly_coupled_instrument() -> None:
+    """3 g across, positions near the horizontal: the mean rate misses up to 1.5 %, and tells tan_beta."""
+    angles = np.radians([10, 15, 25, 60, 120, 165, 195, 220, 300, 345])
+    n = 301
+    t = np.concatenate([k * 80.0 + np.arange(n) / 4.0 for k in range(angles.size)])
+    f = np.repeat(np.column_stack([np.sin(angles), np.cos(angles), 0.0 * angles]) * 3.0 * G0, n, axis=0)
+    segment = np.repeat(np.arange(angles.size, dtype=np.int32), n)
+    output = np.empty(t.size)
+    rng = np.random.default_rng(36)
+    for k in range(angles.size):
+        part = segment == k
+        start = piga.Instrument(scale_factor=SCALE, beta=0.03, alpha0=float(rng.uniform(-3.0, 3.0)))
+        output[part] = piga.propagate(start, t[part], f[part])
+    output += 1e-5 * rng.standard_normal(t.size)
+    run = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment)
+    found = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], "revolutions", phase="per-segment")
+    assert found["tan_beta"].value == pytest.approx(np.tan(0.03), abs=4.5 * found["tan_beta"].std)
+    assert found["scale_factor"].value == pytest.approx(0.8884, abs=4.5 * found["scale_factor"].std)
+
+
+# --- requests that do not fit the record
+
+
+@pytest.mark.parametrize(
+    ("terms", "options", "message"),
+    [
+        (["scale_factor", "k0_T"], {}, "term 'k0_T' needs the temperature"),
+        (
+            ["scale_factor", "tan_beta"],
+            {"phase": "per-segment", "phase_source": "input"},
+            "needs phase = 'shared'",
+        ),
+        (["tan_beta", "k0"], {"method": "published"}, r"estimates \[tan_beta\] or \[tan_beta, k0, k1, k2\]"),
+    ],
+)
+def test_requests_that_do_not_fit(terms: list[str], options: dict[str, Any], message: str) -> None:
+    run = record(np.random.default_rng(41), seconds=5.0, rate=2.0, count=3, levels=(1.0,))
+    with pytest.raises(piga.CalibrationError, match=message) as caught:
+        piga.calibrate(run, terms, **options)
+    assert caught.value.remedy
+
+
+def test_a_phase_that_was_lost_cannot_be_shared() -> None:
+    run = record(np.random.default_rng(42), seconds=5.0, rate=2.0, count=3, levels=(1.0,))
+    lost = replace(run, phase_group=(0, 0, 1))
+    with pytest.raises(piga.CalibrationError, match="from segment '2' on the zero of the output angle is lost"):
+        piga.calibrate(lost, ["scale_factor", "tan_beta", "k0"])

@@ -1,0 +1,1 @@
+"""Records made with a known truth, for the tests of the calibration and its campaigns."""

@@ -1,0 +1,169 @@
+"""How often do remarks on model and data come without a cause, and how often do they find one?
+
+Run as ``python -m tests.calibration.made.alarms --sound 1000 --faulty 100 --processes 2``: Markdown on the screen.
+Scenarios are those of the coverage, and one that shows all axes and terms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+import piga
+from piga.errors import PigaError
+from tests.calibration.made.scenarios import SCENARIOS, Scenario
+from tests.calibration.made.synthetic_terms import TERMS, around, with_term
+
+SHOWN = SCENARIOS | {"everywhere": Scenario("everywhere", around(), white=2.5e-5, walk=2e-5, terms=TERMS)}
+SOUND = ("static", "centrifuge", "everywhere")
+ADDED = {
+    "k2": 1e-4, "k3": 1e-4, "k2o": 1e-4, "m_Y": 1e-4, "m_Z": 1e-4, "k_XY": 1e-4, "k_XZ": 1e-4, "k_YY": 1e-4,
+    "k_ZZ": -1e-4, "k_YZ": 1e-4, "k0_t": 1e-7, "s1": 2e-4, "c2": 2e-4,
+}  # fmt: skip
+"""Terms added to the records of ``everywhere`` (file units), the model without them."""
+OMITTED = {
+    "static": ("tan_beta", "k0", "k2", "m_Y"),
+    "centrifuge": ("tan_beta", "k0", "k2", "k3"),
+    "everywhere": ("tan_beta", "k0"),
+}
+"""Terms of a scenario's truth that are left out of its model in turn."""
+
+
+def _columns(order: list[int], signs: tuple[int, int, int], run: piga.Run) -> piga.Run:
+    return replace(run, f=np.ascontiguousarray(run.f[:, order] * np.array(signs, dtype=float)))
+
+
+def _output(factor: float, run: piga.Run) -> piga.Run:
+    return replace(run, output=run.output * factor)
+
+
+def _reference(factor: float, run: piga.Run) -> piga.Run:
+    return replace(run, f=run.f * factor)
+
+
+_SAME = (1, 1, 1)
+FAULTS: dict[str, tuple[Callable[[piga.Run], piga.Run], str]] = {
+    "X0 and Y0 swapped": (partial(_columns, [1, 0, 2], _SAME), "X0 and Y0 swapped"),
+    "X0 and Z0 swapped": (partial(_columns, [2, 1, 0], _SAME), "X0 and Z0 swapped"),
+    "Y0 and Z0 swapped": (partial(_columns, [0, 2, 1], _SAME), "Y0 and Z0 swapped"),
+    "X0 negative": (partial(_columns, [0, 1, 2], (-1, 1, 1)), "X0 of the reference"),
+    "Y0 negative": (partial(_columns, [0, 1, 2], (1, -1, 1)), "Y0 negative"),
+    "output negative": (partial(_output, -1.0), "the output"),
+    "g said to be m/s²": (partial(_reference, 1 / 9.80665), "f (wanted in m/s^2) multiplied by 9.80665"),
+    "mg said to be g": (partial(_reference, 1e3), "f (wanted in m/s^2) divided by 1000"),
+    "degrees said to be rad": (partial(_output, 180 / np.pi), "output unit = 'deg' where it says 'rad'"),
+    "rad said to be degrees": (partial(_output, np.pi / 180), "output unit = 'rad' where it says 'deg'"),
+}
+"""What is done to a record, and words that name it."""
+
+
+def remarks(run: piga.Run, terms: tuple[str, ...]) -> tuple[str, str, list[str]]:
+    """Kind of the first remark ("advice", "term", "segment" or "none"), its words, terms suggested."""
+    try:
+        found = piga.calibrate(run, terms)
+    except PigaError as error:
+        text = str(error)
+        return ("advice" if "not applied" in text else "none"), text, []
+    advice = found.diagnostics.advice
+    missing = found.diagnostics.missing_terms
+    suggested = [name for entry in missing[:1] for name in (*entry.terms, *", ".join(entry.alike).split(", "))]
+    if advice:
+        return "advice", " | ".join(advice), suggested
+    moved = [note for note in found.notes if "without segment" in note]
+    return ("term" if missing else "segment" if moved else "none"), " | ".join(moved), suggested
+
+
+def sound(name: str, seed: int) -> str:
+    """Kind of remark on a sound record."""
+    scenario = SHOWN[name]
+    return remarks(scenario.record(np.random.default_rng([seed, 11])), scenario.terms)[0]
+
+
+def omitted(name: str, term: str, seed: int) -> str:
+    """ "named", or the kind of remark, when a term of the truth is not in the model."""
+    scenario = SHOWN[name]
+    run = scenario.record(np.random.default_rng([seed, 12]))
+    if name == "everywhere" and term in ADDED:
+        run, terms = with_term(run, term, ADDED[term]), scenario.terms
+    else:
+        terms = tuple(t for t in scenario.terms if t != term)
+    kind, _, suggested = remarks(run, terms)
+    return "named" if term in suggested else kind
+
+
+def faulty(name: str, fault: str, seed: int) -> str:
+    """ "named", or the kind of remark, when the data are read wrongly."""
+    scenario = SHOWN[name]
+    change, words = FAULTS[fault]
+    kind, text, _ = remarks(change(scenario.record(np.random.default_rng([seed, 13]))), scenario.terms)
+    return "named" if words in text else kind
+
+
+def _count(job: tuple[Callable[..., str], tuple[str, ...], range]) -> Counter[str]:
+    function, arguments, seeds = job
+    return Counter(function(*arguments, seed) for seed in seeds)
+
+
+def count_all(
+    jobs: list[tuple[Callable[..., str], tuple[str, ...]]], tests: int, processes: int = 1
+) -> list[Counter[str]]:
+    """Kinds of remarks of every job, ``tests`` records each."""
+    size = max(1, min(50, tests // (2 * processes)))
+    parts = [
+        (index, (function, arguments, range(at, min(at + size, tests))))
+        for index, (function, arguments) in enumerate(jobs)
+        for at in range(0, tests, size)
+    ]
+    found = [Counter[str]() for _ in jobs]
+    if processes == 1:
+        for index, part in parts:
+            found[index].update(_count(part))
+        return found
+    with ProcessPoolExecutor(processes) as pool:
+        for (index, _), counted in zip(parts, pool.map(_count, [part for _, part in parts]), strict=True):
+            found[index].update(counted)
+    return found
+
+
+def omitted_jobs() -> list[tuple[Callable[..., str], tuple[str, ...]]]:
+    """All omitted terms."""
+    pairs = [(name, term) for name, terms in OMITTED.items() for term in terms]
+    return [(omitted, pair) for pair in (*pairs, *(("everywhere", term) for term in ADDED))]
+
+
+def faulty_jobs() -> list[tuple[Callable[..., str], tuple[str, ...]]]:
+    """All faults of the data in all scenarios."""
+    return [(faulty, (name, fault)) for name in SOUND for fault in FAULTS]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sound", type=int, default=1000)
+    parser.add_argument("--faulty", type=int, default=100)
+    parser.add_argument("--processes", type=int, default=2)
+    chosen = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    kinds = ("named", "advice", "term", "segment", "none")
+    for jobs, tests in (
+        ([(sound, (name,)) for name in SOUND], chosen.sound),
+        (omitted_jobs(), chosen.faulty),
+        (faulty_jobs(), chosen.faulty),
+    ):
+        sys.stdout.write(f"| record | tests | {' | '.join(kinds)} |\n|---|---|---|---|---|---|---|\n")
+        for (_, arguments), counted in zip(jobs, count_all(jobs, tests, chosen.processes), strict=True):
+            figures = " | ".join(f"{100 * counted[kind] / tests:.1f} %" for kind in kinds)
+            sys.stdout.write(f"| {', '.join(arguments)} | {tests} | {figures} |\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""Do the intervals of K hold where the servo is not stiff? Many twin records of a dividing head.
+
+Run as ``python -m tests.calibration.made.servo_campaign --tests 1000 --out FILE [--record]``: a row of Markdown for
+the model with the servo's terms and one for the model without. Every record has a servo, a coupling, a bias and starting
+angles of its own; the motion of ``DESIGNS`` records is integrated by the twin (equal to SciPy's rigid body:
+``test_servo.py``) and used again with new noise. The noise is that of the shipped record: 5.2 arcsec white (a count
+of 18 arcsec), walk of 1 arcsec/sqrt(s).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from benchmarks import measured
+
+import piga
+from piga.instrument.twin.linear import servo_terms
+from piga.instrument.twin.parameters import PRESETS, TwinParameters
+from piga.instrument.twin.run import run_twin
+from piga.units import G0
+
+DESIGNS = 25
+POSITIONS, SECONDS, INTERVAL = 24, 60.0, 0.5
+WHITE, WALK = 2.52e-5, 4.8e-6
+WITHOUT = ("scale_factor", "tan_beta", "k0", "k2", "m_Y")
+WITH = (*WITHOUT, "servo", "servo_damping")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A head test without noise: the twin, its bias [m/s^2], and angle, force and base rate per row."""
+
+    twin: TwinParameters
+    k0: float
+    t: np.ndarray
+    segment: np.ndarray
+    alpha: np.ndarray
+    force: np.ndarray
+    base_rate: np.ndarray
+
+    def truth(self) -> dict[str, float]:
+        """True coefficients in file units."""
+        terms = servo_terms(self.twin)
+        return {
+            "scale_factor": self.twin.K * G0,
+            "tan_beta": math.tan(self.twin.pick_off_null),
+            "phi": 0.0,
+            "k0": self.k0 / G0,
+            "k2": 0.0,
+            "m_Y": 0.0,
+            "servo": terms.servo * G0**2,
+            "servo_damping": terms.servo_damping * G0**2,
+        }
+
+
+@lru_cache(maxsize=DESIGNS)
+def motion(
+    seed: int, positions: int = POSITIONS, seconds: float = SECONDS, interval: float = INTERVAL
+) -> Motion:
+    """The test of design ``seed``: k_i from 1500 to 6000 N m/(rad s), the shift of K from 26 to 6 ppm of s g^2."""
+    rng = np.random.default_rng([seed, 2028])
+    p = replace(
+        PRESETS["example"],
+        integral_gain=float(np.exp(rng.uniform(math.log(1500.0), math.log(6000.0)))),
+        damping=rng.uniform(0.03, 0.1),
+        pick_off_null=rng.uniform(2e-4, 1e-3),
+    ).with_scale_factor(rng.uniform(0.8, 0.9) / G0)
+    k0, first, earth = rng.uniform(-2e-3, 2e-3) * G0, rng.uniform(0.0, 0.1), 7.292115e-5
+    step = np.arange(round(seconds / interval) + 1) * interval
+    parts, forces, rates = [], [], []
+    for x in first + 2.0 * math.pi * np.arange(positions) / positions:
+        f = 9.8 * np.array([math.cos(x), -math.sin(x), 0.0])
+        omega = earth * np.array([0.64 * math.cos(x), -0.64 * math.sin(x), 0.77])
+        felt = np.tile(f + np.array([k0, 0.0, 0.0]), (step.size, 1))
+        turned = replace(p, alpha0=rng.uniform(0.0, 2.0 * math.pi))
+        parts.append(run_twin(turned, step, felt, np.tile(omega, (step.size, 1)), accuracy=1e-11).alpha)
+        forces.append(f)
+        rates.append(omega)
+    segment = np.repeat(np.arange(positions, dtype=np.int32), step.size)
+    t = np.tile(step, positions) + segment * (seconds + 30.0)
+    return Motion(p, k0, t, segment, np.concatenate(parts), np.array(forces)[segment], np.array(rates)[segment])
+
+
+def record(path: Motion, rng: np.random.Generator) -> piga.Run:
+    """The motion as a lab would read it."""
+    walk = WALK * math.sqrt(path.t[1] - path.t[0]) * rng.standard_normal(path.t.size)
+    output = path.alpha + np.cumsum(walk) + WHITE * rng.standard_normal(path.t.size)
+    return piga.Run.from_arrays(
+        path.t,
+        output,
+        path.force,
+        scale_factor=0.85 / G0,
+        base_rate=path.base_rate,
+        segment=path.segment,
+        serial="twin",
+    )
+
+
+def one_test(seed: int, terms: tuple[str, ...], **options: float) -> dict[str, tuple[float, float, float]]:
+    """Error, standard uncertainty and half-width of the 95 % interval by coefficient, file units."""
+    path = motion(seed % DESIGNS, **options)
+    found = piga.calibrate(record(path, np.random.default_rng([seed, 2027])), terms)
+    truth = path.truth()
+    return {c.name: (c.value - truth[c.name], c.std, c.expanded) for c in found.coefficients}
+
+
+def figures(results: list[dict[str, tuple[float, float, float]]]) -> dict[str, dict[str, float]]:
+    """Per coefficient: coverage, mean error, rms error, mean standard uncertainty."""
+    table = {}
+    for name in results[0]:
+        error, std, half = np.array([row[name] for row in results]).T
+        table[name] = {
+            "coverage": float(np.mean(np.abs(error) <= half)),
+            "mean_error": float(error.mean()),
+            "rms_error": float(np.sqrt(np.mean(error**2))),
+            "mean_u": float(std.mean()),
+            "mean_half_width": float(half.mean()),
+        }
+    return table
+
+
+def put_down(tables: dict[str, dict[str, dict[str, float]]], tests: int) -> None:
+    """Put coverage, and the errors of K, into the table of the documentation."""
+    own = {
+        "scale_factor": "K",
+        "tan_beta": "tan_beta",
+        "phi": "phi",
+        "servo": "servo terms",
+        "servo_damping": "servo terms",
+    }
+    rows = {"with": "with `servo`, `servo_damping`", "without": "with neither"}
+    for name, table in tables.items():
+        k = table["scale_factor"]
+        held: dict[str, list[float]] = {}
+        for coefficient, found in table.items():
+            held.setdefault(own.get(coefficient, "others"), []).append(round(100.0 * found["coverage"], 1))
+        ppm = 1e6 / 0.85  # K was drawn from 0.8 to 0.9 rad/s/g
+        values: dict[str, measured.Value] = {
+            "records": tests,
+            "coverage of K": held.pop("K")[0],
+            "rms error of K": float(f"{ppm * k['rms_error']:.2g}"),
+            "mean u of K": float(f"{ppm * k['mean_u']:.2g}"),
+        }
+        values |= {kind: (min(shares), max(shares)) for kind, shares in held.items()}
+        known = {figure["name"] for figure in measured.load("servo-intervals")[1]}
+        kept = {f"{rows[name]}: {column}": value for column, value in values.items()}
+        measured.record("servo-intervals", {figure: value for figure, value in kept.items() if figure in known})
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tests", type=int, default=1000)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--terms", choices=("with", "without", "both"), default="both")
+    parser.add_argument("--record", action="store_true", help="put the figures into docs/measured")
+    chosen = parser.parse_args()
+    models = {"with": WITH, "without": WITHOUT}
+    kept = models if chosen.terms == "both" else {chosen.terms: models[chosen.terms]}
+    rows: dict[str, list[dict[str, tuple[float, float, float]]]] = {name: [] for name in kept}
+    for seed in range(chosen.tests):
+        for name, terms in kept.items():
+            rows[name].append(one_test(seed, terms))
+        if seed % 25 == 24 or seed == chosen.tests - 1:
+            done = {name: {"tests": seed + 1} | figures(found) for name, found in rows.items()}
+            chosen.out.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
+            said = ", ".join(f"{name}: {100 * f['scale_factor']['coverage']:.1f} %" for name, f in done.items())
+            sys.stdout.write(f"{seed + 1}  coverage of K {said}\n")
+            sys.stdout.flush()
+    if chosen.record:
+        put_down({name: figures(found) for name, found in rows.items()}, chosen.tests)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""Swapped axes, wrong signs and wrong units are named; good records are not judged."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+import piga
+from piga.calibration.model.request import make_request
+from piga.calibration.remarks import advice
+from piga.errors import PigaError
+from tests.calibration.made.scenarios import SCENARIOS, Scenario
+from tests.calibration.made.synthetic_terms import TERMS, around
+
+SMALL = bool(numba.config.DISABLE_JIT)
+STRONG = Scenario(
+    "strong", around(6 if SMALL else 18), seconds=6.0 if SMALL else 20.0, white=2.5e-5, walk=2e-6, tan_beta=4e-3,
+    terms=TERMS,
+)  # fmt: skip
+
+
+def told(run, terms=TERMS):
+    """All that is advised: by the result, or by the remedy of a refusal."""
+    try:
+        return " | ".join(piga.calibrate(run, terms).diagnostics.advice)
+    except PigaError as error:
+        return str(error)
+
+
+def advised(run, terms=TERMS):
+    """The advice itself, whether or not a calibration would ask for it."""
+    run = replace(run, source="run.csv")
+    return " | ".join(advice.advise(run, make_request(run, terms, None, None, None)))
+
+
+@pytest.fixture(scope="module")
+def good():
+    return STRONG.record(np.random.default_rng(1))
+
+
+def columns(run, order, signs=(1, 1, 1)):
+    return replace(run, f=np.ascontiguousarray(run.f[:, order] * np.array(signs, dtype=float)))
+
+
+@pytest.mark.compiled
+def test_swapped_transverse_axes_are_named_with_what_is_equivalent(good):
+    words = advised(columns(good, [0, 2, 1]))
+    assert "times better with" in words
+    assert "Y0 and Z0 swapped" in words
+    assert "Y0 negative" in words
+    assert "Z0 negative" in words
+
+
+@pytest.mark.compiled
+def test_a_turn_about_the_input_axis_is_no_error_the_phase_takes_it_up(good):
+    assert advised(columns(good, [0, 2, 1], (1, 1, -1))) == ""
+
+
+@pytest.mark.parametrize(
+    ("order", "words", "remedy"),
+    [
+        (
+            [1, 0, 2],
+            "X0 and Y0 swapped",
+            "in [data] reference list the columns in the order second, first, third",
+        ),
+        (
+            [2, 1, 0],
+            "X0 and Z0 swapped",
+            "in [data] reference list the columns in the order third, second, first",
+        ),
+    ],
+)
+def test_a_swapped_input_axis_is_named_with_the_order_that_puts_it_right(good, order, words, remedy):
+    found = advised(columns(good, order))
+    assert words in found
+    assert remedy in found
+
+
+def test_a_wrong_sign_of_the_input_axis_shows_in_the_scale_factor(good):
+    assert "the scale factor comes out negative: X0 of the reference has" in advised(
+        columns(good, [0, 1, 2], (-1, 1, 1))
+    )
+
+
+def test_a_wrong_sign_of_the_output_is_told_from_it_by_the_coupling(good):
+    found = advised(replace(good, output=-good.output))
+    assert "with the output negative" in found
+    assert "change the sign of the output" in found
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (9.80665, "0.102 times the nominal one"),
+        (9.80665, "[data] reference unit = 'm/s^2' where it says 'g'"),
+        (1 / 9.80665, "[data] reference unit = 'g' where it says 'm/s^2'"),
+        (1000.0, "[data] reference unit = 'mg' where it says 'g'"),
+        (1e-3, "[data] reference unit = 'g' where it says 'mg'"),
+    ],
+)
+def test_a_wrong_unit_of_the_reference_is_named_with_the_right_one(good, factor, words):
+    found = advised(replace(good, f=good.f * factor))
+    assert words in found
+    assert "[data] output" not in found, "the coupling tells that the output is right"
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (57.29578, "the output divided by 57.2958: in [data] output unit = 'deg' where it says 'rad'"),
+        (1 / 57.29578, "the output multiplied by 57.2958: in [data] output unit = 'rad' where it says 'deg'"),
+        (3600.0, "the output divided by 3600: in [data] output unit = 'arcsec' where it says 'deg'"),
+        (4.0, "the output divided by 4: in [data] output a unit 4 times smaller"),
+    ],
+)
+def test_a_wrong_unit_of_the_output_is_named_with_the_right_one(good, factor, words):
+    assert words in advised(replace(good, output=good.output * factor))
+
+
+@pytest.mark.parametrize(("factor", "words"), [(4.0, "multiplied by 4"), (0.25, "divided by 4")])
+def test_of_counts_it_is_the_counts_per_revolution(good, factor, words):
+    run = replace(good, output=good.output * factor, resolution=1e-5)
+    assert f"[instrument] counts_per_revolution {words}" in advised(run)
+
+
+def test_what_the_coupling_cannot_tell_names_all_that_it_may_be(good):
+    """Without coupling input and output cannot be told apart."""
+    found = advised(replace(good, f=good.f * 1e-3), ("scale_factor", "k0"))
+    assert "[data] reference unit = 'g' where it says 'mg'" in found
+    assert "[data] time unit = 's' where it says 'ms'" in found
+    assert "[data] output unit = 'mrad' where it says 'rad'" in found
+    assert "[instrument] scale_factor multiplied by 1000" in found
+
+
+def test_a_log_of_rates_is_judged_too(good):
+    """Rates between the samples, the force at their middle."""
+    inside = ~good.begins[1:]
+    step = np.diff(good.t)[inside]
+    f = 0.5 * (good.f[1:] + good.f[:-1])[inside]
+    run = piga.Run.from_arrays(
+        0.5 * (good.t[1:] + good.t[:-1])[inside], np.diff(good.output)[inside] / step, f,
+        scale_factor=good.scale_factor, kind="rate", segment=good.segment_index[1:][inside],
+    )  # fmt: skip
+    terms = ("scale_factor", "k0")
+    assert advised(run, terms) == ""
+    assert "unit = 'deg/s' where it says 'rad/s'" in advised(replace(run, output=run.output * 57.29578), terms)
+    assert "comes out negative" in advised(replace(run, output=-run.output), terms)
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda run: columns(run, [0, 2, 1]),
+        lambda run: columns(run, [1, 0, 2]),
+        lambda run: columns(run, [0, 1, 2], (-1, 1, 1)),
+        lambda run: replace(run, output=-run.output),
+        lambda run: replace(run, f=run.f / 9.80665),
+        lambda run: replace(run, output=run.output * 57.29578),
+    ],
+    ids=["swap Y0 Z0", "swap X0 Y0", "X0", "output", "reference unit", "output unit"],
+)
+def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(good, wrong):
+    words = told(wrong(good))
+    assert "not applied" in words
+    try:
+        found = piga.calibrate(wrong(good), TERMS)
+    except PigaError:
+        return
+    assert not found.diagnostics.missing_terms
+    assert not any("without segment" in note or "missing term" in note for note in found.notes)
+    assert found.notes[0] == found.diagnostics.advice[0]
+
+
+@pytest.mark.only_compiled
+def test_a_good_record_is_not_even_tried(good, monkeypatch):
+    monkeypatch.setattr("piga.calibration.remarks.advice._trials", None)
+    assert not piga.calibrate(good, TERMS).diagnostics.advice
+
+
+@pytest.mark.parametrize("name", ["static", "centrifuge", "near-critical"])
+def test_a_good_record_gets_no_advice_when_it_is_tried(name):
+    scenario = SCENARIOS[name]
+    assert advised(scenario.record(np.random.default_rng(2)), scenario.terms) == ""
+
+
+def test_a_missing_term_is_no_wrong_axis(good):
+    assert advised(good, ("scale_factor", "tan_beta")) == ""
+    assert advised(good, ("scale_factor", "k0")) == ""

@@ -1,0 +1,135 @@
+"""Missing terms are found by their signature, errors of single positions and right models are left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import piga
+from piga.units import G0
+from tests.calibration.made.independent import Bench, head
+from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
+from tests.calibration.made.synthetic_terms import TERMS, around, with_term
+
+EVERYWHERE = Scenario("everywhere", around(), white=2.5e-5, walk=2e-5, terms=TERMS)
+SIZES = {
+    "k2": 2e-4, "k3": 2e-4, "k2o": 2e-4, "m_Y": 2e-4, "m_Z": 2e-4, "k_XY": 2e-4, "k_XZ": 2e-4, "k_YY": 2e-4,
+    "k_ZZ": -2e-4, "k_YZ": 2e-4, "k0_t": 3e-7, "s1": 4e-4, "c2": 4e-4,
+}  # fmt: skip
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("name", SIZES)
+def test_every_signature_is_recognised(name):
+    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), name, SIZES[name])
+    found = piga.calibrate(run, TERMS)
+    first = found.diagnostics.missing_terms[0]
+    assert name in first.terms
+    at = first.terms.index(name)
+    miss = abs(first.estimate[at] - SIZES[name]) / first.standard_uncertainty[at]
+    assert miss < 5.0
+    assert first.standard_uncertainty[at] < 0.1 * abs(SIZES[name])
+    assert any("signature of a missing term" in note and name in note for note in found.notes)
+    assert name not in [c.name for c in found.coefficients]
+
+
+@pytest.mark.only_compiled
+def test_the_bias_is_missed_too():
+    run = EVERYWHERE.record(np.random.default_rng(5))
+    found = piga.calibrate(run, ("scale_factor", "tan_beta"))
+    first = found.diagnostics.missing_terms[0]
+    assert first.terms == ("k0",)
+    assert first.estimate[0] == pytest.approx(1.6e-3, abs=5.0 * first.standard_uncertainty[0])
+
+
+@pytest.mark.only_compiled
+def test_the_coupling_is_missed_too():
+    run = replace(EVERYWHERE, forces=around(6), seconds=6.0).record(np.random.default_rng(6))
+    first = piga.calibrate(run, ("scale_factor", "k0")).diagnostics.missing_terms[0]
+    assert first.terms == ("tan_beta",)
+    assert first.estimate[0] == pytest.approx(3.6e-4, rel=0.05)
+
+
+@pytest.mark.only_compiled
+def test_a_phase_per_segment_hides_no_missing_term():
+    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k_XY", 2e-4)
+    found = piga.calibrate(run, TERMS, phase="per-segment")
+    assert found.diagnostics.missing_terms[0].terms == ("k_XY",)
+
+
+@pytest.mark.only_compiled
+def test_two_missing_terms_are_both_found():
+    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
+    found = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
+    assert [m.terms for m in found.diagnostics.missing_terms] == [("k2",), ("k_YZ",)]
+
+
+@pytest.mark.only_compiled
+def test_adding_the_term_ends_the_suggestion_and_confirms_its_size():
+    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
+    first = piga.calibrate(run, TERMS).diagnostics.missing_terms[0]
+    full = piga.calibrate(run, (*TERMS, "k2"))
+    assert not full.diagnostics.missing_terms
+    added = next(c for c in full.coefficients if c.name == "k2")
+    assert first.estimate[0] == pytest.approx(added.value, abs=2.0 * first.standard_uncertainty[0])
+
+
+@pytest.mark.only_compiled
+def test_what_the_model_cannot_tell_apart_is_not_suggested():
+    """On a tumble at one level k_YY is k0 and k2 again."""
+    run = SCENARIOS["static"].record(np.random.default_rng(3))
+    one = Scenario("one", tumble(12, side=0.0), white=2.5e-5, walk=2e-5, terms=(*TERMS, "k2"))
+    found = piga.calibrate(with_term(one.record(np.random.default_rng(3)), "k_YY", 3e-4), one.terms)
+    assert not any("k_YY" in m.terms for m in found.diagnostics.missing_terms)
+    assert not piga.calibrate(run, SCENARIOS["static"].terms).diagnostics.missing_terms
+
+
+@pytest.mark.only_compiled
+def test_errors_of_single_positions_are_not_taken_for_a_term():
+    """Random errors of the head, far above the noise, look like any term; the scatter test knows."""
+    alarms = 0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        run = EVERYWHERE.record(rng)
+        off = 2e-5 * G0 * rng.standard_normal((len(run.labels), 3))
+        alarms += bool(
+            piga.calibrate(replace(run, f=run.f + off[run.segment_index]), TERMS).diagnostics.missing_terms
+        )
+    assert alarms == 0
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("name", ["static", "centrifuge", "white", "walk"])
+def test_a_right_model_gets_no_suggestion(name):
+    scenario = SCENARIOS[name]
+    found = scenario.calibrate(scenario.record(np.random.default_rng(8)))
+    assert not found.diagnostics.missing_terms
+
+
+WARMING = Bench(
+    forces=head(16), seconds=20.0, rate=10.0, warmth=lambda t: 3.0 * (1.0 - np.exp(-t / 160.0)), k0_T=8e-6
+)
+"""A bench that warms up by 3 K, and a bias that follows it."""
+
+
+@pytest.mark.only_compiled
+def test_a_bias_that_follows_the_temperature_is_suggested():
+    """Of temperature and time, which explain much the same here, the one that was recorded for it comes first."""
+    for warmth in (WARMING.warmth, lambda t: 3.0 * t / 400.0):
+        run = replace(WARMING, warmth=warmth, k0_T=2e-5).record(1)
+        first = piga.calibrate(run, TERMS).diagnostics.missing_terms[0]
+        assert first.terms == ("k0_T",)
+        assert first.estimate[0] == pytest.approx(2e-5, abs=5.0 * first.standard_uncertainty[0])
+
+
+@pytest.mark.slow
+@pytest.mark.only_compiled
+def test_a_temperature_that_does_nothing_is_not_suggested():
+    """200 sound records with a temperature: at most 1 %; 40 in which the bias follows it: at least 95 %."""
+
+    def suggested(bench, seed):
+        found = piga.calibrate(bench.record(seed), TERMS).diagnostics.missing_terms
+        return any("k0_T" in (*entry.terms, *entry.alike) for entry in found)
+
+    assert sum(suggested(replace(WARMING, k0_T=0.0), seed) for seed in range(200)) <= 2
+    assert sum(suggested(WARMING, seed) for seed in range(40)) >= 38

@@ -1,0 +1,227 @@
+from __future__ import annotations
+
+import io
+import json
+import sys
+from importlib import import_module
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+
+import piga
+from piga.cli.main import main
+from piga.compensation.files import file_to_file
+from piga.compensation.files.live import compensate_arrow, compensate_lines
+from piga.units import G0
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+RUN = """
+[instrument]
+serial = "A"
+scale_factor = "0.8884 rad/s/g"
+{counter}
+[data]
+file = "{file}"
+time = {{ column = "t", unit = "s" }}
+output = {{ column = "psi", kind = "{kind}" {unit} }}
+reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
+{segment}
+"""
+KERNEL = import_module("piga.compensation.compensate")
+CAL = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3}
+
+
+def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.3, axes=None):
+    t = np.arange(rows) * 0.01
+    f = constant_force(t, 1.0, 3.0, 1.0)
+    f = f if axes is None else f @ np.array(axes).T
+    run = run_of(t, f, phi=phi, errors={"k0": 1e-3})
+    output = np.rint(run.output / (2 * np.pi) * 72000).astype(np.int64) % 2**16 if counts else run.output
+    table = pa.table(
+        {"t": t, "psi": output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2], "part": (t > 2.0).astype(int)}
+    )
+    if name.endswith("csv"):
+        pa.csv.write_csv(table, folder / name)
+    else:
+        pa.parquet.write_table(table, folder / name)
+    text = RUN.format(
+        file=name, kind="counts" if counts else "angle", unit="" if counts else ', unit = "rad"', segment="",
+        counter="counts_per_revolution = 72000\ncounter_bits = 16" if counts else "",
+    )  # fmt: skip
+    path = folder / (name.split(".")[0] + ".toml")
+    path.write_text(text)
+    calibration_of({**CAL, "phi": phi}, {"phi": 1e-4}, serial=serial, angle_rms=1e-6).to_json(
+        folder / (name.split(".")[0] + ".json")
+    )
+    return path
+
+
+def small_chunks(monkeypatch, rows: int) -> None:
+    """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
+    monkeypatch.setattr("piga.compensation.sets.set_files.READINGS", 3 * rows)
+    monkeypatch.setattr("piga.compensation.sets.set_files.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+    monkeypatch.setattr("piga.records.spool.BLOCK", rows)
+    monkeypatch.setattr("piga.reading.raw_columns.CHUNK_ROWS", rows)
+    monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", 100 * rows)
+
+
+def to_file(path, calibration, out, **options):
+    """Read and compensate a run into Parquet: the summary, and the findings by kind."""
+    record = piga.read_run(path, held=file_to_file.HELD_ROWS)
+    summary = file_to_file.compensate_to_file(record, calibration, out, "parquet", **options)
+    return summary, file_to_file.found_while_reading(record)
+
+
+def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["piga", "compensate", *map(str, words)])
+    code = 0
+    try:
+        main()
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.mark.parametrize("kind", ["parquet", "csv"])
+def test_command_writes_columns_and_units(tmp_path, monkeypatch, capsys, kind):
+    run, out = write(tmp_path), tmp_path / f"out.{kind}"
+    code, text, _ = command(
+        monkeypatch, capsys, run, "--calibration", tmp_path / "run.json", "--out", out, "--json"
+    )
+    assert code == 0
+    assert json.loads(text)["rows"] == 500
+    if kind == "parquet":
+        table = pa.parquet.read_table(out)
+        assert table.column_names == ["t", "ax", "dv", "u_ax", "flags"]
+        assert table.schema.field("dv").metadata[b"unit"] == b"m/s"
+        assert json.loads(table.schema.metadata[b"piga.flags"])["locked"] == 2
+    else:
+        table = pa.csv.read_csv(out)
+        assert table.column_names == ["t [s]", "ax [m/s^2]", "dv [m/s]", "u_ax (Type A only) [m/s^2]", "flags"]
+    assert np.abs(table.column(1).to_numpy()[1:] - G0).max() < 1e-9 * G0
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed):
+    run, fine, coarse = write(tmp_path, rows=501), tmp_path / "fine.parquet", tmp_path / "coarse.parquet"
+    if streamed:
+        small_chunks(monkeypatch, 70)
+    words = (run, "--calibration", tmp_path / "run.json", "--out")
+    assert command(monkeypatch, capsys, *words, fine)[0] == 0
+    assert command(monkeypatch, capsys, *words, coarse, "--rate", "10 Hz")[0] == 0
+    rows, table = pa.parquet.read_table(fine), pa.parquet.read_table(coarse)
+    assert table.column_names == ["t", "ax", "dv", "flags"]
+    assert table.num_rows == 50
+    assert abs(np.sum(table["dv"].to_numpy()) - np.sum(rows["dv"].to_numpy())) < 1e-12
+    assert np.abs(table["ax"].to_numpy() - G0).max() < 1e-9 * G0
+
+
+def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monkeypatch, capsys):
+    run, out = write(tmp_path, rows=1000), tmp_path / "out.parquet"
+    small_chunks(monkeypatch, 100)
+    words = (run, "--calibration", tmp_path / "run.json", "--out", out, "--force")
+    out.write_bytes(b"older")
+    step, calls = KERNEL.run_kernel, []
+
+    def stop_at_the_fifth(*inputs):
+        calls.append(1)
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        step(*inputs)
+
+    monkeypatch.setattr(KERNEL, "run_kernel", stop_at_the_fifth)
+    assert command(monkeypatch, capsys, *words)[0] != 0
+    assert out.read_bytes() == b"older"
+    assert not list(tmp_path.glob(".out*"))
+    monkeypatch.setattr(KERNEL, "run_kernel", step)
+    assert command(monkeypatch, capsys, *words)[0] == 0
+    assert pa.parquet.read_table(out).num_rows == 1000
+
+
+def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch, capsys):
+    run = write(tmp_path, serial="B")
+    code, _, text = command(
+        monkeypatch, capsys, run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.csv"
+    )
+    assert code == 2
+    assert "--other-serial" in text
+    assert not (tmp_path / "o.csv").exists()
+    calibration_of({"tan_beta": TAN_BETA, "phi[7]": 0.1}, serial="A").to_json(tmp_path / "p.json")
+    code, _, text = command(
+        monkeypatch, capsys, run, "--calibration", tmp_path / "p.json", "--out", tmp_path / "o.csv"
+    )
+    assert code == 2
+    assert "segment 'all'" in text
+
+
+@pytest.mark.parametrize("name", ["run.parquet", "run.csv"])
+@pytest.mark.parametrize("counts", [False, True])
+@pytest.mark.parametrize("chunk", [37, 1 << 18])
+def test_streamed_file_is_the_whole_record(tmp_path, monkeypatch, name, counts, chunk):
+    small_chunks(monkeypatch, chunk)
+    path = write(tmp_path, name, rows=1500, counts=counts)
+    cal = calibration_of(CAL, {"phi": 1e-4}, serial="A", angle_rms=1e-6)
+    summary, _ = to_file(path, cal, tmp_path / "o.parquet")
+    whole = piga.compensate(piga.read_run(path), cal)
+    table = pa.parquet.read_table(tmp_path / "o.parquet")
+    assert summary.rows == whole.size
+    for column in ("ax", "dv", "u_ax"):
+        assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes()
+
+
+def test_triad_file(tmp_path, monkeypatch, capsys):
+    lines = []
+    for i, name in enumerate("xyz"):
+        axes = np.roll(np.eye(3), -i, axis=0).tolist()
+        write(tmp_path, f"{name}.parquet", axes=axes, phi=0.2 * i)
+        lines.append(f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes}\n')
+    (tmp_path / "triad.toml").write_text("\n".join(lines))
+    code, _, text = command(monkeypatch, capsys, tmp_path / "triad.toml", "--out", tmp_path / "o.parquet")
+    assert code == 0, text
+    table = pa.parquet.read_table(tmp_path / "o.parquet")
+    assert table.column_names == [
+        "t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "u_fx", "u_fy", "u_fz", "residual", "flags",
+    ]  # fmt: skip
+    for name, value in (("fx", 1.0), ("fy", 3.0), ("fz", 1.0)):
+        assert np.abs(table.column(name).to_numpy()[1:] - value * G0).max() < 1e-9 * G0
+
+
+def live_table(rows=50):
+    t = np.arange(rows) * 0.01
+    f = constant_force(t, 1.0, 3.0)
+    run = run_of(t, f, phi=0.3)
+    return pa.table({"t": t, "output": run.output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]}), run
+
+
+def test_lines_and_batches_through_a_pipe_are_the_record():
+    table, run = live_table()
+    cal = calibration_of({**CAL}, {"phi": 1e-4})
+    whole = piga.compensate(run, cal)
+    text = io.StringIO(
+        "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, r.values())) for r in table.to_pylist()) + "\n"
+    )
+    answer = io.StringIO()
+    assert compensate_lines(text, answer, piga.Compensator(cal)) == 50
+    answered = np.array([line.split(",")[1] for line in answer.getvalue().splitlines()[1:]], dtype=float)
+    assert answered.tobytes() == whole.ax.tobytes()
+    sent, got = io.BytesIO(), io.BytesIO()
+    with pa.ipc.new_stream(sent, table.schema) as writer:
+        writer.write_table(table, 7)
+    sent.seek(0)
+    compensate_arrow(sent, got, piga.Compensator(cal))
+    got.seek(0)
+    assert pa.ipc.open_stream(got).read_all().column("u_ax").to_numpy().tobytes() == whole.u_ax.tobytes()
+
+
+def test_a_wrong_line_is_named():
+    with pytest.raises(piga.DataError, match="line 3"):
+        compensate_lines(
+            io.StringIO("t,output,fx,fy,fz\n0,0,1,1,1\n0.1,x,1,1,1\n"),
+            io.StringIO(),
+            piga.Compensator(calibration_of(CAL)),
+        )

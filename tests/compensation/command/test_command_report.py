@@ -1,0 +1,245 @@
+"""The page of ``piga compensate --report``: what it shows of whole and streamed records, and what is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+import piga
+from piga.compensation import FLAGS, Compensated
+from piga.compensation.compensator import NO_RATES, NONE, Chunk
+from piga.records.calibration import Residuals
+from piga.reports.compensation import outline as compensation_outline
+from piga.reports.compensation import page as compensation
+from piga.reports.compensation.figures import correction_spectrum, flag_figure, force_figure, in_windows
+from piga.reports.compensation.outline import outline_of
+from piga.units import G0
+from tests.compensation.command.test_command import KERNEL, command, small_chunks, write
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """The outline that the command filled."""
+    found = []
+    real = compensation.compensation_page
+
+    def page(outline, facts, whole=None):
+        found.append((outline, facts, whole))
+        return real(outline, facts, whole)
+
+    monkeypatch.setattr(compensation, "compensation_page", page)
+    return found
+
+
+def compensated(tmp_path, monkeypatch, capsys, run, *more):
+    words = (run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "out.parquet", *more)
+    return command(monkeypatch, capsys, *words)
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+def test_page_holds_what_was_written(tmp_path, monkeypatch, capsys, watched, streamed):
+    """Counts, velocity and files of the page are those of the summary; a streamed file says what is not shown."""
+    run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
+    if streamed:
+        monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+        small_chunks(monkeypatch, 211)
+    code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
+    assert code == 0
+    summary, html = json.loads(text), page.read_text(encoding="utf-8")
+    (outline, facts, whole), *others = watched
+    assert not others
+    assert outline.size == summary["rows"] == 3000
+    assert abs(outline.velocity - summary["velocity_m_s"]) < 1e-9
+    assert {name: marks.count for name, marks in outline.marks.items() if marks.count} == summary["flags"]
+    assert [name for name, _ in facts.files] == ["run.toml", "run.parquet", "run.json"]
+    assert (whole is None) == streamed
+    assert ("is shown for records of at most 262 144 rows" in html) == streamed
+    assert "SHA-256" in html
+    assert "no_increment" in html
+    assert "as recorded" in html
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys, resumed):
+    """Every input is replaced while the rows are computed: page, file and summary have the digests of what was read."""
+    run, page = write(tmp_path), tmp_path / "page.html"
+    files = [tmp_path / name for name in ("run.toml", "run.parquet", "run.json")]
+    known = [{"file": path.name, "sha256": digest(path)} for path in files]
+    real = KERNEL.run_kernel
+
+    def replaced(*inputs):
+        for path in files:
+            path.write_bytes(path.read_bytes() + b"\n")
+        real(*inputs)
+
+    monkeypatch.setattr(KERNEL, "run_kernel", replaced)
+    more = ("--resume",) if resumed else ("--report", page)
+    code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, *more, "--json")
+    assert code == 0
+    assert digest(files[1]) != known[1]["sha256"]
+    assert json.loads(text)["inputs"] == known
+    metadata = pa.parquet.read_schema(tmp_path / "out.parquet").metadata
+    assert json.loads(metadata[b"piga.inputs"]) == known
+    if not resumed:
+        html = page.read_text(encoding="utf-8")
+        assert all(one["sha256"] in html for one in known)
+        assert not any(digest(path) in html for path in files)
+
+
+def test_streamed_and_whole_show_the_same(tmp_path, monkeypatch, capsys, watched):
+    run, page = write(tmp_path, rows=3000), tmp_path / "page.html"
+    compensated(tmp_path, monkeypatch, capsys, run, "--report", page)
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+    small_chunks(monkeypatch, 211)
+    compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--rate", "10 Hz", "--force")
+    whole, streamed = watched[0][0], watched[1][0]
+    for name, values in whole.outline.rows.items():
+        np.testing.assert_allclose(streamed.outline.rows[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(streamed.leading().before, whole.leading().before, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_the_correction_is_the_cross_coupling(kind):
+    """1000 arcsec across 1 g: an amplitude of tan(beta) g at order 1; indicated less correction is the force."""
+    t = np.arange(0.0, 120.0, 0.02)
+    record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
+    found = outline_of(kind, cal)
+    found.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(found)
+    first = int(np.argmin(np.abs(order - 1.0)))
+    assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
+    rows = found.outline.rows
+    known = np.isfinite(rows["correction"])
+    np.testing.assert_allclose((rows["indicated"] - rows["correction"])[known], G0, rtol=1e-6)
+    taken_out = K_G / G0 * 0.02 * np.nansum(rows["correction"][1:])
+    assert abs(found.leading().before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
+    assert abs(found.rms("correction") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
+    figure = force_figure(found)
+    assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))
+
+
+@pytest.mark.only_compiled
+def test_changes_of_attitude_do_not_drown_the_orders():
+    """Four attitudes in one segment, turning back in one of them: a line at order 1, a hundredth of it above 3."""
+    t = np.arange(0.0, 4000.0, 0.05)
+    angle = 0.3 * np.array([0, 2, 8, 1])[(t // 1000.0).astype(int)] + 0.3
+    f = G0 * np.stack((np.cos(angle), np.sin(angle), np.zeros(t.size)), axis=1)
+    record = run_of(t, f, phi=0.3)
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3})
+    found = outline_of("angle", cal)
+    found.record(record, piga.compensate(record, cal))
+    order, amplitude = correction_spectrum(found)
+    across = np.sqrt(np.mean(np.sin(0.3 + 0.3 * np.array([0, 2, 8, 1])) ** 2))
+    first = int(np.argmin(np.abs(order - 1.0)))
+    assert abs(amplitude[first] / (TAN_BETA * G0 * across) - 1.0) < 0.25
+    assert np.nanmax(amplitude[order > 3.0]) < 0.01 * amplitude[first]
+
+
+def test_windows_begin_with_segments_and_after_sixteen_turns():
+    """40 turns and then 10 backwards: three windows and one."""
+    psi = 2.0 * np.pi * np.concatenate((np.linspace(5.0, 45.0, 4001), np.linspace(0.0, -10.0, 1001)))
+    segment = np.repeat(np.array([0, 1], np.int32), (4001, 1001))
+    zero = np.zeros(psi.size)
+    found = in_windows(Residuals(np.arange(psi.size), zero, psi, zero, zero, zero, zero, segment))
+    starts = np.flatnonzero(np.diff(found.segment, prepend=-1))
+    assert abs(starts[1:4] - [1600, 3200, 4001]).max() <= 1
+    assert found.segment[0] == found.segment[1599]
+
+
+def test_memory_is_bounded_and_extremes_are_kept():
+    """Two million rows: the outline stays small, holds lone extremes and flags; the leading part is cut."""
+    found, size, total = outline_of("rate", calibration_of({"scale_factor": K_G})), 100_000, 21
+    for index in range(total):
+        t = (np.arange(size) + index * size) * 0.01
+        ax = np.sin(t)
+        flags = np.full(size, FLAGS["temperature"], np.int32)
+        if index in (0, 13):
+            ax[4711], flags[4711] = 50.0 + index, FLAGS["coarse"]
+        begins = np.zeros(size, dtype=bool)
+        chunk = Chunk(t, K_G / G0 * ax, ax, ax, begins, NO_RATES, NONE, NONE)
+        found.piece("all", chunk, Compensated(t, ax, 0.01 * ax, NONE, flags))
+    rows = found.outline.rows
+    assert rows["row"].size <= compensation_outline.SIZES.rows
+    assert (np.diff(rows["row"]) > 0).all()
+    for index in (0, 13):
+        assert rows["ax"][rows["row"] == index * size + 4711] == [50.0 + index]
+    assert found.leading().t.size == compensation_outline.SHOWN
+    coarse, warm = found.marks["coarse"], found.marks["temperature"]
+    assert (coarse.count, warm.count) == (2, total * size - 2)
+    assert (coarse.first, coarse.last) == (47.11, (13 * size + 4711) * 0.01)
+    assert 0 < warm.row.size <= compensation_outline.SIZES.marks
+    assert {len(series.arrays()[0]) for series in flag_figure(found).panels[0].series} == {2, warm.row.size}
+
+
+@pytest.mark.parametrize(
+    ("option", "more"),
+    [("--report", ()), ("--out", ()), ("--out", ("--resume",))],
+)
+def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option, more):
+    monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+    run, bad = write(tmp_path), tmp_path / "none" / ("page.html" if option == "--report" else "x.parquet")
+    code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *more, option, bad)
+    assert code == 2
+    assert f"{bad}: cannot be written (No such file or directory)" in err
+    assert f"choose another {option}" in err
+
+
+def test_a_report_of_a_set_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys):
+    runs = [
+        write(tmp_path, f"{name}.parquet", axes=np.roll(np.eye(3), -i, axis=0)) for i, name in enumerate("xyz")
+    ]
+    words = [word for run in runs for word in ("--calibration", run.with_suffix(".json"))]
+    code, _, err = command(
+        monkeypatch,
+        capsys,
+        *runs,
+        *words,
+        "--out",
+        tmp_path / "o.parquet",
+        "--report",
+        tmp_path / "none" / "p.html",
+    )
+    assert code == 2
+    assert "choose another --report" in err
+
+
+def test_a_report_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys):
+    run = write(tmp_path)
+    for words, says in (
+        (("--report", tmp_path / "page.pdf"), "must end in .html"),
+        (("--report", tmp_path / "page.html", "--resume"), "cannot be used with --resume"),
+    ):
+        code, _, err = compensated(tmp_path, monkeypatch, capsys, run, *words)
+        assert code == 2
+        assert says in err
+    code, _, err = command(
+        monkeypatch, capsys, "-", "--calibration", tmp_path / "run.json", "--report", tmp_path / "page.html"
+    )
+    assert code == 2
+    assert "--report is not for a live stream" in err
+    assert not (tmp_path / "page.html").exists()
+    assert not (tmp_path / "out.parquet").exists()
+
+
+def test_without_a_report_no_report_is_loaded(tmp_path):
+    """Plain compensation loads neither the page nor what draws it."""
+    run = write(tmp_path)
+    code = (
+        "import sys; from piga.cli.recorded.compensate import compensate; from pathlib import Path;"
+        f"compensate([Path({str(run)!r})], [Path({str(tmp_path / 'run.json')!r})], Path({str(tmp_path / 'o.csv')!r}));"
+        "assert not {name for name in sys.modules if name.startswith(('piga.reports', 'matplotlib', 'jinja2'))}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

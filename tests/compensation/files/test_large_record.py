@@ -1,0 +1,194 @@
+"""Whatever a data file holds: on disk and in pieces it gives what it gives in memory, to the bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+import piga
+from piga.compensation.sets import set_files
+from piga.compensation.sets.set_files import orthogonal_triad
+from piga.units import G0
+from tests.compensation.command.test_command import CAL, small_chunks, to_file
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
+
+ROWS, STEP = 400, 0.01
+BASE = np.array([2e-5, 3e-3, -2e-3])
+RUN = """
+[instrument]
+serial = "A"
+scale_factor = "0.8884 rad/s/g"
+[data]
+file = "{name}.parquet"
+{time}
+output = {{ column = "psi", {output} }}
+reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
+{more}
+"""
+TIME = 'time = { column = "t", unit = "s" }'
+
+
+def written(
+    folder: Path, *, kind: str = "angle", output: str = 'kind = "angle", unit = "rad"', time: str = TIME, more: str = "",
+    name: str = "run", **columns: np.ndarray,
+) -> Path:  # fmt: skip
+    """A record of a slow swing with base rate and a temperature that drifts; ``columns`` replace or add some."""
+    t = STEP * np.arange(ROWS)
+    f = np.array([1.0, 3.0, 1.0]) * G0 * (1.0 + 0.1 * np.sin(t))[:, None]
+    warm = 293.15 + 0.5 * np.sin(0.7 * t)
+    run = run_of(
+        t,
+        f,
+        phi=0.3,
+        kind=kind,
+        base_rate=np.tile(BASE, (ROWS, 1)),
+        errors={"k0": 1e-3, "k0_T": 1e-5},
+        temperature=warm,
+    )
+    table = {"t": t, "psi": run.output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]}
+    table |= {"wx": np.full(ROWS, BASE[0]), "wy": np.full(ROWS, BASE[1]), "wz": np.full(ROWS, BASE[2])}
+    table |= {"warm": warm - 273.15, "k": np.arange(ROWS) % 100, "part": np.repeat([1, 2, 1, 3], ROWS // 4)}
+    pa.parquet.write_table(pa.table(table | columns), folder / f"{name}.parquet")
+    path = folder / f"{name}.toml"
+    path.write_text(RUN.format(name=name, time=time, output=output, more=more))
+    return path
+
+
+def folded(path: Path, turn: float) -> None:
+    """Fold the output at ``turn`` [rad]."""
+    table = pa.parquet.read_table(path.with_suffix(".parquet"))
+    psi = np.mod(table["psi"].to_numpy() + 1.0, turn)
+    pa.parquet.write_table(table.set_column(1, "psi", pa.array(psi)), path.with_suffix(".parquet"))
+
+
+def same(
+    path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, cal: piga.Calibration, chunk: int
+) -> dict[str, int]:
+    """Compare both ways; returns the repairs that were counted on the way."""
+    whole = piga.compensate(piga.read_run(path), cal)
+    small_chunks(monkeypatch, chunk)
+    _, found = to_file(path, cal, folder / "o.parquet")
+    table = pa.parquet.read_table(folder / "o.parquet")
+    for column in ("t", "ax", "dv", "u_ax", "flags"):
+        assert table.column(column).to_numpy().tobytes() == getattr(whole, column).tobytes(), column
+    return found
+
+
+VARIANTS = {
+    "base rate": {"more": 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }'},
+    "base rate in deg/h": {
+        "more": 'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/h" }',
+        "wx": np.full(ROWS, 4.0), "wy": np.full(ROWS, 600.0), "wz": np.full(ROWS, -400.0),
+    },
+    "temperature": {"more": 'temperature = { column = "warm", unit = "degC" }'},
+    "rate": {"kind": "rate", "output": 'kind = "rate", unit = "rad/s"'},
+    "sample rate": {"time": 'sample_rate = "100 Hz"'},
+    "sequence": {"more": 'sequence = { column = "k", wraps_at = 100 }'},
+    "segments": {"more": 'segment = "part"'},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("chunk", [37, 1000])
+def test_every_kind_of_column(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, chunk: int
+) -> None:
+    path = written(tmp_path, **VARIANTS[variant])  # type: ignore[arg-type]
+    more = {"k0_T": 1e-5} if variant == "temperature" else {}
+    cal = calibration_of({**CAL, **more}, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6)
+    repairs = same(path, tmp_path, monkeypatch, cal, chunk)
+    assert repairs == {}
+
+
+def test_phases_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path, more='segment = "part"')
+    values = {
+        "scale_factor": K_G,
+        "tan_beta": TAN_BETA,
+        "phi[1]": 0.3,
+        "phi[2]": 0.31,
+        "phi[3]": 0.29,
+        "phi[1 (2)]": 0.3,
+    }
+    labels = piga.read_run(path).labels
+    values = {k: v for k, v in values.items() if not k.startswith("phi")} | {
+        f"phi[{x}]": 0.3 + 0.01 * i for i, x in enumerate(labels)
+    }
+    assert len(labels) == 4
+    same(path, tmp_path, monkeypatch, calibration_of(values, serial="A"), 37)
+
+
+@pytest.mark.parametrize("turn", [2.0 * np.pi, 6.0 * np.pi])
+def test_an_angle_that_folds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: float) -> None:
+    path = written(tmp_path, output=f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"')
+    before = pa.parquet.read_table(path.with_suffix(".parquet"))["psi"].to_numpy() + 1.0
+    folded(path, turn)
+    found = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
+    assert found.get("counter-roll-over", 0) == np.count_nonzero(np.diff(np.floor(before / turn)))
+
+
+@pytest.mark.parametrize(("turn", "kept"), [(2.0 * np.pi, True), (5.0, False)])
+def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: float, kept: bool
+) -> None:
+    t = STEP * np.arange(ROWS) + np.where(np.arange(ROWS) < 300, 0.0, 7.0)
+    path = written(tmp_path, output=f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"', t=t)
+    folded(path, turn)
+    cal = calibration_of(CAL, serial="A")
+    if kept:
+        assert same(path, tmp_path, monkeypatch, cal, 37)["gap"] == 1
+        return
+    small_chunks(monkeypatch, 37)
+    with pytest.raises(piga.CalibrationError, match="the zero of the output angle was lost before segment"):
+        to_file(path, cal, tmp_path / "o.parquet")
+
+
+def test_values_outside_of_their_range_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fz = np.full(ROWS, G0)
+    fz[[7, 8, 300]] = 40.0, 50.0, -40.0
+    path = written(tmp_path, fz=fz, more="range = { fz = [-40.0, 40.0] }")
+    repairs = same(path, tmp_path, monkeypatch, calibration_of(CAL, serial="A"), 37)
+    assert repairs["saturated"] == 3
+
+
+def test_nothing_usable(tmp_path: Path) -> None:
+    path = written(tmp_path, fy=np.full(ROWS, np.nan))
+    with pytest.raises(piga.DataError, match=r"run\.parquet: no row has all needed values"):
+        to_file(path, calibration_of(CAL, serial="A"), tmp_path / "o.parquet")
+
+
+def test_units_that_contradict_the_run_file(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    table = pa.parquet.read_table(tmp_path / "run.parquet")
+    fields = [field.with_metadata({"unit": "g"}) if field.name == "fy" else field for field in table.schema]
+    pa.parquet.write_table(table.cast(pa.schema(fields)), tmp_path / "run.parquet")
+    words = r"column 'fy' is in 'g' there, but in 'm/s\^2' in the run file"
+    with pytest.raises(piga.DataError, match=words):
+        to_file(path, calibration_of(CAL, serial="A"), tmp_path / "o.parquet")
+    with pytest.raises(piga.DataError, match=words):
+        piga.read_run(path)
+
+
+def test_sets_that_do_not_fit_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small_chunks(monkeypatch, 37)
+    mounted = orthogonal_triad([calibration_of(CAL, serial="A")] * 3)
+    runs = [written(tmp_path, name=name) for name in "xy"]
+    rate = written(tmp_path, name="z", kind="rate", output='kind = "rate", unit = "rad/s"')
+    with pytest.raises(piga.DataError, match=r"z\.toml: holds rate, .*x\.toml: angle"):
+        set_files.compensate_set_files([*runs, rate], mounted, tmp_path / "o.parquet", "parquet")
+    short = written(tmp_path, name="z")
+    table = pa.parquet.read_table(tmp_path / "z.parquet")
+    pa.parquet.write_table(table.slice(0, 333), tmp_path / "z.parquet")
+    with pytest.raises(piga.DataError, match=r"z\.toml: has 333 rows that can be used, .*x\.toml has 400"):
+        set_files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")
+    pa.parquet.write_table(table.slice(0, 0), tmp_path / "z.parquet")
+    for name in "xyz":
+        pa.parquet.write_table(
+            table.set_column(3, "fy", pa.array(np.full(ROWS, np.nan))), tmp_path / f"{name}.parquet"
+        )
+    with pytest.raises(piga.DataError, match=r"x\.parquet: no row has all needed values"):
+        set_files.compensate_set_files([*runs, short], mounted, tmp_path / "o.parquet", "parquet")

@@ -1,0 +1,127 @@
+"""Memory of ``piga compensate``: below 350 MB in every process, for pages, large sets and packed files, too."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from scipy.io import savemat
+
+from piga.compensation.sets.set_files import is_triad_file
+from piga.units import G0
+from tests.compensation.command.test_command import CAL
+from tests.compensation.files.test_stand_streamed import WORK
+from tests.compensation.twin_data import calibration_of
+
+LIMIT = 350_000_000
+RUN = """
+[instrument]
+serial = "A"
+scale_factor = "0.8884 rad/s/g"
+[data]
+file = "{name}"
+time = {{ column = "t", unit = "s" }}
+output = {{ column = "psi", kind = "angle", unit = "rad" }}
+reference = {{ columns = ["fx", "fy", "fz"], unit = "m/s^2" }}
+{more}
+"""
+MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperature = { column = "warm", unit = "degC" }'
+READ = """
+import sys
+from pathlib import Path
+from piga.formats.containers.container import READERS
+path = Path(sys.argv[1])
+assert READERS[path.suffix](path, ("t", "psi", "fx", "fy", "fz"), None).rows == int(sys.argv[2])
+with open("/proc/self/status") as status:
+    print(next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024)
+"""
+
+pytestmark = [
+    pytest.mark.usefixtures("compiled"),
+    pytest.mark.slow,
+    pytest.mark.only_compiled,
+    pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc"),
+]
+
+
+def columns(rows: int, axis: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> dict[str, np.ndarray]:
+    """A slow swing; the output turns with the force along ``axis``."""
+    t = 0.001 * np.arange(rows)
+    f = G0 * np.array([0.9 + 0.2 * np.sin(t / 40.0), 0.1 * np.cos(t / 35.0), 0.2 * np.sin(t / 33.0)])
+    psi = 0.8884e-3 / G0 * np.cumsum(np.array(axis) @ f)
+    return {"t": t, "psi": psi + 1e-4 * np.sin(psi), "fx": f[0], "fy": f[1], "fz": f[2]}
+
+
+def written(folder: Path, rows: int, name: str = "run", more: str = "", **others: np.ndarray) -> Path:
+    pa.parquet.write_table(pa.table(columns(rows) | others), folder / f"{name}.parquet")
+    (folder / f"{name}.toml").write_text(RUN.format(name=f"{name}.parquet", more=more))
+    calibration_of(CAL, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6).to_json(folder / "cal.json")
+    return folder / f"{name}.toml"
+
+
+def written_set(folder: Path, count: int, rows: int) -> Path:
+    """``count`` instruments with base rate and temperature, their axes spread over all directions."""
+    t, entries = columns(rows)["t"], []
+    others = {"wx": 1e-5 * t, "wy": 2e-5 * t, "wz": 3e-5 * t, "warm": 20.0 + 0.001 * t}
+    for i, seed in enumerate(np.random.default_rng(3).standard_normal((count, 3, 3))):
+        axes = np.linalg.qr(seed)[0] * np.linalg.det(np.linalg.qr(seed)[0])
+        written(folder, rows, f"i{i}", MORE, psi=columns(rows, tuple(axes[0]))["psi"], **others)
+        entries.append(
+            f'[[triad.instrument]]\nrun = "i{i}.toml"\ncalibration = "cal.json"\naxes = {axes.tolist()}\n'
+        )
+    (folder / "set.toml").write_text("\n".join(entries))
+    return folder / "set.toml"
+
+
+def memory(run: Path, *more: str) -> int:
+    """Largest memory of the command and of the processes that it starts [bytes]."""
+    words = [str(run), "--out", str(run.parent / "out.parquet"), *more]
+    if not is_triad_file(run):
+        words += ["--calibration", str(run.parent / "cal.json")]
+    done = subprocess.run([sys.executable, "-c", WORK, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return int(done.stdout.split()[-1])
+
+
+@pytest.mark.parametrize("rows", [1 << 18, 2_000_000])
+def test_a_page(tmp_path: Path, rows: int) -> None:
+    """Of a record that is read whole, and of one with more rows than the orders are shown of."""
+    assert memory(written(tmp_path, rows), "--report", str(tmp_path / "page.html")) < LIMIT
+
+
+@pytest.mark.parametrize("page", [False, True])
+def test_a_set_of_many_instruments(tmp_path: Path, page: bool) -> None:
+    more = ("--report", str(tmp_path / "page.html")) if page else ()
+    assert memory(written_set(tmp_path, 24, 100_000), *more) < LIMIT
+
+
+@pytest.mark.parametrize("kind", ["tdms", "one.tdms", "mat", "packed.mat", "xlsx"])
+def test_a_container(tmp_path: Path, kind: str) -> None:
+    """The process that reads 160 MB of numbers: channels in pieces, less than they take; variables of MATLAB and cells whole."""
+    rows, path = 200_000 if kind == "xlsx" else 4_000_000, tmp_path / f"run.{kind}"
+    data = columns(rows)
+    if kind == "xlsx":
+        book = pytest.importorskip("openpyxl").Workbook(write_only=True)
+        sheet = book.create_sheet()
+        sheet.append(list(data))
+        for row in zip(*(values.tolist() for values in data.values()), strict=True):
+            sheet.append(row)
+        book.save(path)
+    elif kind.endswith("mat"):
+        savemat(path, data, do_compression=kind.startswith("packed"))
+    else:
+        nptdms = pytest.importorskip("nptdms")
+        with nptdms.TdmsWriter(path) as out:
+            for start in range(0, rows, rows if kind.startswith("one") else 10_000):
+                part = slice(start, start + (rows if kind.startswith("one") else 10_000))
+                out.write_segment(
+                    [nptdms.ChannelObject("log", name, values[part]) for name, values in data.items()]
+                )
+    words = [sys.executable, "-c", READ, str(path), str(rows)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert int(done.stdout) < (160_000_000 if kind.endswith("tdms") else 300_000_000)

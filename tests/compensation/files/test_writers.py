@@ -1,0 +1,118 @@
+"""A record in pieces, and files of it: what comes out does not depend on the pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+import piga
+from piga.compensation import identify_phase
+from piga.compensation.compensate import compensate_in_pieces
+from piga.compensation.writers import TableWriter
+from piga.formats.columns import nulls_of, numbers_of
+from tests.compensation.command.test_command import CAL, command, small_chunks, write
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
+
+
+def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
+    """The first 20 s of 30, the record on disk."""
+    t = np.arange(0.0, 30.0, 0.02)
+    f = constant_force(t, 0.7, 0.7, 0.1)
+    path = write(tmp_path, rows=10)
+    output = run_of(t, f, phi=0.8).output + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    table = {"t": t, "psi": output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]}
+    pa.parquet.write_table(pa.table(table), tmp_path / "run.parquet")
+    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.0}, serial="A", angle_rms=1e-5)
+    cal.to_json(tmp_path / "run.json")
+    phase = identify_phase(piga.read_run(path), cal, 20.0)
+    assert abs(phase.value - 0.8) < 2e-3
+    expected = piga.compensate(piga.read_run(path), cal, phase=phase)
+    small_chunks(monkeypatch, 100)
+    words = (path, "--calibration", tmp_path / "run.json", "--identify-phase", "20 s", "--out")
+    code, _, said = command(monkeypatch, capsys, *words, tmp_path / "o.parquet")
+    assert code == 0, said
+    assert f"phase {phase.value:.6g} rad" in said
+    assert pa.parquet.read_table(tmp_path / "o.parquet")["ax"].to_numpy().tobytes() == expected.ax.tobytes()
+
+
+def test_a_record_in_pieces_is_the_record(monkeypatch):
+    """Pieces of 64 rows: rows, labels and samples to the bit."""
+    t = 0.01 * np.arange(1000)
+    run = run_of(t, constant_force(t, 1.0, 3.0, 1.0), phi=0.3)
+    cal = calibration_of(CAL, {"phi": 1e-4})
+    whole = piga.compensate(run, cal)
+    monkeypatch.setattr("piga.records.spool.BLOCK", 64)
+    found = list(compensate_in_pieces(run, cal))
+    assert len(found) == 16
+    assert {label for label, _, _ in found} == set(run.labels)
+    for name in ("t", "ax", "dv", "u_ax", "flags"):
+        assert (
+            np.concatenate([getattr(part, name) for _, _, part in found]).tobytes()
+            == getattr(whole, name).tobytes()
+        )
+    assert np.concatenate([chunk.a_Y for _, chunk, _ in found]).tobytes() == run.f[:, 1].tobytes()
+
+
+def test_a_long_record_with_a_stand_is_written_in_pieces(tmp_path, monkeypatch, capsys):
+    """No reference columns: the stand computes it; the file and the page are those of the short record."""
+    run = write(tmp_path, rows=1000)
+    lines = [line for line in run.read_text().splitlines() if not line.startswith("reference")]
+    stand = [
+        'segment = "part"',
+        "[stand]",
+        'kind = "dividing-head"',
+        'latitude = "40 deg"',
+        'gravity = "9.80166 m/s^2"',
+    ]
+    run.write_text("\n".join([*lines, *stand, 'positions = ["0 deg", "30 deg"]']))
+    words = (run, "--calibration", tmp_path / "run.json", "--report", tmp_path / "r.html", "--force", "--out")
+    assert command(monkeypatch, capsys, *words, tmp_path / "a.parquet")[0] == 0
+    small_chunks(monkeypatch, 64)
+    code, _, said = command(monkeypatch, capsys, *words, tmp_path / "b.parquet")
+    assert code == 0, said
+    a, b = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
+    assert all(a[c].to_numpy().tobytes() == b[c].to_numpy().tobytes() for c in a.column_names)
+    assert b.num_rows == 1000
+
+
+def test_columns_without_nulls_in_parquet(tmp_path, monkeypatch, capsys):
+    run = write(tmp_path)
+    words = (run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet")
+    assert command(monkeypatch, capsys, *words)[0] == 0
+    schema = pa.parquet.read_table(tmp_path / "o.parquet").schema
+    assert not any(field.nullable for field in schema)
+
+
+def test_numbers_of_every_kind_of_column():
+    """Whole and broken numbers, nulls, parts of a column: as Arrow's own conversion gives them."""
+    for column in (
+        pa.array([1.0, None, -0.0, np.nan, np.inf]), pa.array([1, None, 2**60 + 1], pa.int64()),
+        pa.array([2**63 + 5, 1], pa.uint64()), pa.array([1.5, None, 2.5], pa.float32()),
+        pa.array([1.0, 2.0, None, 4.0]).slice(1, 3), pa.array([], pa.float64()), pa.array([None], pa.int8()),
+    ):  # fmt: skip
+        expected = column.to_numpy(zero_copy_only=False).astype(float)
+        assert numbers_of(column).tobytes() == expected.tobytes() or np.array_equal(
+            numbers_of(column), expected, equal_nan=True
+        )
+        assert nulls_of(column).tolist() == [value is None for value in column.to_pylist()]
+        assert numbers_of(column).flags.writeable
+
+
+@pytest.mark.parametrize("sizes", [(250,), (99, 1, 150), (37,) * 6 + (28,), (100, 100, 50)])
+def test_row_groups_do_not_depend_on_the_pieces(tmp_path, monkeypatch, sizes):
+    """250 rows in groups of 100: the same bytes however they come."""
+    monkeypatch.setattr("piga.compensation.writers.GROUP_ROWS", 100)
+    whole = {"t": np.arange(250.0), "flags": np.arange(250, dtype=np.int32)}
+    with TableWriter(tmp_path / "whole.parquet") as writer:
+        writer.write(whole)
+    start = 0
+    with TableWriter(tmp_path / "pieces.parquet") as writer:
+        for size in sizes:
+            writer.write({name: values[start : start + size] for name, values in whole.items()})
+            start += size
+        assert writer.rows == 250
+    found = pa.parquet.ParquetFile(tmp_path / "pieces.parquet").metadata
+    assert [found.row_group(i).num_rows for i in range(found.num_row_groups)] == [100, 100, 50]
+    assert (tmp_path / "pieces.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()

@@ -1,0 +1,171 @@
+"""The page of a set: misfits and flags of the single instruments, what was taken out, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+from piga.compensation import FLAGS, SetCompensator, compensate_set
+from piga.compensation.sets.set_files import SetRows
+from piga.records.calibration.coverage import TYPE_A_ONLY
+from piga.reports.compensation import page as compensation_set
+from piga.reports.compensation.figures import (
+    correction_spectrum,
+    misfit_figure,
+    set_force_figure,
+    set_orders_figure,
+)
+from piga.reports.compensation.outline import SetOutline
+from piga.reports.compensation.page import SetFacts, set_page
+from piga.reports.render.page import page_html
+from piga.units import G0
+from tests.compensation.command.test_command import command, small_chunks, write
+from tests.compensation.sets.test_triad import PHASES, SKEWED, made, orthogonal, rotation
+from tests.compensation.twin_data import K_G, TAN_BETA
+
+NAMES = ("a", "b", "c", "d")
+STEP = 0.02
+
+
+def outline_of_set(axes, rows: int, fault: int = -1, pieces: int = 1, **more):
+    """A set under constant force, the reading of instrument 2 too high in one row; its outline in so many pieces."""
+    t = np.arange(rows) * STEP
+    f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (rows, 1))
+    runs, mounted = made(t, f, axes, std={"phi": 1e-5, "scale_factor": 1e-7}, **more)
+    psi = np.array([r.output for r in runs])
+    if fault >= 0:
+        psi[2, fault] += 1e-4
+    stream, found = SetCompensator(mounted, details=True), SetOutline("angle", mounted)
+    for part in np.array_split(np.arange(rows), pieces):
+        rows_read = SetRows(t[part], psi[:, part], np.zeros(part.size, bool), None, None)
+        found.piece("all", rows_read, stream.push(t[part], psi[:, part]))
+    return found, mounted
+
+
+def test_misfits_make_the_residual_and_flags_the_flags():
+    axes = [rotation(a) for a in SKEWED]
+    t = np.arange(300) * STEP
+    f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (t.size, 1)) * np.where(t < 3.0, 1.0, 1e-3)[:, None]
+    runs, mounted = made(t, f, axes, std={"phi": 1e-5})
+    psi = np.array([r.output for r in runs])
+    psi += 1e-5 * np.random.default_rng(1).standard_normal(psi.shape)
+    found = SetCompensator(mounted, details=True).push(t, psi)
+    plain = SetCompensator(mounted).push(t, psi)
+    assert found.f.tobytes() == plain.f.tobytes()
+    assert plain.misfit.size == plain.each.size == 0
+    np.testing.assert_allclose(np.sqrt((found.misfit**2).sum(axis=0))[1:], found.residual[1:], rtol=1e-12)
+    together = np.bitwise_or.reduce(found.each, axis=0)
+    assert np.array_equal(together[1:], found.flags[1:] & ~FLAGS["fault"])
+    assert (found.each[:, 0] == FLAGS["no_increment"]).all()
+    records = compensate_set(runs, mounted, details=True)
+    assert records.misfit.shape == (4, 300)
+
+
+def test_the_page_of_a_set_says_type_a_only():
+    """In the verdict, once, with the names of the instruments: no calibration here states the reference's uncertainty."""
+    found, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
+    page = set_page(found, SetFacts(NAMES, (), {}))
+    assert page.judgement is not None
+    assert page.judgement.tone == "doubtful"
+    assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
+
+
+@pytest.mark.parametrize("pieces", [1, 7])
+def test_outline_holds_misfits_corrections_and_flags(pieces):
+    found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
+    rows = {name: outline.rows[name] for name, outline in found.outlines.items()}
+    row = found.outlines["residual"].rows["row"]
+    worst = {name: row[np.nanargmax(np.abs(rows[name]))] for name in ("residual", *found.misfits)}
+    assert len(worst) == 5
+    assert set(worst.values()) <= {1200.0, 1201.0}
+    assert found.marks["fault"].count == 2
+    assert [single.marks["no_increment"].count for single in found.instruments] == [1, 1, 1, 1]
+    for axis, value in zip("xyz", (1.0, -0.7, 0.4), strict=True):
+        force, raw, correction = rows[f"f{axis}"], rows[f"raw_{axis}"], rows[f"d{axis}"]
+        away = np.isfinite(force) & (np.abs(row - 1200.5) > 2)
+        np.testing.assert_allclose(force[away], value * G0, atol=1e-9 * G0)
+        np.testing.assert_allclose((raw - correction)[away], force[away], atol=1e-12 * G0)
+        assert 1e-4 * G0 < found.rms(f"d{axis}") < 3.0 * TAN_BETA * G0
+    assert np.abs(found.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
+
+
+@pytest.mark.only_compiled
+def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
+    """Order 1 with the amplitude ``tan(beta)`` times the force across that instrument."""
+    axes = orthogonal()
+    found, mounted = outline_of_set(axes, 12_000)
+    across = np.sqrt(np.array([0.7**2 + 0.4**2, 1.0 + 0.4**2, 1.0 + 0.7**2])) * G0
+    for single, size, item in zip(found.instruments, across, mounted, strict=True):
+        order, amplitude = correction_spectrum(single)
+        first = int(np.argmin(np.abs(order - 1.0)))
+        assert abs(amplitude[first] / (TAN_BETA * size) - 1.0) < 0.03
+        assert abs(single.scale_factor * G0 / K_G - 1.0) < 1e-12
+        assert item.phase is None
+    figure = set_orders_figure(found, NAMES[:3])
+    assert figure is not None
+    assert [panel.title for panel in figure.panels] == list(NAMES[:3])
+
+
+def test_page_says_what_contradicts_and_has_units_on_every_axis():
+    found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
+    figures = (set_force_figure(found), misfit_figure(found, NAMES))
+    assert all(axis.quantity and axis.unit for figure in figures for p in figure.panels for axis in (p.x, p.y))
+    assert len(figures[1].panels) == 5
+    html = page_html(set_page(found, SetFacts(NAMES, (), {"method": "exact"})))
+    assert "2 rows contradict themselves" in html
+    sound, _ = outline_of_set([rotation(a) for a in SKEWED], 600)
+    assert "No row contradicts itself" in page_html(set_page(sound, SetFacts(NAMES, (), {})))
+    three, _ = outline_of_set(orthogonal(), 600)
+    assert "Three instruments fit any force exactly" in page_html(set_page(three, SetFacts(NAMES[:3], (), {})))
+
+
+@pytest.mark.parametrize("method", [None, "published"])
+@pytest.mark.parametrize("kind", ["angle", "rate"])
+def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method, kind):
+    """Streamed and whole: the same counts, names and files."""
+    lines, seen = [], []
+    for i, (name, axes) in enumerate(zip(NAMES, [rotation(a) for a in SKEWED], strict=True)):
+        path = write(tmp_path, f"{name}.parquet", rows=400, axes=axes.tolist(), phi=PHASES[i])
+        if kind == "rate":
+            path.write_text(path.read_text().replace('"angle" , unit = "rad"', '"rate", unit = "rad/s"'))
+            table = pa.parquet.read_table(tmp_path / f"{name}.parquet")
+            rate = pa.array(np.full(400, K_G * (axes[0] @ (1.0, 3.0, 1.0))))
+            pa.parquet.write_table(table.set_column(1, "psi", rate), tmp_path / f"{name}.parquet")
+        lines.append(
+            f'[[triad.instrument]]\nrun = "{name}.toml"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'
+        )
+    (tmp_path / "set.toml").write_text("\n".join(lines))
+    real = compensation_set.set_page
+    monkeypatch.setattr(
+        compensation_set, "set_page", lambda found, facts: seen.append((found, facts)) or real(found, facts)
+    )
+    words = (
+        tmp_path / "set.toml",
+        "--out",
+        tmp_path / "o.parquet",
+        "--report",
+        tmp_path / "r.html",
+        "--json",
+        "--force",
+    )
+    words += () if method is None else ("--method", method)
+    for streamed in (False, True):
+        if streamed:
+            small_chunks(monkeypatch, 70)
+            monkeypatch.setattr("piga.compensation.files.file_to_file.HELD_ROWS", 0)
+        code, text, said = command(monkeypatch, capsys, *words)
+        assert code == 0, said
+        assert json.loads(text)["rows"] == 400
+    (whole, facts), (pieces, _) = seen
+    assert facts.names == tuple(f"{name} (A)" for name in NAMES)
+    assert {name for name, _ in facts.files} >= {"set.toml", "a.toml", "a.json", "d.parquet"}
+    for name, outline in whole.outlines.items():
+        theirs = pieces.outlines[name].rows
+        for column in ("row", "t", name):
+            np.testing.assert_allclose(theirs[column], outline.rows[column], rtol=1e-9, atol=1e-9, err_msg=name)
+    assert (whole.counts["misfit_0"] == 0) == (method == "published")
+    assert "SHA-256" in (tmp_path / "r.html").read_text(encoding="utf-8")

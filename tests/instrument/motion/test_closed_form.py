@@ -1,0 +1,198 @@
+"""Motion under constant input against 50-digit references and the published values."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import piga
+from piga.instrument import Instrument, closed_form, closed_form_turns, published_closed_form
+from piga.units import G0
+from tests.instrument.references import EPS, constant_cases
+
+pytestmark = pytest.mark.compiled
+
+PUBLISHED = Instrument("0.8884 rad/s/g", "1000 arcsec", math.pi / 4)
+TABLE = [  # a_x [g], t [s], alpha [rad], rate [rad/s]: the published case, 50-digit arithmetic
+    (0.0, 10, 0.9491746985354608, 0.01750704037230992),
+    (0.0, 100, 2.595170058228499, 0.01119062745661036),
+    (5 * PUBLISHED.tan_beta, 10, 1.178202539030557, 0.04143275317062007),
+    (5 * PUBLISHED.tan_beta, 100, 3.668827377185051, 0.01070005577036106),
+    (0.01, 10, 1.044035858736815, 0.02750023252002772),
+    (0.01, 100, 3.084120483267742, 0.01012101598663986),
+    (1.0, 1, 1.693465728913634, 0.9097737640725562),
+    (1.0, 10, 9.707147027250887, 0.882399501802617),
+    (1.0, 100, 89.61827271643399, 0.9098616660388023),
+]
+
+
+@pytest.mark.parametrize(("a_x", "t", "alpha", "rate"), TABLE)
+def test_published_case_to_the_digits_given(a_x, t, alpha, rate):
+    computed = closed_form(PUBLISHED, t, a_x * G0, 5 * G0, 0.0)
+    assert computed[0] == pytest.approx(alpha, rel=0, abs=1e-15 * max(1.0, alpha) * 2)
+    assert computed[1] == pytest.approx(rate, rel=0, abs=2e-16)
+
+
+@pytest.mark.parametrize("case", constant_cases(), ids=lambda c: c.case)
+def test_against_high_precision(case):
+    turns, rest, rate = closed_form_turns(case.inst, case.t, *case.force)
+    tolerance = 1e-12
+    if not case.same_tangent:  # another mathematics library rounds tan(beta) differently
+        tolerance += 100 * EPS * max(1.0, case.kappa) * max(1, abs(case.turns))
+    difference = (turns - case.turns) * 2 * math.pi + (rest - case.rest)
+    assert abs(difference) < tolerance
+    if abs(case.rest) < math.pi - tolerance:
+        assert turns == case.turns
+    speed = case.inst.scale_factor * (abs(case.force[0]) + case.inst.tan_beta * np.hypot(*case.force[1:]))
+    assert abs(rate - case.rate) < tolerance * max(speed, 1e-3)
+    alpha, _ = closed_form(case.inst, case.t, *case.force)
+    assert abs(alpha - (2 * math.pi * case.turns + case.rest)) < tolerance + 2 * EPS * abs(alpha)
+
+
+def test_a_thousand_million_revolutions_keep_their_fraction():
+    inst = Instrument("0.8884 rad/s/g", 0.0, 0.25)
+    seconds = 2.0**33
+    turns, rest, _ = closed_form_turns(inst, seconds, G0, 0.0, 0.0)
+    phase = inst.scale_factor * G0  # the exact product, revolution by revolution, in integers
+    exact = (int(inst.scale_factor * 2**60) * int(G0 * 2**50) << 33) + (int(0.25 * 2**60) << 50)
+    two_pi = int("6283185307179586476925286766559005768394338798750211641949889184615") * 2**110 // 10**66
+    assert turns == pytest.approx(phase * seconds / (2 * math.pi), abs=1)
+    assert turns > 1.2e9
+    assert (exact - int(turns) * two_pi) / 2**110 == pytest.approx(rest, abs=1e-14)
+
+
+def test_rate_that_decays_keeps_its_digits():
+    """The locked rate falls as exp(-t/tau); a + b sin(theta) would leave noise of 1e-18."""
+    a_x = 0.01 * G0
+    _, rate = closed_form(PUBLISHED, [2000.0, 2100.0], a_x, 5 * G0, 0.0)
+    b = 5 * G0 * PUBLISHED.tan_beta
+    decay = PUBLISHED.scale_factor * math.sqrt((b - a_x) * (b + a_x))
+    assert rate[0] < 1e-15
+    assert rate[1] / rate[0] == pytest.approx(math.exp(-100 * decay), rel=1e-10)
+
+
+def test_shape_follows_time_and_scalars_stay_scalars():
+    alpha, rate = closed_form(PUBLISHED, np.zeros((2, 3)), G0, G0, 0.0)
+    assert alpha.shape == rate.shape == (2, 3)
+    assert np.all(alpha == math.pi / 4)
+    assert closed_form(PUBLISHED, 0.0, G0, G0, 0.0)[0].shape == ()
+
+
+def test_base_rate_enters_as_u():
+    omega = np.array([3e-5, -2e-5, 6e-5])
+    f = (0.3 * G0, 5 * G0, -G0)
+    with_rate = closed_form(PUBLISHED, 50.0, *f, base_rate=omega)
+    moved = np.array(f) - omega / PUBLISHED.scale_factor
+    assert np.array(with_rate) == pytest.approx(np.array(closed_form(PUBLISHED, 50.0, *moved)), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("t", "a_x", "message"),
+    [
+        ([0.0, math.nan], 1.0, "t: nan at index 1"),
+        ([], 1.0, "t: empty"),
+        (1.0, math.inf, "a_x: inf is not a finite number"),
+    ],
+)
+def test_bad_input_is_named(t, a_x, message):
+    with pytest.raises(piga.ArgumentError, match=message):
+        closed_form(PUBLISHED, t, a_x, 0.0, 0.0)
+    with pytest.raises(piga.ArgumentError, match="base_rate: shape"):
+        closed_form(PUBLISHED, 1.0, 1.0, 0.0, 0.0, base_rate=[1.0])
+
+
+# --- symmetries of the equation -------------------------------------------------------------------
+
+angles = st.floats(-6.0, 6.0)
+forces = st.floats(-30.0, 30.0)
+spans = st.floats(-100.0, 100.0)
+betas = st.floats(-0.05, 0.05)
+FAST = settings(max_examples=60, deadline=None)
+
+
+def _condition(inst, f, t):
+    """Bound of d(alpha)/d(alpha0): what rounding of the start can grow to."""
+    a, b = abs(f[0]), np.hypot(f[1], f[2]) * abs(inst.tan_beta)
+    growth = math.sqrt(abs((a - b) * (a + b))) * inst.scale_factor * abs(t)
+    return 1e-12 * max(1.0, math.exp(min(growth, 30.0)) if b > a else (a + b) / max(a - b, 1e-300))
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, spans)
+def test_time_reversal(beta, alpha0, a_x, a_Y, a_Z, t):
+    inst = Instrument(0.09, beta, alpha0)
+    alpha, _ = closed_form(inst, t, a_x, a_Y, a_Z)
+    back, _ = closed_form(Instrument(0.09, beta, float(alpha)), -t, a_x, a_Y, a_Z)
+    assert abs(back - alpha0) < _condition(inst, (a_x, a_Y, a_Z), t)
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, spans)
+def test_mirror(beta, alpha0, a_x, a_Y, a_Z, t):
+    """(alpha, a_x, a_Y, a_Z) -> (-alpha, -a_x, a_Y, -a_Z)."""
+    alpha, rate = closed_form(Instrument(0.09, beta, alpha0), t, a_x, a_Y, a_Z)
+    mirrored, mirrored_rate = closed_form(Instrument(0.09, beta, -alpha0), t, -a_x, a_Y, -a_Z)
+    assert mirrored == pytest.approx(-alpha, abs=1e-13 * max(1.0, abs(alpha)))
+    assert mirrored_rate == pytest.approx(-rate, abs=1e-13)
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, spans, angles)
+def test_rotation_of_the_transverse_frame(beta, alpha0, a_x, a_Y, a_Z, t, turn):
+    inst = Instrument(0.09, beta, alpha0)
+    alpha, _ = closed_form(inst, t, a_x, a_Y, a_Z)
+    c, s = math.cos(turn), math.sin(turn)
+    turned, _ = closed_form(Instrument(0.09, beta, alpha0 + turn), t, a_x, c * a_Y - s * a_Z, s * a_Y + c * a_Z)
+    scale = max(1.0, abs(t) * 3.0)
+    assert abs(turned - turn - alpha) < scale * _condition(inst, (a_x, a_Y, a_Z), t)
+
+
+@FAST
+@given(betas, angles, forces, forces, forces, st.floats(0.0, 50.0), st.floats(0.0, 50.0))
+def test_composition_of_steps(beta, alpha0, a_x, a_Y, a_Z, first, second):
+    inst = Instrument(0.09, beta, alpha0)
+    whole, _ = closed_form(inst, first + second, a_x, a_Y, a_Z)
+    half, _ = closed_form(inst, first, a_x, a_Y, a_Z)
+    parts, _ = closed_form(Instrument(0.09, beta, float(half)), second, a_x, a_Y, a_Z)
+    assert abs(parts - whole) < 10 * _condition(inst, (a_x, a_Y, a_Z), first + second)
+
+
+# --- the published forms --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("number", "a_x"), [(1, 0.0), (2, 5 * PUBLISHED.tan_beta), (3, 0.01), (4, 1.0)])
+def test_published_forms_with_signed_ratio(number, a_x, sign):
+    t = np.linspace(0.0, 6.0, 13)
+    alpha, rate = closed_form(PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0)
+    wrapped, published_rate = published_closed_form(number, PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0)
+    assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * alpha), abs=1e-12)
+    assert published_rate == pytest.approx(rate, abs=1e-13)
+
+
+@pytest.mark.parametrize(("number", "a_x"), [(2, 5 * PUBLISHED.tan_beta), (3, 0.01), (4, 1.0)])
+def test_published_forms_as_printed_are_wrong_for_negative_input_only(number, a_x):
+    t = np.linspace(0.0, 6.0, 13)
+    for sign, low, high in ((1.0, 0.0, 1e-13), (-1.0, 0.02, 0.05)):
+        _, rate = closed_form(PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0)
+        _, printed = published_closed_form(
+            number, PUBLISHED, t, sign * a_x * G0, 5 * G0, 0.0, as_published=True
+        )
+        assert low <= np.abs(printed - rate).max() < high
+
+
+def test_published_forms_refuse_another_regime():
+    with pytest.raises(piga.ArgumentError, match="does not fit"):
+        published_closed_form(1, PUBLISHED, 1.0, G0, 0.0, 0.0)
+    with pytest.raises(piga.ArgumentError, match="no real value"):
+        published_closed_form(3, PUBLISHED, 1.0, G0, G0, 0.0)
+
+
+def test_mean_rate_and_period_of_the_published_case():
+    period = 2 * math.pi / (PUBLISHED.scale_factor * G0 * math.sqrt(1 - (5 * PUBLISHED.tan_beta) ** 2))
+    assert period == pytest.approx(7.0745522104349, abs=1e-13)
+    alpha, _ = closed_form(PUBLISHED, [0.0, period], G0, 5 * G0, 0.0)
+    assert alpha[1] - alpha[0] == pytest.approx(2 * math.pi, abs=1e-14)
+    assert math.degrees((alpha[1] - alpha[0]) / period) == pytest.approx(50.8866129320529, abs=1e-12)

@@ -1,0 +1,249 @@
+"""Increments, constant segments and functions of time against exact and independent motion."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import piga
+from piga.instrument import (
+    Instrument,
+    closed_form,
+    propagate,
+    propagate_function,
+    propagate_increments,
+    propagate_segments,
+)
+from piga.units import G0
+from tests.instrument.motion.test_sampled_motion import dop853, refined
+from tests.instrument.references import constant_cases
+
+pytestmark = pytest.mark.compiled
+
+INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
+W = 2 * math.pi * 0.7
+
+
+def force(t):
+    """A smooth force whose direction turns [m/s^2]."""
+    return np.stack(
+        [0.4 * G0 + 2 * np.sin(W * t), 3 * G0 * np.cos(1.3 * t), 2 * G0 * np.sin(0.9 * W * t)], axis=-1
+    )
+
+
+def integral(t):
+    """Its integral [m/s]."""
+    w = 0.9 * W
+    return np.stack(
+        [0.4 * G0 * t - 2 * np.cos(W * t) / W, 3 * G0 * np.sin(1.3 * t) / 1.3, -2 * G0 * np.cos(w * t) / w],
+        axis=-1,
+    )
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    """Times and angle of the smooth force by tight DOP853."""
+    from scipy.integrate import solve_ivp
+
+    def slope(t, x):
+        u = INST.scale_factor * force(t)
+        return [u[0] + INST.tan_beta * (u[1] * math.sin(x[0]) - u[2] * math.cos(x[0]))]
+
+    t = np.linspace(0.0, 4.0, 5)
+    run = solve_ivp(slope, (0.0, 4.0), [0.4], method="DOP853", rtol=1e-13, atol=1e-14, t_eval=t, max_step=0.05)
+    return t, run.y[0]
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_increments_are_of_fourth_order(smooth, uneven):
+    reference = smooth[1]
+    errors = []
+    for parts in (8, 16, 32, 64):
+        grid = np.linspace(0.0, 4.0, 4 * parts + 1)
+        if uneven:
+            grid = grid + 0.06 * np.sin(np.pi * grid) ** 2 * np.sin(2 * grid)
+        alpha = propagate_increments(INST, grid, np.diff(integral(grid), axis=0))
+        errors.append(np.abs(alpha[::parts] - reference).max())
+    assert math.log2(errors[-2] / errors[-1]) > 3.7
+    assert errors[-1] < 1e-8
+
+
+def test_increments_of_a_long_record_join_at_block_limits(smooth):
+    reference = smooth[1]
+    grid = np.linspace(0.0, 4.0, 1001)
+    alpha = propagate_increments(INST, grid, np.diff(integral(grid), axis=0))
+    assert alpha[::250] == pytest.approx(reference, abs=1e-11)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 300])
+def test_constant_increments_are_exact(n):
+    t = np.cumsum(np.r_[0.0, np.random.default_rng(n).uniform(0.01, 0.3, n)])
+    f, omega = np.array([0.2, 4.0, -3.0]), np.array([1e-3, 2e-3, -1e-3])
+    dv, dtheta = np.diff(t)[:, None] * f, np.diff(t)[:, None] * omega
+    reference, _ = closed_form(INST, t, *f, base_rate=omega)
+    assert propagate_increments(INST, t, dv, dtheta) == pytest.approx(reference, abs=1e-12)
+
+
+def test_increments_count_turns_through_large_steps():
+    t = np.arange(4.0) * 1000.0
+    f = np.array([2 * G0, 5 * G0, G0])
+    alpha = propagate_increments(INST, t, np.diff(t)[:, None] * f)
+    assert alpha == pytest.approx(closed_form(INST, t, *f)[0], abs=1e-10)
+
+
+def test_segments_are_exact_whatever_their_length():
+    for case in constant_cases():
+        if case.t < 0.0 or not case.same_tangent:
+            continue
+        alpha, rate = propagate_segments(case.inst, [case.t], [case.force])
+        exact = closed_form(case.inst, case.t, *case.force)
+        assert (alpha[0], rate[0]) == exact
+    cut = propagate_segments(INST, [1e5, 0.0, 3e5], [[0.3, 9.0, 2.0]] * 3)[0]
+    whole, _ = closed_form(INST, [1e5, 1e5, 4e5], 0.3, 9.0, 2.0)
+    assert cut == pytest.approx(whole, abs=2e-11)
+
+
+def test_segments_agree_with_dop853_across_jumps():
+    rng = np.random.default_rng(11)
+    lengths, f = rng.uniform(0.5, 2.0, 6), rng.normal(0.0, 2 * G0, (6, 3))
+    omega = rng.normal(0.0, 0.1, (6, 3))
+    alpha, rate = propagate_segments(INST, lengths, f, omega)
+    start = INST.alpha0
+    for k in range(6):
+        run = dop853(
+            Instrument(INST.scale_factor, INST.beta, start),
+            np.array([0.0, lengths[k]]),
+            f[[k, k]],
+            omega=omega[[k, k]],
+        )
+        assert alpha[k] == pytest.approx(run[-1], abs=1e-11)
+        start = float(alpha[k])
+        u = INST.scale_factor * f[k] - omega[k]
+        expected = u[0] + INST.tan_beta * (u[1] * math.sin(start) - u[2] * math.cos(start))
+        assert rate[k] == pytest.approx(expected, abs=1e-13)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-11])
+def test_function_reaches_its_tolerance(smooth, tolerance):
+    t, reference = smooth
+    alpha = propagate_function(INST, t, force, tolerance=tolerance, max_step=1.0, vectorized=True)
+    assert np.abs(alpha - reference).max() < max(tolerance, 2e-12)
+    one_by_one = propagate_function(INST, t, force, tolerance=tolerance, max_step=1.0)
+    assert one_by_one == pytest.approx(alpha, abs=1e-12)
+
+
+def test_function_is_of_sixth_order(smooth):
+    t, reference = smooth
+    errors = [
+        np.abs(propagate_function(INST, t, force, tolerance=1e3, max_step=h) - reference).max()
+        for h in (0.5, 0.25)
+    ]
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(6.0, abs=0.5)
+
+
+def test_function_of_constant_force_is_exact_whatever_the_step():
+    exact, _ = closed_form(INST, [0.0, 700.0], 0.3, 9.0, 2.0)
+    alpha = propagate_function(INST, [0.0, 700.0], lambda _: (0.3, 9.0, 2.0), max_step=700.0)
+    assert alpha == pytest.approx(exact, abs=1e-11)
+    assert np.array_equal(propagate_function(INST, [3.0], lambda _: (0.3, 9.0, 2.0)), [INST.alpha0])
+
+
+def test_function_with_base_rate_agrees_with_samples():
+    t, f = np.array([0.0, 0.5, 1.0]), np.array([[1.0, 20.0, -3.0], [4.0, -10.0, 9.0], [7.0, -40.0, 21.0]])
+    omega = 0.02 * f[:, ::-1]
+    fine, fine_f = refined(t, f, 400)
+    samples = propagate(INST, fine, fine_f, refined(t, omega, 400)[1])[::400]
+    for k in (0, 1):
+        part = propagate_function(
+            Instrument(INST.scale_factor, INST.beta, float(samples[k])),
+            t[k : k + 2],
+            lambda s, k=k: f[k] + (s - t[k]) / 0.5 * (f[k + 1] - f[k]),
+            lambda s, k=k: omega[k] + (s - t[k]) / 0.5 * (omega[k + 1] - omega[k]),
+            tolerance=1e-12,
+        )
+        assert part[1] == pytest.approx(samples[k + 1], abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: propagate_increments(INST, [0.0], np.zeros((0, 3))), "t: shape"),
+        (
+            lambda: propagate_increments(INST, [0.0, 1.0], np.zeros((2, 3))),
+            r"dv: shape \(2, 3\) instead of \(1, 3\)",
+        ),
+        (lambda: propagate_increments(INST, [0.0, 1.0, 1.0], np.zeros((2, 3))), "t: 1.0 s at index 2"),
+        (
+            lambda: propagate_increments(INST, [0, 1, 2], [[0, 0, 0], [0, math.nan, 0]]),
+            r"dv: nan at index \(1, 1\)",
+        ),
+        (lambda: propagate_increments(INST, [0, 1], np.zeros((1, 3)), [[0, 0, math.inf]]), "base_angle: inf"),
+        (lambda: propagate_segments(INST, [1.0, -2.0], np.zeros((2, 3))), "durations: -2.0 s at index 1"),
+        (lambda: propagate_segments(INST, [1.0, math.nan], np.zeros((2, 3))), "durations: nan at index 1"),
+        (lambda: propagate_segments(INST, [], np.zeros((0, 3))), "durations: shape"),
+        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2)), "f: does not return three numbers"),
+        (lambda: propagate_function(INST, [0, 1], lambda _: (1, math.nan, 3)), "f: returned .* at t = "),
+        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), vectorized=True), "f: does not return"),
+        (
+            lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), max_step=1e-9),
+            "max_step: 1e-09 s takes more",
+        ),
+        (lambda: propagate_function(INST, [0, 1], lambda _: (1, 2, 3), tolerance=0.0), "tolerance"),
+        (lambda: propagate_function(INST, [1, 0], lambda _: (1, 2, 3)), "t: 0.0 s at index 1"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(piga.ArgumentError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("jump", [0.1, 0.5, 0.500005, math.pi / 4, 0.99995])
+def test_function_passes_over_a_jump(jump):
+    before, after = (0.0, 50.0, 0.0), (0.0, 0.0, 50.0)
+    alpha = propagate_function(INST, [0.0, 1.0], lambda s: before if s < jump else after, tolerance=1e-9)
+    exact, _ = propagate_segments(INST, [jump, 1.0 - jump], [before, after])
+    assert alpha[1] == pytest.approx(exact[1], abs=1e-9)
+
+
+def test_a_tolerance_that_noise_forbids_is_refused(monkeypatch):
+    monkeypatch.setattr("piga.instrument.motion.function_input._MOST_EVALUATIONS", 30_000)
+    with pytest.raises(piga.ArgumentError, match="cannot be reached at t = "):
+        propagate_function(INST, [0.0, 1.0], lambda s: (0.0, 50.0 * math.sin(1e18 * s), 0.0), tolerance=1e-12)
+
+
+def test_function_is_called_less_often_than_by_dop853(smooth):
+    t, reference = smooth
+    calls = 0
+
+    def counted(at):
+        nonlocal calls
+        calls += np.size(at)
+        return force(at)
+
+    def slope(s, x):
+        nonlocal calls
+        calls += 1
+        u = INST.scale_factor * np.asarray(force(s))
+        return [u[0] + INST.tan_beta * (u[1] * math.sin(x[0]) - u[2] * math.cos(x[0]))]
+
+    alpha = propagate_function(INST, [t[0], t[-1]], counted, tolerance=1e-10, max_step=1.0, vectorized=True)
+    ours, calls = calls, 0
+    run = solve_ivp(slope, (t[0], t[-1]), [INST.alpha0], method="DOP853", rtol=1e-11, atol=1e-11)
+    assert abs(alpha[-1] - reference[-1]) <= abs(run.y[0, -1] - reference[-1]) + 1e-12
+    assert ours < 0.5 * calls
+
+
+def test_function_far_from_time_zero_is_not_halved_for_the_rounding_of_time():
+    start = 1e6
+    calls = 0
+
+    def late(at):
+        nonlocal calls
+        calls += at.size
+        return force(at - start)
+
+    t = start + np.linspace(0.0, 3.0, 4)
+    near = propagate_function(INST, t - start, force, tolerance=1e-11, vectorized=True)
+    assert propagate_function(INST, t, late, tolerance=1e-11, vectorized=True) == pytest.approx(near, abs=1e-9)
+    assert calls <= 2 * 128 * 17

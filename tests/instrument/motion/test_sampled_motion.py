@@ -1,0 +1,252 @@
+"""Motion under recorded input: order, exactness, agreement with independent integrators, bad input."""
+
+import itertools
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+import piga
+from piga._kernels.motion.step import split_turns
+from piga.instrument import ErrorModel, Instrument, closed_form, propagate, propagate_rate
+from piga.units import G0
+from tests.instrument.references import EPS, constant_cases, linear_records
+
+pytestmark = pytest.mark.compiled
+
+INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
+
+
+def refined(t, f, parts):
+    """The same piecewise linear input on a finer grid."""
+    fine = np.unique(np.concatenate([np.linspace(a, b, parts + 1) for a, b in itertools.pairwise(t)]))
+    return fine, np.column_stack([np.interp(fine, t, f[:, k]) for k in range(3)])
+
+
+def dop853(inst, t, f, *, error=lambda _t, _f, _alpha: 0.0, omega=None):
+    """Independent reference: scipy's DOP853 from knot to knot."""
+    alpha = [inst.alpha0]
+    omega = np.zeros_like(f) if omega is None else omega
+    for k in range(t.size - 1):
+
+        def slope(s, x, k=k):
+            w = (s - t[k]) / (t[k + 1] - t[k])
+            force = f[k] + w * (f[k + 1] - f[k])
+            u = inst.scale_factor * force - (omega[k] + w * (omega[k + 1] - omega[k]))
+            pull = u[1] * math.sin(x[0]) - u[2] * math.cos(x[0])
+            return [u[0] + inst.tan_beta * pull + inst.scale_factor * error(s, force, x[0])]
+
+        run = solve_ivp(slope, (t[k], t[k + 1]), [alpha[-1]], method="DOP853", rtol=1e-13, atol=1e-14)
+        alpha.append(run.y[0, -1])
+    return np.array(alpha)
+
+
+@pytest.mark.parametrize("steps", [1, 16])
+def test_constant_input_is_exact_whatever_the_step(steps):
+    for case in constant_cases():
+        if case.t <= 0.0 or abs(case.turns) > 1e5 or case.case.startswith("many"):
+            continue
+        t = np.linspace(0.0, case.t, steps + 1)
+        alpha = propagate(case.inst, t, np.tile(case.force, (t.size, 1)))[-1]
+        reference = 2 * math.pi * case.turns + case.rest
+        tolerance = 1e-12 + 100 * EPS * max(1.0, case.kappa) * max(1.0, abs(case.turns))
+        assert abs(alpha - reference) < tolerance, case
+
+
+@pytest.mark.parametrize("record", range(4))
+def test_fourth_order_against_high_precision(record):
+    inst, t, f, reference = linear_records()[record]
+    errors = []
+    for parts in (1, 2, 4, 8, 16):
+        fine, force = refined(t, f, parts)
+        errors.append(np.abs(propagate(inst, fine, force)[::parts] - reference).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders[-1] == pytest.approx(4.0, abs=0.1)
+    assert errors[-1] < 1e-7
+    fine, force = refined(t, f, 400)
+    assert propagate(inst, fine, force)[::400] == pytest.approx(reference, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_agrees_with_dop853_with_base_rate(seed):
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.05, 0.3, 8))
+    f, omega = rng.normal(0.0, 3 * G0, (8, 3)), rng.normal(0.0, 0.2, (8, 3))
+    fine, force = refined(t, f, 64)
+    rates = refined(t, omega, 64)[1]
+    alpha, rate = propagate(INST, fine, force, rates, with_rate=True)
+    assert alpha[::64] == pytest.approx(dop853(INST, t, f, omega=omega), abs=1e-11)
+    u = INST.scale_factor * force - rates
+    expected = u[:, 0] + INST.tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
+    assert rate == pytest.approx(expected, abs=1e-14)
+
+
+def test_constant_base_rate_may_be_given_once():
+    t, f = np.linspace(0, 1, 5), np.ones((5, 3))
+    once = propagate(INST, t, f, [1e-4, 2e-4, -3e-4])
+    assert np.array_equal(once, propagate(INST, t, f, np.tile([1e-4, 2e-4, -3e-4], (5, 1))))
+
+
+def test_error_model_against_dop853():
+    model = ErrorModel(
+        k0="2e-3 g", k1=1e-3, k2="2e-3 g/g^2", k3="1e-3 g/g^3", k2o="1e-3 g/g^2", m_Y=1e-3, m_Z=-2e-3,
+        k_XY="1e-3 g/g^2", k_XZ="-2e-3 g/g^2", k_YY="3e-3 g/g^2", k_ZZ="1e-3 g/g^2", k_YZ="2e-3 g/g^2",
+        s1="3e-3 g", c1="-2e-3 g", k0_t="1e-3 g/s", k0_T="1e-4 g/K", k1_T=1e-4, T_ref="20 degC",
+    )  # fmt: skip
+    rng = np.random.default_rng(5)
+    t = np.cumsum(rng.uniform(0.2, 0.5, 5))
+    f = rng.uniform(0.2, 2, (5, 3)) * G0
+    kelvin = np.interp(t, [t[0], t[-1]], [290.0, 300.0])
+
+    def error(s, force, alpha):
+        x, y, z = force / G0
+        warm = 290.0 + 10.0 * (s - t[0]) / (t[-1] - t[0]) - 293.15
+        return G0 * (
+            2e-3 + 1e-3 * x + 2e-3 * x**2 + 1e-3 * x**3 + 1e-3 * x * abs(x) + 1e-3 * y - 2e-3 * z
+            + 1e-3 * x * y - 2e-3 * x * z + 3e-3 * y**2 + 1e-3 * z**2 + 2e-3 * y * z
+            + 3e-3 * math.sin(alpha) - 2e-3 * math.cos(alpha) + 1e-3 * s + (1e-4 + 1e-4 * x) * warm
+        )  # fmt: skip
+
+    reference = dop853(INST, t, f, error=error)
+    errors = []
+    for parts in (1, 2, 4, 8, 16):
+        fine, force = refined(t, f, parts)
+        alpha = propagate(INST, fine, force, error_model=model, temperature=np.interp(fine, t, kelvin))
+        errors.append(np.abs(alpha[::parts] - reference).max())
+    assert errors[-1] < 1e-10
+    assert math.log2(errors[-3] / errors[-2]) == pytest.approx(4.0, abs=0.3)
+
+
+def test_quadratic_terms_of_a_linear_input_are_averaged_exactly():
+    """Without coupling alpha = K integral(e): one step over a whole ramp has the exact integral."""
+    inst = Instrument("0.8884 rad/s/g")
+    model = ErrorModel(k2="1e-3 g/g^2", k3="1e-3 g/g^3")
+    alpha = propagate(inst, [0.0, 2.0], [[-G0, 0, 0], [3 * G0, 0, 0]], error_model=model)
+    mean = 1.0 + 1e-3 * (7.0 / 3.0) + 1e-3 * 5.0  # means of x, x^2, x^3 for x from -1 to 3
+    assert alpha[-1] == pytest.approx(0.8884 * 2.0 * mean, abs=1e-14)
+
+
+def test_turns_are_counted_through_steps_of_many_revolutions():
+    inst = Instrument("0.8884 rad/s/g", "1000 arcsec", -100.0)
+    t = np.arange(0.0, 5001.0, 100.0)
+    force = (-3 * G0, 5 * G0, G0)
+    reference, _ = closed_form(inst, t, *force)
+    alpha = propagate(inst, t, np.tile(force, (t.size, 1)))
+    assert alpha[0] == -100.0
+    assert alpha == pytest.approx(reference, abs=1e-10)
+    assert abs(alpha[-1]) > 13000
+
+
+def test_a_million_samples_do_not_lose_the_angle():
+    if piga_jit_is_off():
+        pytest.skip("a million samples in plain Python take minutes")
+    t = np.arange(1_000_001) * 1e-3
+    force = (0.5 * G0, 5 * G0, 0.0)
+    reference, _ = closed_form(INST, t[-1], *force)
+    alpha = propagate(INST, t, np.tile(force, (t.size, 1)))
+    assert alpha[-1] == pytest.approx(reference, abs=2e-12)
+
+
+def test_a_thousand_million_turns_before_leave_the_fraction_alone():
+    start = 2.0**33  # rad; as a float64 the angle resolves 2e-6 rad here
+    turns, rest = split_turns(start)
+    assert turns > 1.3e9
+    t, f = np.arange(300) * 0.02, np.random.default_rng(3).normal(0.0, 20.0, (300, 3))
+    far, near = Instrument(0.09, 0.02, start), Instrument(0.09, 0.02, rest)
+    assert np.array_equal(propagate_rate(far, t, f), propagate_rate(near, t, f))
+    assert np.abs(propagate(far, t, f) - start - (propagate(near, t, f) - rest)).max() < 4e-6
+
+
+def piga_jit_is_off():
+    import numba
+
+    return bool(numba.config.DISABLE_JIT)
+
+
+records = st.integers(2, 6).flatmap(
+    lambda n: st.lists(
+        st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(-20, 20)), min_size=n, max_size=n
+    )
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(records, st.floats(-4, 4))
+def test_time_reversal(force, alpha0):
+    """Running the record backwards with the sign of everything turned returns to the start."""
+    f = np.array(force)
+    t = np.arange(len(f)) * 0.1
+    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f)
+    back = propagate(Instrument(0.09, 0.02, float(alpha[-1])), t, -f[::-1])
+    assert back[::-1] == pytest.approx(alpha, abs=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(records, st.floats(-4, 4), st.floats(-4, 4))
+def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
+    f = np.array(force)
+    t = np.arange(len(f)) * 0.1
+    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f)
+    mirrored = propagate(Instrument(0.09, 0.02, -alpha0), t, f * [-1, 1, -1])
+    assert mirrored == pytest.approx(-alpha, abs=1e-13)
+    c, s = math.cos(turn), math.sin(turn)
+    turned = propagate(Instrument(0.09, 0.02, alpha0 + turn), t, f @ [[1, 0, 0], [0, c, s], [0, -s, c]])
+    assert turned - turn == pytest.approx(alpha, abs=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(records, st.floats(-4, 4), st.integers(1, 5))
+def test_composition(force, alpha0, cut):
+    f = np.array(force)
+    cut = min(cut, len(f) - 1)
+    t = np.arange(len(f)) * 0.1
+    whole = propagate(Instrument(0.09, 0.02, alpha0), t, f)
+    rest = propagate(Instrument(0.09, 0.02, float(whole[cut])), t[cut:], f[cut:])
+    assert rest == pytest.approx(whole[cut:], abs=1e-13)
+
+
+def test_one_sample_and_zero_force():
+    assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]]), [0.4])
+    assert propagate(INST, [0.0, 1.0], np.zeros((2, 3))) == pytest.approx([0.4, 0.4], abs=1e-16)
+
+
+@pytest.mark.parametrize("with_rate", [False, True])
+def test_no_memory_is_taken_beside_the_output(with_rate):
+    n = 20_000 if piga_jit_is_off() else 500_000
+    t, f, omega = np.arange(n) * 1e-3, np.ones((n, 3)), np.zeros((n, 3))
+    propagate(INST, t[:9], f[:9], omega[:9], with_rate=with_rate)
+    tracemalloc.start()
+    result = propagate(INST, t, f, omega, with_rate=with_rate)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak - np.asarray(result).nbytes < 100_000
+
+
+@pytest.mark.parametrize(
+    ("t", "f", "kwargs", "message"),
+    [
+        ([], np.zeros((0, 3)), {}, r"t: shape \(0,\)"),
+        ([[0.0]], np.zeros((1, 3)), {}, r"t: shape \(1, 1\)"),
+        ([0.0, 1.0], np.zeros((3, 3)), {}, r"f: shape \(3, 3\) instead of \(2, 3\)"),
+        ([0.0, math.nan], np.zeros((2, 3)), {}, "t: nan at index 1"),
+        ([0.0, 2.0, 1.0], np.zeros((3, 3)), {}, "t: 1.0 s at index 2 is not after 2.0 s at index 1"),
+        ([0.0, 1.0, 1.0], np.zeros((3, 3)), {}, "index 2"),
+        ([0.0, 1.0], [[0, 0, 0], [0, math.inf, 0]], {}, r"f: inf at index \(1, 1\)"),
+        ([0.0, 1.0], np.zeros((2, 3)), {"base_rate": np.zeros((3, 3))}, "base_rate: shape"),
+        ([0.0, 1.0], np.zeros((2, 3)), {"base_rate": [0, math.nan, 0]}, r"base_rate: nan at index \(0, 1\)"),
+        ([0.0, 1.0], np.zeros((2, 3)), {"error_model": ErrorModel(k0_T=1e-6)}, "temperature: missing"),
+        (
+            [0.0, 1.0],
+            np.zeros((2, 3)),
+            {"error_model": ErrorModel(k0_T=1e-6), "temperature": [290.0]},
+            "temperature: shape",
+        ),
+    ],
+)
+def test_bad_input_is_named_with_its_index(t, f, kwargs, message):
+    with pytest.raises(piga.ArgumentError, match=message):
+        propagate(INST, t, f, **kwargs)

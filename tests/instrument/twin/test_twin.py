@@ -1,0 +1,390 @@
+"""The servo twin against an independent rigid body, independent integrators, and what theory predicts."""
+
+import math
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from piga._kernels.motion import servo
+from piga.errors import ArgumentError, PigaError
+from piga.instrument import ErrorModel, Instrument, propagate
+from piga.instrument.twin.linear import (
+    predicted_k2,
+    predicted_rate_error,
+    predicted_rectification,
+    predicted_second_harmonic,
+)
+from piga.instrument.twin.parameters import PRESETS, TwinParameters, parameter_table, twin_parameters
+from piga.instrument.twin.run import quasi_steady_state, run_twin, slow_manifold
+from piga.units import G0
+from tests.instrument.rigid_body import RICH, accelerations, solve
+
+pytestmark = pytest.mark.compiled
+
+SLOW_PYTHON = bool(numba.config.DISABLE_JIT)
+EXAMPLE = PRESETS["example"]
+
+
+def constant(f, duration, step=1e-3, omega=(0.0, 0.0, 0.0)):
+    t = np.arange(round(duration / step) + 1) * step
+    return t, np.tile(np.asarray(f, float), (t.size, 1)), np.tile(np.asarray(omega, float), (t.size, 1))
+
+
+def ramp_inputs(t):
+    force = np.column_stack([G0 * (1 + t), 0.3 * G0 - 2 * t, 0.2 * G0 + t])
+    return force, np.column_stack([0.1 * t, 0.05 + 0.02 * t, -0.03 * t])
+
+
+def revolutions(p, a_x, a_t, count, step=2e-3):
+    """Motion over ``count`` revolutions, and the mean rate over them."""
+    duration = (count + 0.2) * 2 * math.pi / (p.K * a_x)
+    t, f, _ = constant((a_x, a_t, 0.0), duration, step)
+    motion = run_twin(p, t, f)
+    end = motion.alpha[0] + 2 * math.pi * count
+    return motion, 2 * math.pi * count / np.interp(end, motion.alpha, t)
+
+
+# -- equations ------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_equations_are_those_of_a_rigid_body(seed):
+    rng = np.random.default_rng(seed)
+    state = rng.normal(size=5) * [3, 0, 1, 1, 1e-3]
+    state[1] = RICH.pick_off_null + rng.uniform(-5e-3, 5e-3)
+    f, omega, omega_rate = rng.normal(size=3) * 10, rng.normal(size=3) * 0.1, rng.normal(size=3) * 0.1
+    out = np.zeros(5)
+    servo.derivative(RICH.constants(), 0.3, state, servo.Inputs(*f, *omega, *omega_rate, 0.0, 0.0, 0.0), out)
+    expected = accelerations(RICH, 0.3, state, f, omega, omega_rate)
+    assert out[2:4] == pytest.approx(expected, rel=1e-11, abs=1e-7)
+    assert out[:2] == pytest.approx([state[2], state[3]])
+    assert out[4] in (0.0, pytest.approx(state[1] - RICH.pick_off_null))
+
+
+def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
+    """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
+    p = replace(EXAMPLE, rate_gain=0.1, pick_off_null=2e-3, alpha0=0.3, float_inertia_z=3e-5)
+    p = replace(p, product_of_inertia=2e-5).stiffened(3.0)
+    t, f, omega = constant((G0, 0.5 * G0, -0.2 * G0), 2.0, omega=(0.01, 0.4, -0.2))
+    motion = run_twin(p, t, f, omega)
+    alpha = propagate(
+        Instrument(p.K, p.pick_off_null, 0.3), t, f, omega, error_model=ErrorModel(k2=predicted_k2(p))
+    )
+    predicted = predicted_rate_error(p, t, motion.alpha, f, omega)
+    shift = np.concatenate([[0.0], np.cumsum(0.5 * (predicted[1:] + predicted[:-1]) * np.diff(t))])
+    difference = motion.alpha - alpha
+    assert np.max(np.abs(difference)) > 2e-6
+    assert np.max(np.abs(difference - shift)) < 0.02 * np.max(np.abs(difference))
+
+
+# -- integration ----------------------------------------------------------------------------------
+
+
+@pytest.mark.smoke
+def test_motion_agrees_with_the_independent_rigid_body():
+    t = np.linspace(0.0, 0.05, 51)
+    force, omega = ramp_inputs(t)
+    motion = run_twin(RICH, t, force, omega, start="transient")
+    start = [motion.alpha[0], motion.beta[0], motion.rate[0], motion.tilt_rate[0], motion.integral[0]]
+    truth = solve(
+        RICH,
+        start,
+        t[::10],
+        lambda s: ramp_inputs(np.array([s]))[0][0],
+        lambda s: (ramp_inputs(np.array([s]))[1][0], np.array([0.1, 0.02, -0.03])),
+    )
+    assert motion.alpha[::10] == pytest.approx(truth[:, 0], abs=1e-12)
+    assert motion.beta[::10] == pytest.approx(truth[:, 1], abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ["DOP853", pytest.param("Radau", marks=pytest.mark.slow)])
+def test_ten_seconds_against_scipy(method):
+    """1e-9 rad over 10 s, start-up transient and nutation included (0.3 s without compilation)."""
+    duration = 0.3 if SLOW_PYTHON else 10.0
+    p = replace(RICH, coulomb_friction=0.0)
+    t, f, omega = constant((G0, 0.3 * G0, 0.2 * G0), duration, omega=(1e-3, 0.05, -0.03))
+    motion = run_twin(p, t, f, omega, start="transient")
+    constants, out = p.constants(), np.zeros(5)
+
+    def rhs(time, x):
+        servo.derivative(constants, time, x, servo.Inputs(*f[0], *omega[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), out)
+        return out.copy()
+
+    start = np.array([p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0])
+    truth = solve_ivp(rhs, (0.0, t[-1]), start, method=method, rtol=1e-12, atol=1e-14, t_eval=t[::50])
+    assert np.max(np.abs(motion.alpha[::50] - truth.y[0])) < 1e-9
+    assert np.max(np.abs(motion.beta[::50] - truth.y[1])) < 1e-9
+    assert motion.local_error < 1e-9
+
+
+@pytest.mark.slow
+def test_ten_seconds_against_the_independent_rigid_body():
+    t = np.linspace(0.0, 10.0, 10001)
+    force, omega = ramp_inputs(t / 10)
+    motion = run_twin(RICH, t, force, omega)
+    start = [motion.alpha[0], motion.beta[0], motion.rate[0], motion.tilt_rate[0], motion.integral[0]]
+    truth = solve(
+        RICH,
+        start,
+        t[::500],
+        lambda s: ramp_inputs(np.array([s / 10]))[0][0],
+        lambda s: (ramp_inputs(np.array([s / 10]))[1][0], np.array([0.1, 0.02, -0.03]) / 10),
+        rtol=1e-11,
+        atol=1e-13,
+    )
+    assert np.max(np.abs(motion.alpha[::500] - truth[:, 0])) < 1e-9
+
+
+def test_sampling_does_not_matter_for_linear_inputs():
+    t = np.linspace(0.0, 0.2, 201)
+    fine = run_twin(RICH, t, *ramp_inputs(t), start="transient")
+    coarse = run_twin(RICH, t[::50], *ramp_inputs(t[::50]), start="transient")
+    assert np.max(np.abs(fine.alpha[::50] - coarse.alpha)) < 1e-10
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(SLOW_PYTHON, reason="speed of compiled code")
+def test_ten_minutes_at_one_kilohertz_in_twenty_seconds():
+    import time
+
+    t, f, omega = constant((G0, 0.3 * G0, 0.0), 600.0)
+    run_twin(EXAMPLE, t[:10], f[:10], omega[:10])
+    started = time.perf_counter()
+    run_twin(EXAMPLE, t, f, omega)
+    assert time.perf_counter() - started < 20.0
+
+
+# -- slow manifold ---------------------------------------------------------------------------------
+
+
+def test_slow_manifold_has_no_transient():
+    """Started on it, the tilt follows its slow ripple at once; started at null it rings first."""
+    p = replace(EXAMPLE, alpha0=0.7)
+    t, f, _ = constant((G0, 0.5 * G0, 0.0), 0.05, 5e-4)
+    smooth, rough = run_twin(p, t, f), run_twin(p, t, f, start="transient")
+    bend = np.abs(np.diff(smooth.beta, 3)).max()
+    assert bend < 1e-5 * np.abs(np.diff(rough.beta, 3)).max()
+    assert smooth.alpha[0] == 0.7
+
+
+def test_transient_start_converges_to_the_manifold():
+    p = replace(EXAMPLE.stiffened(2.0), alpha0=0.7)
+    t, f, omega = constant((G0, 0.5 * G0, 0.0), 0.8, 1e-2)
+    rough = run_twin(p, t, f, start="transient")
+    state = slow_manifold(p, 0.0, rough.alpha[-1], f[0], omega[0])
+    assert rough.beta[-1] == pytest.approx(state[1], abs=1e-10)
+    assert rough.rate[-1] == pytest.approx(state[2], abs=1e-7)
+
+
+def test_first_guess_balances_torques():
+    p = replace(EXAMPLE, outer_torque=1e-3)
+    state = quasi_steady_state(p, 0.0, 0.5, (G0, 0.3 * G0, 0.0), (0.0, 0.0, 0.0))
+    load = p.pendulosity * 0.3 * G0 * math.cos(0.5) + 1e-3
+    assert p.integral_gain * state[4] == pytest.approx(load)
+    loose = replace(p, integral_gain=0.0)
+    state = quasi_steady_state(loose, 0.0, 0.5, (G0, 0.3 * G0, 0.0), (0.0, 0.0, 0.0))
+    assert loose.proportional_gain * (state[1] - loose.pick_off_null) == pytest.approx(load)
+
+
+# -- what theory predicts ----------------------------------------------------------------------------
+
+
+@pytest.mark.only_compiled
+def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
+    """All gains times s: the difference to the quasi-steady angle falls as 1/s."""
+    t, f, _ = constant((2 * G0, G0, 0.0), 1.0 if SLOW_PYTHON else 5.0, 5e-3)
+    inst = Instrument(EXAMPLE.K, 1e-3, 0.2)
+    quasi = propagate(inst, t, f)
+    factors = np.array([2.0, 4.0] if SLOW_PYTHON else [2.0, 4.0, 8.0, 16.0])
+    errors = []
+    for factor in factors:
+        p = replace(EXAMPLE, pick_off_null=1e-3, alpha0=0.2, rate_gain=0.1).stiffened(factor)
+        errors.append(np.max(np.abs(run_twin(p, t, f).alpha - quasi)))
+    order = -np.polyfit(np.log(factors), np.log(errors), 1)[0]
+    assert order == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.only_compiled
+@pytest.mark.parametrize("k_i", [600.0, 6000.0] if SLOW_PYTHON else np.geomspace(600.0, 6000.0, 5))
+def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
+    p = replace(EXAMPLE, integral_gain=k_i, proportional_gain=60.0, rate_gain=0.1)
+    a_x, a_t = 2 * G0, G0
+    motion, mean = revolutions(p, a_x, a_t, 1 if SLOW_PYTHON else 3)
+    w = p.K * a_x
+    textbook = -p.K * a_t**2 * p.pendulosity * w / (2.0 * k_i)
+    assert mean - w == pytest.approx(textbook, rel=0.05)
+    assert mean - w == pytest.approx(predicted_rectification(p, a_t, w), rel=0.02)
+    one = motion.alpha < motion.alpha[0] + 2 * math.pi
+    phase, ripple = motion.alpha[one], motion.rate[one] - w
+    basis = np.column_stack([np.ones(phase.size)] + [f(n * phase) for n in (1, 2) for f in (np.cos, np.sin)])
+    fit = np.linalg.lstsq(basis, ripple, rcond=None)[0]
+    assert math.hypot(fit[3], fit[4]) == pytest.approx(-textbook, rel=0.05)
+    assert math.hypot(fit[3], fit[4]) == pytest.approx(predicted_second_harmonic(p, a_t, w), rel=0.03)
+
+
+def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
+    p = replace(EXAMPLE, integral_gain=0.0, proportional_gain=60.0)
+    a_t, w = G0, EXAMPLE.K * 2 * G0
+    motion, mean = revolutions(p, 2 * G0, a_t, 1)
+    amplitude = p.K * a_t**2 * p.pendulosity / (2 * p.proportional_gain)
+    assert abs(mean - w) < 0.05 * amplitude
+    assert predicted_second_harmonic(p, a_t, w) == pytest.approx(amplitude, rel=0.02)
+    one = motion.alpha < motion.alpha[0] + 2 * math.pi
+    fit = 2 * np.mean((motion.rate[one] - w) * np.exp(2j * motion.alpha[one]))
+    assert abs(fit) == pytest.approx(amplitude, rel=0.05)
+
+
+@pytest.mark.only_compiled
+def test_coulomb_friction_shifts_beta_not_the_mean_rate():
+    friction = 2e-3
+    smooth = replace(EXAMPLE, integral_gain=0.0)
+    rough = replace(smooth, coulomb_friction=friction)
+    motion_0, mean_0 = revolutions(smooth, 6 * G0, 0.3 * G0, 1)
+    motion_1, mean_1 = revolutions(rough, 6 * G0, 0.3 * G0, 1)
+    shift = np.mean(motion_1.beta[:500]) - np.mean(motion_0.beta[:500])
+    assert shift == pytest.approx(-friction / smooth.proportional_gain, rel=0.01)
+    assert mean_1 == pytest.approx(mean_0, rel=1e-6)
+    held = replace(EXAMPLE, coulomb_friction=friction)
+    motion_2, _ = revolutions(held, 6 * G0, 0.3 * G0, 1)
+    motion_3, _ = revolutions(EXAMPLE, 6 * G0, 0.3 * G0, 1)
+    assert np.mean(motion_2.beta[:500] - motion_3.beta[:500]) == pytest.approx(0.0, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        replace(EXAMPLE, product_of_inertia=2e-6),
+        replace(EXAMPLE, float_inertia_z=3e-5, pick_off_null=1e-2),
+        replace(EXAMPLE, product_of_inertia=-1e-6, float_inertia_z=8e-5, pick_off_null=-5e-3),
+    ],
+)
+def test_k2_comes_from_the_floats_inertia(design):
+    """Even part of the indicated specific force at +- 2 g, against D K^2/ml and the unequal inertias."""
+    a = 2 * G0
+    even = 0.0
+    for sign in (1.0, -1.0):
+        t, f, _ = constant((sign * a, 0.0, 0.0), 0.2, 1e-2)
+        motion = run_twin(design, t, f)
+        even += 0.5 * ((motion.alpha[-1] - motion.alpha[0]) / t[-1] / design.K - sign * a)
+    assert even / a**2 == pytest.approx(predicted_k2(design), rel=1e-3)
+    if design.pick_off_null == 0.0:
+        assert predicted_k2(design) * G0 == pytest.approx(
+            design.product_of_inertia * design.K**2 * G0 / design.pendulosity
+        )
+
+
+def test_wheel_spins_up_and_hunts_by_definition():
+    """``H (1 - (1 - s0) exp(-t/t_s)) (1 + h sin(2 pi f t + phi))`` and its derivative by a central difference."""
+    p = replace(
+        EXAMPLE, spin_start=0.8, spin_time=0.3, hunting=1e-2, hunting_frequency=2.0, hunting_phase=0.7
+    ).constants()
+
+    def defined(t):
+        return p.H * (1.0 - 0.2 * np.exp(-t / 0.3)) * (1.0 + 1e-2 * np.sin(4.0 * np.pi * t + 0.7))
+
+    for t in (0.0, 0.1, 0.4, 2.0):
+        momentum, change = servo.wheel(p, t)
+        assert momentum == pytest.approx(defined(t), rel=1e-14)
+        assert change == pytest.approx((defined(t + 1e-5) - defined(t - 1e-5)) / 2e-5, rel=1e-6)
+
+
+def test_wheel_speed_changes_the_scale_factor():
+    p = replace(EXAMPLE, spin_start=0.8, spin_time=0.1, hunting=1e-3, hunting_frequency=5.0)
+    t, f, _ = constant((G0, 0.0, 0.0), 0.4, 1e-3)
+    motion = run_twin(p, t, f)
+    H = np.array([servo.wheel(p.constants(), s)[0] for s in t])
+    assert motion.rate[20:] == pytest.approx(p.pendulosity * G0 / H[20:], rel=2e-4)
+    assert H[0] == pytest.approx(0.08)
+
+
+def test_saturated_torque_motor_loses_lock_and_recovers():
+    p = replace(EXAMPLE, torque_limit=0.03, pick_off_range=5e-3, stop_angle=0.02)
+    t = np.arange(0, 1.5, 1e-3)
+    f = np.zeros((t.size, 3))
+    f[:, 0] = G0
+    f[:, 1] = np.where((t > 0.1) & (t < 0.3), 6 * G0, 0.0)
+    motion = run_twin(p, t, f)
+    changes = motion.lock_changes()
+    assert changes[0][1] == "lost"
+    assert 0.1 <= changes[0][0] <= 0.12
+    assert changes[-1][1] == "recovered"
+    assert np.max(np.abs(motion.torque)) <= 0.03
+    assert np.max(np.abs(motion.beta)) < 0.1
+    assert motion.rate[-1] == pytest.approx(p.K * G0, rel=1e-4)
+    assert abs(motion.beta[-1]) < 1e-5
+
+
+def test_noise_is_held_and_disturbs():
+    t, f, omega = constant((G0, 0.0, 0.0), 0.5)
+    noise = np.zeros((t.size, 3))
+    noise[:, 1] = 1e-6
+    motion = run_twin(EXAMPLE, t, f, omega, noise=noise)
+    assert motion.rate[-1] == pytest.approx(EXAMPLE.K * G0 - 1e-6 / EXAMPLE.angular_momentum, abs=1e-9)
+
+
+# -- parameters and errors ----------------------------------------------------------------------------
+
+
+def test_every_parameter_says_what_it_is():
+    for entry in parameter_table():
+        assert {"symbol", "unit", "range", "meaning", "source"} <= set(entry.metadata)
+    assert all("example" in name for name in PRESETS)
+
+
+def test_parameters_from_text():
+    p = twin_parameters({"preset": "example-stiff", "damping": "0.3 Nm s/rad", "hunting_frequency": "2 Hz"})
+    assert (p.damping, p.hunting_frequency) == (0.3, 2.0)
+    assert p.proportional_gain == PRESETS["example-stiff"].proportional_gain
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"preset": "best"}, "preset"),
+        ({"dampin": 1.0}, "dampin"),
+        ({"damping": -1.0}, "damping"),
+        ({"damping": "1 m"}, "damping"),
+        ({"product_of_inertia": 6e-5}, "product_of_inertia"),
+    ],
+)
+def test_bad_parameters_are_named(values, words):
+    with pytest.raises(PigaError, match=words):
+        twin_parameters(values)
+
+
+def test_bad_inputs_are_named():
+    t, f, omega = constant((G0, 0.0, 0.0), 0.01)
+    with pytest.raises(ArgumentError, match="increasing"):
+        run_twin(EXAMPLE, t[::-1], f)
+    with pytest.raises(ArgumentError, match="f: shape"):
+        run_twin(EXAMPLE, t, f[:-1])
+    with pytest.raises(ArgumentError, match="row 3"):
+        run_twin(EXAMPLE, t, np.where(np.arange(t.size)[:, None] == 3, np.nan, f))
+    with pytest.raises(ArgumentError, match="noise"):
+        run_twin(EXAMPLE, t, f, omega, noise=f[:-1])
+    with pytest.raises(ArgumentError, match="start"):
+        run_twin(EXAMPLE, t, f, start="cold")
+    with pytest.raises(ArgumentError, match="start"):
+        run_twin(EXAMPLE, t, f, start=[0.0, 1.0])
+
+
+def test_unstable_design_has_no_manifold_but_can_be_forced():
+    p = TwinParameters(proportional_gain=150.0)
+    t, f, _ = constant((G0, G0, 0.0), 0.05)
+    with pytest.raises(PigaError, match="no slow manifold"):
+        run_twin(p, t, f)
+    assert np.all(np.isfinite(run_twin(p, t, f, start="transient").alpha))
+
+
+@pytest.mark.skipif(SLOW_PYTHON, reason="a hundred thousand steps need compiled code")
+def test_motion_that_runs_away_ends_with_a_message():
+    p = TwinParameters(proportional_gain=3e5, stop_stiffness=0.0)
+    t, f, _ = constant((G0, G0, 0.0), 2.0, 1e-2)
+    with pytest.raises(PigaError, match=r"cannot be followed beyond t = .* too fast"):
+        run_twin(p, t, f, start="transient")
