@@ -13,7 +13,7 @@ import piga
 from piga.calibration import term_prospects
 from piga.records.terms import UNITS
 from piga.reports.check import check_document, prospects_text
-from tests.calibration.synthetic import record
+from tests.calibration.made.synthetic import record
 
 pytestmark = pytest.mark.only_compiled
 ASKED = ("scale_factor", "tan_beta", "k0", "k2", "m_Y")
