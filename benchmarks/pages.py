@@ -146,11 +146,68 @@ def platform_days() -> dict:
     }
 
 
+def compensation_turning() -> dict:
+    """Largest error of a row on the swaying base of the tests, with the chord alone and with the second derivative."""
+    from tests.compensation.test_turning_base import K, left, record, steady, swaying
+
+    rows: Rows = {}
+    turn = 2.0 * math.pi * 0.3
+    for rate in (50.0, 100.0):
+        columns = record(rate, 20.0, steady, swaying)
+        t = columns[0]
+        mean = -0.3 * np.diff(np.cos(turn * t)) * rate / turn
+        chord = 0.15 * (np.sin(turn * t[1:]) + np.sin(turn * t[:-1])) - mean
+        error, _ = left(columns)
+        rows[f"{rate:g} Hz"] = {
+            "chord alone": rounded(1e6 * np.abs(chord).max() / (K * G0), 2),
+            "with the second derivative": rounded(1e6 * np.abs(error[2:]).max(), 2),
+            "median of that": rounded(1e6 * float(np.median(np.abs(error[2:]))), 2),
+        }
+    return {
+        "corner": "0.3 rad/s at 0.3 Hz, error of a row",
+        "rows": rows,
+        "units": dict.fromkeys(rows["50 Hz"], "micro-g"),
+        "conditions": "truth by SciPy, `tests/compensation/test_turning_base.py`, 20 s without the first two intervals",
+    }
+
+
+def compensation_starts() -> dict:
+    """Errors and uncertainties of the first two intervals of stretches, where the specific force changes."""
+    from tests.compensation.test_turning_base import QUIET, calibration, record, still, surging
+
+    import piga
+
+    rows: Rows = {}
+    for rate in (5.0, 20.0, 100.0):
+        t, psi, f, omega, mean = record(rate, 6.0, surging, still)
+        begins = np.arange(t.size) % 3 == 0
+        first = np.flatnonzero(begins[:-1])
+        compensated = piga.Compensator(calibration(QUIET)).push(
+            {"t": t, "output": psi, "f": f, "base_rate": omega, "begins": begins}
+        )
+        error = 1e6 * np.abs(compensated.ax[1:] - mean) / G0
+        u = 1e6 * compensated.u_ax[1:] / G0
+        row: dict[str, Value | Figure] = {}
+        for name, at in (("first", first), ("second", first[first < t.size - 2] + 1)):
+            row[f"{name} interval: largest error"] = rounded(float(error[at].max()), 2)
+            row[f"{name} interval: median `u_ax`"] = rounded(float(np.median(u[at])), 2)
+        rows[f"{rate:g} Hz"] = row
+    return {
+        "corner": "sampling",
+        "rows": rows,
+        "units": dict.fromkeys(rows["5 Hz"], "micro-g"),
+        "conditions": "truth by SciPy, `tests/compensation/test_turning_base.py`; a_x = 1 + 0.3 sin g at 0.75 Hz, 5 g across, "
+        "stretches of two intervals",
+    }
+
+
 TABLES: dict[str, Callable[[], dict]] = {
     "servo-body": servo_body,
     "servo-order": servo_order,
     "servo-fit": servo_fit,
     "servo-compensated": compensated_servo,
+    "compensation-turning": compensation_turning,
+    "compensation-starts": compensation_starts,
     "platform-days": platform_days,
 }
 
