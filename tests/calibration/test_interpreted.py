@@ -15,7 +15,9 @@ def small(**options: object) -> piga.Run:
     return record(np.random.default_rng(31), seconds=12.0, rate=4.0, count=5, **options)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("method", ["information", "rate", "recursive"])
+@pytest.mark.parametrize(
+    "method", ["information", "rate", pytest.param("recursive", marks=pytest.mark.only_compiled)]
+)
 @pytest.mark.parametrize("phase", ["shared", "per-segment"])
 def test_small_record(method: str, phase: str) -> None:
     run = small(per_segment=phase == "per-segment")

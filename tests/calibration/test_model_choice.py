@@ -107,6 +107,7 @@ def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
             assert mine.std == pytest.approx(other.std, rel=1e-6)
 
 
+@pytest.mark.only_compiled
 def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best].terms == TRUE
     assert compared.sets[compared.best_prediction].terms == TRUE

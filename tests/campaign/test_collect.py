@@ -90,6 +90,7 @@ def test_worst_case_is_repeated_by_its_command(small, tmp_path, capsys):
     assert [c.value for c in calibration.coefficients] == pytest.approx(row["value"], rel=1e-12)
 
 
+@pytest.mark.only_compiled
 def test_collect_does_not_depend_on_the_cut(small, tmp_path):
     other = computed(tmp_path, SMALL.replace("records_per_shard = 4", "records_per_shard = 7"))
     first, second = collected(small), collected(other)
@@ -113,6 +114,7 @@ def test_a_record_that_fails_is_a_row(tmp_path):
     assert "10 of 17 records failed" in collected(folder)["page"].decode()
 
 
+@pytest.mark.only_compiled
 def test_incomplete(tmp_path):
     folder = computed(tmp_path, shards=(0, 2))
     found = collect(open_campaign(folder))
@@ -123,6 +125,7 @@ def test_incomplete(tmp_path):
         collect(plan_campaign(tmp_path / "small.toml", tmp_path / "empty"))
 
 
+@pytest.mark.only_compiled
 def test_damaged_parts_are_named(tmp_path):
     folder = computed(tmp_path, shards=(0, 1))
     part = folder / "parts" / "part-00001.parquet"

@@ -129,6 +129,7 @@ def certificate(tmp_path_factory):
     return folder
 
 
+@pytest.mark.only_compiled
 def test_two_nodes_with_tls(tmp_path, certificate):
     """Two workers behind TLS make the same bits as this process; a client without the key is not let in."""
     path, out = written(tmp_path), tmp_path / "out"

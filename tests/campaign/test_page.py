@@ -66,6 +66,7 @@ def test_coverage_away_from_95_per_cent_is_marked(grid):
     assert "(90.0 %)" in page(0.90)[0].text
 
 
+@pytest.mark.only_compiled
 def test_rows_of_the_accuracy_page_are_never_replaced_by_fewer_tests(tmp_path):
     """A campaign of as many tests replaces a row, a smaller one leaves it."""
     folder = tmp_path / "measured"

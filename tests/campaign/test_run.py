@@ -33,6 +33,7 @@ def whole(folder, text):
     return collected(folder / "out")
 
 
+@pytest.mark.only_compiled
 def test_two_workers_and_one_process_make_the_same(tmp_path):
     path = written(tmp_path)
     code, out, err = call("run", path, "--out", tmp_path / "out", "--workers", 2, "--json")
@@ -78,6 +79,7 @@ def interrupted(path, out, rng, count, kills):
     raise AssertionError("the campaign does not come to an end")
 
 
+@pytest.mark.only_compiled
 def test_killed_at_random_times(tmp_path):
     rng = random.Random(3)  # noqa: S311
     path = written(tmp_path, LONG)
@@ -180,6 +182,7 @@ def test_only_the_shard_that_kills_is_set_aside(tmp_path):
     assert sorted(campaign.set_aside()) == [1, 4]
 
 
+@pytest.mark.only_compiled
 def test_ctrl_c_finishes_the_shards_under_way(tmp_path):
     path, out = written(tmp_path, LONG), tmp_path / "out"
     plan_campaign(path, out)
@@ -251,6 +254,7 @@ def test_other_software_is_refused(tmp_path):
         run_shard(str(out), 0)
 
 
+@pytest.mark.only_compiled
 def test_disk_full(tmp_path):
     """A part that cannot be written ends the run with one message and exit code 2."""
     path, out = written(tmp_path), tmp_path / "out"

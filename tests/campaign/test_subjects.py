@@ -79,6 +79,7 @@ def test_every_row_of_the_accuracy_page_has_its_scenario():
     assert set(shown) <= set(records)
 
 
+@pytest.mark.only_compiled
 def test_a_record_of_a_stand_is_simulate_and_calibrate(tmp_path, capsys):
     """``piga simulate`` and ``piga calibrate``, with the seed of the record, give the same bits."""
     written(tmp_path, STAND, "stand.toml")
@@ -110,6 +111,7 @@ def test_a_record_of_a_stand_is_simulate_and_calibrate(tmp_path, capsys):
     assert [c.value for c in twice.coefficients] == row["value"]
 
 
+@pytest.mark.only_compiled
 def test_bound_of_a_stand_is_that_of_known_noise(tmp_path):
     """The bound is there for the first repeat only, and close to the standard uncertainty that the record itself gives."""
     written(tmp_path, STAND.replace('dwell = "6 s"', 'dwell = "30 s"'), "stand.toml")
@@ -189,6 +191,7 @@ def archive(tmp_path_factory):
 TEXT = '[campaign]\nrecords_per_shard = 2\n[archive]\nruns = "runs/*/run.toml"\nstore = "records.sqlite"\n'
 
 
+@pytest.mark.only_compiled
 def test_archive_against_the_store(archive, tmp_path):
     computed(written(archive, TEXT), tmp_path / "out")
     found = document(collect(open_campaign(tmp_path / "out")))
@@ -206,6 +209,7 @@ def test_archive_against_the_store(archive, tmp_path):
     assert "1 records are not in the store" in page
 
 
+@pytest.mark.only_compiled
 def test_archive_that_changed(archive, tmp_path):
     """A stored value that differs is seen, and so is a run file that changes after the plan."""
     path = written(archive, TEXT)
@@ -230,6 +234,7 @@ def test_archive_that_changed(archive, tmp_path):
     assert any("changed since the campaign was planned" in f["message"] for f in found["failures"])
 
 
+@pytest.mark.only_compiled
 def test_terms_of_an_archive(archive, tmp_path):
     computed(written(archive, TEXT + 'terms = ["scale_factor", "k0"]\n'), tmp_path / "out")
     found = document(collect(open_campaign(tmp_path / "out")))["groups"][0]
@@ -238,6 +243,7 @@ def test_terms_of_an_archive(archive, tmp_path):
     assert math.isfinite(found["coefficients"][1]["largest_z"])
 
 
+@pytest.mark.only_compiled
 def test_store_that_is_missing(archive, tmp_path):
     from piga.errors import PigaError
 

@@ -32,6 +32,7 @@ except DataError as error:
 """
 
 
+@pytest.mark.only_compiled
 @pytest.mark.skipif(sys.platform != "linux", reason="address space is limited there only")
 def test_more_memory_than_there_is(tmp_path: Path) -> None:
     """A dataset of 1.5 GiB in a file with a hole of that size, read where the system gives 1.3 GiB to a process."""

@@ -56,6 +56,7 @@ def test_keep_and_reproduce(tmp_path: Path) -> None:
     assert verify(tmp_path / "lab.sqlite").sound
 
 
+@pytest.mark.only_compiled
 def test_reproduce_needs_nothing_but_the_store(tmp_path: Path) -> None:
     run = (
         small_run(tmp_path / "deep" / "er", "../logs/run.csv")
@@ -201,6 +202,7 @@ def test_comparison_knows_bits_rounding_and_difference(calibration: piga.Calibra
     assert not compare_calibrations(calibration, other).agrees
 
 
+@pytest.mark.only_compiled
 def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One unit in the last place: different here, within tolerance where the software is another."""
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:

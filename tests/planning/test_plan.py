@@ -418,6 +418,7 @@ def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
         assert_variance(square, REPEATS, name)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("terms", ['"scale_factor", "tan_beta", "k0"', '"scale_factor", "k0"'])
 def test_a_given_servo_is_a_source_of_the_plan(tmp_path, terms):
     """An error of 2 % of the integral gain moves K by 2 % of the servo's part; without a table nothing moves it."""

@@ -64,7 +64,7 @@ def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: p
     assert_same(whole, outcome(path))
 
 
-@settings(QUICK, max_examples=60)
+@settings(QUICK, max_examples=25)
 @given(seed=st.integers(0, 2**32), piece=st.integers(20, 500), block=st.integers(2, 50), disk=st.booleans())
 def test_any_size_of_pieces(
     tmp_path_factory: pytest.TempPathFactory, seed: int, piece: int, block: int, disk: bool
@@ -114,7 +114,7 @@ def edit(rows: list[str], draw: random.Random) -> None:
 
 def test_mutated_text_in_small_pieces(tmp_path: Path) -> None:
     draw, path = seeded(9), tmp_path / "log.csv"
-    for _ in range(800):
+    for _ in range(300):
         path.write_bytes(mutated(LOG, draw))
         mask = draw.random() < 0.5
         assert taken(path, 1 << 20, mask=mask) == taken(path, draw.randint(20, 200), mask=mask)

@@ -100,6 +100,7 @@ def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
 
 
+@pytest.mark.only_compiled
 def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
     monkeypatch.setattr("piga.workbench.jobs.MOST_KEPT", 1)

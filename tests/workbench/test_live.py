@@ -52,6 +52,7 @@ def test_a_stream_shows_what_the_whole_record_gives(calibration: Path) -> None:
     assert np.abs(rows[1:, 3] - 0.5 * (run.f[1:, 0] + run.f[:-1, 0])).max() < 1e-4
 
 
+@pytest.mark.only_compiled
 def test_thinning_keeps_the_extremes(calibration: Path) -> None:
     live = Live(calibration)
     live.read(io.StringIO(lines(record())))
@@ -62,6 +63,7 @@ def test_thinning_keeps_the_extremes(calibration: Path) -> None:
     assert live.latest(10.0, 10**6)[0, 0] >= record().t[-1] - 10.0
 
 
+@pytest.mark.only_compiled
 def test_a_long_stream_keeps_its_latest_rows(calibration: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("piga.workbench.live.KEPT", 300)
     live = Live(calibration)

@@ -100,6 +100,7 @@ def test_head_gives_every_coefficient_back(method):
         assert found.history["servo"][-1] == pytest.approx(found["servo"].value, rel=1e-6)
 
 
+@pytest.mark.only_compiled
 def test_turning_base_and_the_pulling_across_it():
     base = np.tile([0.1, -0.3, 0.25], (8, 1)) * np.linspace(0.5, 1.0, 8)[:, None]
     found = calibrate(given(recorded(head(8), seconds=8.0, base=base)), TERMS)
@@ -253,6 +254,7 @@ def on_a_head(terms, s=STIFFNESS, positions=12):
     return calibrate(given(run, angle="2e-7 rad"), terms)
 
 
+@pytest.mark.only_compiled
 def test_doing_nothing_holds_both_meanings_of_a_cube():
     found = on_a_head(TERMS[:5])
     scale = found["scale_factor"]
@@ -280,6 +282,7 @@ def test_a_sound_record_has_no_such_row():
     assert not found.diagnostics.missing_terms
 
 
+@pytest.mark.only_compiled
 def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     found = on_a_head([*TERMS[:5], "k3"], positions=8)
     note = next(note for note in found.notes if "k3 may as well be the servo" in note)
@@ -296,6 +299,7 @@ def test_an_asked_k3_is_said_to_be_a_choice_and_k_holds_both():
     assert not any(size for key, size in row.contributions.items() if key != "scale_factor")
 
 
+@pytest.mark.only_compiled
 def test_an_asked_k3_beside_a_given_servo_means_itself():
     stiff = replace(SERVO[0], value=1e5, standard=0.0)
     run = replace(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), servo=(stiff, SERVO[2]))
@@ -321,6 +325,7 @@ def test_phi_holds_the_damping_that_the_model_lacks():
     assert whole["phi"].std < 0.3 * phi.std
 
 
+@pytest.mark.only_compiled
 def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
     run = given(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), angle="2e-7 rad")
     found = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])

@@ -41,6 +41,7 @@ def increments_covariance(noise: Noise, steps: int, h: float) -> np.ndarray:
     return found
 
 
+@pytest.mark.only_compiled
 @pytest.mark.compiled
 def test_slowest_value_bounds_the_walks_that_are_covariances() -> None:
     """Dense: just above minus the bound the covariance of the increments is positive definite, just below not."""
@@ -53,6 +54,7 @@ def test_slowest_value_bounds_the_walks_that_are_covariances() -> None:
     assert least[0] > 0.0 > least[1]
 
 
+@pytest.mark.only_compiled
 @pytest.mark.compiled
 @pytest.mark.parametrize(("share", "weighted"), [(-0.6, 0.0), (0.8, 0.015)])
 def test_covariance_is_that_of_the_dense_matrix_with_the_weights_of_white_noise(
@@ -136,6 +138,7 @@ def test_a_calibration_has_it() -> None:
     assert abs(fit.levels.walk) > 0.02 * slowest(fit) * fit.noise.white
 
 
+@pytest.mark.only_compiled
 @pytest.mark.compiled
 def test_information_is_that_of_the_dense_restricted_likelihood() -> None:
     """``tr(P V_i P V_j)/2`` with dense matrices, at a negative walk."""
@@ -165,6 +168,7 @@ def test_too_few_positions_say_nothing_of_a_faint_walk() -> None:
     assert include_faint_walk(fit) is fit
 
 
+@pytest.mark.only_compiled
 @pytest.mark.compiled
 def test_a_clear_walk_and_given_levels_stay_as_they_are() -> None:
     fit = fitted(SMALL, 3)

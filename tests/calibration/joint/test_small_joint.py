@@ -63,6 +63,7 @@ def test_two_small_runs_together(
     jsonschema.validate(json.loads(json.dumps(to_document(joint))), schema)
 
 
+@pytest.mark.only_compiled
 def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> None:
     kept = replace(runs[1], uncertainty=UncertaintyTable(reference_scale="10 ppm"))
     RunSummary.of(kept, FEW).to_json(tmp_path / "old.json")
@@ -83,6 +84,7 @@ def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> Non
     assert merged.segments[-1].label.startswith("spun:")
 
 
+@pytest.mark.only_compiled
 def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
     found = piga.calibrate(runs, FEW, per_run=["k0"])
     assert [c.key for c in found.coefficients] == ["scale_factor", "k0[run 1]", "k0[spun]", "k2"]
@@ -91,6 +93,7 @@ def test_a_coefficient_of_each_run(runs: list[piga.Run]) -> None:
     assert [c.key for c in again.coefficients][2:] == ["k2[run 1]", "k2[run 2]"]
 
 
+@pytest.mark.only_compiled
 def test_sources_that_runs_share(runs: list[piga.Run]) -> None:
     """10 ppm of one reference for both go into K undiminished, those of two references average."""
 
@@ -244,6 +247,7 @@ def turning(seed: int, **options: Any) -> piga.Run:
     )
 
 
+@pytest.mark.only_compiled
 def test_whole_turns_of_a_small_record() -> None:
     run = replace(turning(31), uncertainty=UncertaintyTable(reference_scale="20 ppm"))
     found = piga.calibrate(run, MEAN, "revolutions")
@@ -265,6 +269,7 @@ def test_positions_without_a_whole_turn() -> None:
         piga.calibrate(turning(34), ["scale_factor", "k0", "s2", "c2"], "revolutions")
 
 
+@pytest.mark.only_compiled
 def test_pulling_that_does_not_show_on_a_small_record() -> None:
     found = piga.calibrate(turning(35), [*MEAN, "tan_beta"], "revolutions")
     assert "tan_beta" not in {c.name for c in found.coefficients}

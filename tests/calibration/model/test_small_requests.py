@@ -58,6 +58,7 @@ def short(seed: int, **options: Any) -> piga.Run:
     return record(np.random.default_rng(seed), **({"seconds": 7.0, "rate": 2.0, "count": 4} | options))
 
 
+@pytest.mark.only_compiled
 def test_harmonics_without_a_coupling() -> None:
     """Their phase is that of the output zero, not one to be found: nothing turns with an angle that is estimated."""
     run = short(51)
@@ -70,6 +71,7 @@ def test_harmonics_without_a_coupling() -> None:
         assert abs(with_coupling[name].value) < 4.5 * with_coupling[name].std
 
 
+@pytest.mark.only_compiled
 def test_harmonics_by_monte_carlo() -> None:
     """Drawn and linear propagation agree where the model is nearly linear."""
     levels = {"angle_rms": "2.5e-5 rad", "angle_random_walk": "1e-6 rad/sqrt(s)"}
@@ -102,6 +104,7 @@ def test_the_published_recursion_from_another_start() -> None:
             piga.calibrate(replace(run, estimation=wrong), ["tan_beta"], "published")
 
 
+@pytest.mark.only_compiled
 def test_whole_turns_need_steady_positions_and_a_term() -> None:
     run = record(np.random.default_rng(53), seconds=45.0, rate=1.0, count=6, levels=(1.0,))
     with pytest.raises(piga.CalibrationError, match="needs a term besides tan_beta"):

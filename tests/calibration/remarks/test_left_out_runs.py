@@ -59,6 +59,7 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
     assert not is_of_reference(MEANING)
 
 
+@pytest.mark.only_compiled
 def test_two_heads_without_a_servo_have_no_such_row():
     found = calibrate(two_heads(s=0.0, d=0.0), PLAIN)
     assert [row.type for row in found.budget] == ["A"]

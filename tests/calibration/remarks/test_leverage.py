@@ -60,6 +60,7 @@ def test_leverages_add_up_to_the_number_of_parameters():
     assert sum(row.leverage for row in table.values()) == pytest.approx(5.0 + len(table), rel=1e-6)
 
 
+@pytest.mark.only_compiled
 def test_a_coefficient_that_rests_on_one_position_is_said():
     """Only segment 8 holds another |a_x|, so k2 is its."""
     forces = np.vstack([np.tile([[1.0, 0.0, 0.1], [-1.0, 0.0, 0.1]], (4, 1)), [[0.4, 0.0, 0.1]]])

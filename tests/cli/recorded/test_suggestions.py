@@ -45,6 +45,7 @@ def with_line(path: Path, table: str, line: str) -> Path:
     return changed
 
 
+@pytest.mark.only_compiled
 def test_a_sheet_of_several(tmp_path: Path) -> None:
     book = write_xlsx(tmp_path / "run.xlsx", columns(), title="log 2")
     book.create_sheet("notes")

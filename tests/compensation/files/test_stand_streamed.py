@@ -105,7 +105,7 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
 @pytest.mark.compiled
 @pytest.mark.parametrize("stand", STANDS)
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
-@pytest.mark.parametrize("chunk", [7, 37])
+@pytest.mark.parametrize("chunk", [pytest.param(7, marks=pytest.mark.only_compiled), 37])
 def test_every_stand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand: str, kind: str, chunk: int
 ) -> None:
@@ -131,7 +131,7 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("chunk", [37, 1000])
+@pytest.mark.parametrize("chunk", [37, pytest.param(1000, marks=pytest.mark.only_compiled)])
 def test_every_kind_of_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, chunk: int
 ) -> None:
@@ -141,6 +141,7 @@ def test_every_kind_of_record(
     same(written(tmp_path, stand, **VARIANTS[variant]), tmp_path, monkeypatch, chunk)  # type: ignore[arg-type]
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("chunk", [37, 1000])
 def test_a_set_turns_with_its_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
     """Without a logged base rate that of the stand holds, however long the files are."""

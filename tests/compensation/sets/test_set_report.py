@@ -74,6 +74,7 @@ def test_the_page_of_a_set_says_type_a_only():
     assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("pieces", [1, 7])
 def test_outline_holds_misfits_corrections_and_flags(pieces):
     found, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200, pieces=pieces)
@@ -123,6 +124,7 @@ def test_page_says_what_contradicts_and_has_units_on_every_axis():
     assert "Three instruments fit any force exactly" in page_html(set_page(three, SetFacts(NAMES[:3], (), {})))
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("method", [None, "published"])
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_command_writes_the_page_of_a_set(tmp_path, monkeypatch, capsys, method, kind):

@@ -214,6 +214,7 @@ def test_one_sample_and_zero_force():
     assert propagate(INST, [0.0, 1.0], np.zeros((2, 3))) == pytest.approx([0.4, 0.4], abs=1e-16)
 
 
+@pytest.mark.only_compiled
 @pytest.mark.parametrize("with_rate", [False, True])
 def test_no_memory_is_taken_beside_the_output(with_rate):
     n = 20_000 if piga_jit_is_off() else 500_000

@@ -67,6 +67,7 @@ def test_equations_are_those_of_a_rigid_body(seed):
     assert out[4] in (0.0, pytest.approx(state[1] - RICH.pick_off_null))
 
 
+@pytest.mark.only_compiled
 def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
     """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
     p = replace(EXAMPLE, rate_gain=0.1, pick_off_null=2e-3, alpha0=0.3, float_inertia_z=3e-5)
@@ -228,6 +229,7 @@ def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     assert math.hypot(fit[3], fit[4]) == pytest.approx(predicted_second_harmonic(p, a_t, w), rel=0.03)
 
 
+@pytest.mark.only_compiled
 def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     p = replace(EXAMPLE, integral_gain=0.0, proportional_gain=60.0)
     a_t, w = G0, EXAMPLE.K * 2 * G0

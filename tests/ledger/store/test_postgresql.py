@@ -154,6 +154,7 @@ def test_what_an_administrator_changed_is_found(socket: Path, change: str, probl
     assert any(problem in text for text in found.problems), found.problems
 
 
+@pytest.mark.only_compiled
 def test_between_the_two_databases(socket: Path, tmp_path: Path) -> None:
     """SQLite to PostgreSQL and back: the same chain, the same head."""
     with filled(tmp_path / "a.sqlite", 3, size=3_000_000) as store:
