@@ -84,7 +84,9 @@ def test(arguments: list[str]) -> None:
         call([python, "-m", "ruff", "format", "--check"])
         call([str(programs / "lint-imports")])
         smoke = [
-            path for path in sorted(ROOT.glob("tests/*/test_*.py")) if "mark.smoke" in path.read_text("utf-8")
+            path
+            for path in sorted((ROOT / "tests").rglob("test_*.py"))
+            if "mark.smoke" in path.read_text("utf-8")
         ]
         with subprocess.Popen([python, "-m", "mypy"], cwd=ROOT) as types:
             call([python, "-m", "pytest", "-n", "2", "-m", "smoke", *map(str, smoke)])
