@@ -1,4 +1,4 @@
-"""The pages of the workbench. Each module holds the routes of one page; its template lies beside it."""
+"""The pages of the workbench. Each module holds the routes of one page; ``workbench/templates`` has its template."""
 
 from __future__ import annotations
 

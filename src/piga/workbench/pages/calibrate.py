@@ -45,7 +45,7 @@ def show(request: Request) -> Response:
     adopted = _adopted_folder(bench, name)
     return render(
         request,
-        "calibrate.html.jinja",
+        "calibrate/calibrate.html.jinja",
         name=name,
         run_file=run_file,
         terms=[(term, UNITS[term], meaning_of(term), term in chosen) for term in known],
@@ -128,14 +128,16 @@ def result(request: Request) -> Response:
     values: dict[str, Any] = {"job": job, "status": status, "line": _shown_line(job), "name": job.subject}
     if status.state == "running":
         return render(
-            request, "job-part.html.jinja" if _is_part(request) else "result-wait.html.jinja", **values
+            request,
+            "jobs/job-part.html.jinja" if _is_part(request) else "calibrate/result-wait.html.jinja",
+            **values,
         )
     if _is_part(request):
         return redirect(request, request.url.path)
     if status.state != "done" or not (trial / "calibration.json").is_file():
         text = bench.jobs.text(job, "err")
-        return render(request, "result-failed.html.jinja", text=text, **values)
-    return render(request, "result.html.jinja", **_result_parts(trial), **values)
+        return render(request, "calibrate/result-failed.html.jinja", text=text, **values)
+    return render(request, "calibrate/result.html.jinja", **_result_parts(trial), **values)
 
 
 def _is_part(request: Request) -> bool:

@@ -66,8 +66,7 @@ def _environment() -> Any:
 
     def text(name: str) -> str:
         package = "piga.reports" if name == "blocks.html.jinja" else "piga.workbench"
-        folder = "templates" if package == "piga.reports" else "pages"
-        return resources.files(package).joinpath(folder, name).read_text(encoding="utf-8")
+        return resources.files(package).joinpath("templates", name).read_text(encoding="utf-8")
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(text), autoescape=True, trim_blocks=True, lstrip_blocks=True,

@@ -45,7 +45,9 @@ def _run_file_page(request: Request, name: str, text: str, message: str = "", co
     if checked is not None:
         status = bench.jobs.status(checked)
         values["check"] = (checked, status, bench.jobs.text(checked, "out"), bench.jobs.text(checked, "err"))
-    return render(request, "describe-run.html.jinja", code, name=name, text=text, message=message, **values)
+    return render(
+        request, "describe/describe-run.html.jinja", code, name=name, text=text, message=message, **values
+    )
 
 
 def _draft_page(request: Request, name: str, given: dict[str, str], message: str = "") -> Response:
@@ -56,7 +58,7 @@ def _draft_page(request: Request, name: str, given: dict[str, str], message: str
     draft, message = _draft(described, given, message)
     target = log.with_name(f"{log.name.split('.')[0]}.toml")
     return render(
-        request, "describe-log.html.jinja", name=name, described=described, preview=_preview(described),
+        request, "describe/describe-log.html.jinja", name=name, described=described, preview=_preview(described),
         draft=draft, given=given, message=message, target=folder.name(target), taken=target.exists(),
     )  # fmt: skip
 
@@ -174,7 +176,7 @@ async def sync(request: Request) -> Response:
         tables = form_fields(text)
     except PigaError as error:
         message, tables = str(error), {}
-    return render(request, "describe-both.html.jinja", text=text, tables=tables, message=message)
+    return render(request, "describe/describe-both.html.jinja", text=text, tables=tables, message=message)
 
 
 async def change(request: Request) -> Response:

@@ -71,12 +71,12 @@ def _values(request: Request) -> dict[str, float]:
 
 def show(request: Request) -> Response:
     """The page, with the figures of its first values or of those in the address."""
-    return _rendered(request, "explore.html.jinja")
+    return _rendered(request, "explore/explore.html.jinja")
 
 
 def picture(request: Request) -> Response:
     """The figures and numbers alone."""
-    return _rendered(request, "explore-part.html.jinja")
+    return _rendered(request, "explore/explore-part.html.jinja")
 
 
 def _rendered(request: Request, template: str) -> Response:

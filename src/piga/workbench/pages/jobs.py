@@ -34,7 +34,7 @@ def show_all(request: Request) -> Response:
     """The list of jobs."""
     bench = bench_of(request)
     jobs = [(job, bench.jobs.status(job)) for job in bench.jobs.all()]
-    return render(request, "jobs.html.jinja", jobs=jobs)
+    return render(request, "jobs/jobs.html.jinja", jobs=jobs)
 
 
 def show(request: Request) -> Response:
@@ -49,7 +49,7 @@ def show(request: Request) -> Response:
         "err": bench.jobs.text(job, "err"),
         "files": result_files(bench, job) if status.state == "done" else [],
     }
-    part = "job-part.html.jinja" if request.headers.get("hx-request") else "job.html.jinja"
+    part = "jobs/job-part.html.jinja" if request.headers.get("hx-request") else "jobs/job.html.jinja"
     response = render(request, part, **values)
     if request.headers.get("hx-request") and status.state != "running":
         response.headers["hx-refresh"] = "true"

@@ -20,12 +20,12 @@ MOST_WIDTH = 4096
 
 def show(request: Request) -> Response:
     """The page of the stream, or how to connect one."""
-    return render(request, "live.html.jinja", live=bench_of(request).live)
+    return render(request, "live/live.html.jinja", live=bench_of(request).live)
 
 
 def status(request: Request) -> Response:
     """State, rows and alarms; the page asks for them every second."""
-    return render(request, "live-part.html.jinja", live=bench_of(request).live, meaning=MEANING)
+    return render(request, "live/live-part.html.jinja", live=bench_of(request).live, meaning=MEANING)
 
 
 def data(request: Request) -> Response:

@@ -50,12 +50,12 @@ def show(request: Request) -> Response:
     if job is not None:
         status = bench.jobs.status(job)
         text = bench.jobs.text(job, "err") if status.state != "running" else ""
-        return render(request, "reading.html.jinja", name=name, job=job, status=status, text=text)
+        return render(request, "signals/reading.html.jinja", name=name, job=job, status=status, text=text)
     assert outline is not None  # noqa: S101  a record is read, or a job reads it
     groups: dict[str, list[Any]] = {}
     for signal in outline.signals:
         groups.setdefault(signal.group, []).append(signal)
-    return render(request, "signals.html.jinja", name=name, outline=outline, groups=groups)
+    return render(request, "signals/signals.html.jinja", name=name, outline=outline, groups=groups)
 
 
 def read_again(request: Request) -> Response:
