@@ -2,7 +2,7 @@
 
 from piga.describe.columns import ColumnGuess
 from piga.describe.draft import Question, RunFileDraft, draft_run_file, setting, try_run_file
-from piga.describe.guess import Guess
+from piga.describe.layout import Guess
 from piga.describe.log import LogDescription, describe_log
 from piga.describe.suggestions import Suggestion, suggestions
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from piga.describe.guess import Guess
 from piga.describe.names import fact, kind_of_name, known_unit
 from piga.errors import DataError
 from piga.formats.text.convention import INFINITE, LINE_END, MISSING, NO_UNIT, unit_text, units_in_names
@@ -20,6 +20,15 @@ SEPARATORS = ("\t", ";", "|", ",")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 _EMPTY = {*MISSING, *INFINITE}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A value, the reason for it in a few words, and the ``alternatives``, likelier ones first."""
+
+    value: Any
+    reason: str
+    alternatives: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import ColumnGuess, guess_columns
-from piga.describe.guess import Guess
-from piga.describe.layout import Layout, text_layout
+from piga.describe.layout import Guess, Layout, text_layout
 from piga.describe.names import kind_of_name
 from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream

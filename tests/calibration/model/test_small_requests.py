@@ -11,14 +11,20 @@ import numpy as np
 import pytest
 
 import piga
+from piga.calibration.model.request import make_request
 from piga.errors import RunFileError
 from piga.planning.plan_file import read_plan
+from piga.platform.model.scenario import load_scenario
 from piga.records.run_file import EstimationTable, UncertaintyTable
+from piga.records.terms import term_names
+from piga.stand.scenario import read_scenario
 from piga.units import G0
 from tests.calibration.made.scenarios_joint import joint_test
 from tests.calibration.made.synthetic import TERMS, record
 from tests.planning.cases import request
+from tests.records.files import lines, read
 
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 pytestmark = pytest.mark.compiled
 
 
@@ -124,3 +130,19 @@ def test_temperatures_of_reference_of_a_joint_calibration() -> None:
     other = replace(warm[1], model=msgspec.structs.replace(warm[1].model, temperature_reference="25 degC"))
     with pytest.raises(piga.CalibrationError, match="different temperatures of reference"):
         piga.calibrate([warm[0], other], ["scale_factor", "k0", "k0_T"])
+
+
+def test_one_text_is_a_list(tmp_path: Path) -> None:
+    run = read(tmp_path, lines())
+    for text in ("scale_factor,k0", "scale_factor k0", " scale_factor , k0 "):
+        assert term_names(text) == ("scale_factor", "k0")
+        assert make_request(run, text, None, None, None).terms == ("scale_factor", "k0")
+    with pytest.raises(piga.RunFileError, match="unknown term 'k99'"):
+        piga.calibrate(run, "scale_factor, k99")
+
+
+def test_scenario_paths_as_text() -> None:
+    assert read_scenario(str(EXAMPLES / "dividing-head.toml")).path == EXAMPLES / "dividing-head.toml"
+    assert load_scenario(str(EXAMPLES / "platform-moving.toml")) == load_scenario(
+        EXAMPLES / "platform-moving.toml"
+    )

@@ -21,6 +21,8 @@ from piga.calibration.noise.likelihood import Contrasts, estimate
 from piga.calibration.noise.rules import RULES, table
 from piga.calibration.noise.settings import NOISE
 from tests.calibration.made.scenarios import Array, Scenario, tumble
+from tests.results.conftest import TERMS as SHORT_TERMS
+from tests.results.conftest import a_run
 
 pytestmark = pytest.mark.compiled
 
@@ -212,3 +214,11 @@ def test_the_page_shows_the_rules_of_the_code() -> None:
     shown = page.split("<!-- rules: noise -->\n")[1].split("<!-- end -->")[0]
     assert shown == table(), "run python -m piga.calibration.noise.rules"
     assert [rule.component for rule in RULES] == list(COMPONENTS)
+
+
+def test_the_covariance_is_positive() -> None:
+    """A record whose level of the walk comes out negative; a correlation was 1.19."""
+    cal = piga.calibrate(a_run(), SHORT_TERMS)
+    assert cal.coloured_noise is not None
+    size = np.sqrt(np.diag(cal.covariance))
+    assert np.linalg.eigvalsh(cal.covariance / np.outer(size, size)).min() > 0.0
