@@ -116,12 +116,16 @@ def key_of(value: Any) -> Any:
 class ByValue:
     """Base of dataclasses that hold arrays. Equal means equal values, field by field; the hash fits.
 
-    A field with ``compare=False`` does not count. Declare such a dataclass with ``eq=False``.
+    A field with ``compare=False`` does not count. Declare such a dataclass with ``eq=False``. A result is not equal to an
+    array or a table: NumPy and pandas leave the comparison to the result, and do not compare element by element.
     """
+
+    __array_ufunc__ = None
+    __pandas_priority__ = 10_000
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
-            return NotImplemented
+            return False if hasattr(other, "__array__") else NotImplemented
         return same(self, other)
 
     def __hash__(self) -> int:

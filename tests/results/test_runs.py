@@ -111,6 +111,37 @@ def units_of(data) -> dict[str, str]:
     return units
 
 
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+@pytest.mark.parametrize("resolution", ["ns", "us", "ms"])
+def test_a_time_of_dates_counts_from_the_first_midnight(run, zone, resolution):
+    """Naive dates as they are, those with a zone in UTC; a row without a date is left out."""
+    clock = pd.Timestamp("2026-03-29 01:59:40", tz=zone) + pd.to_timedelta(run.t, unit="s")
+    table = pd.DataFrame(a_table(run) | {"ms": clock.as_unit(resolution)})
+    table.loc[10, "ms"] = pd.NaT
+    units = {name: unit for name, unit in UNITS.items() if name != "ms"}
+    made = piga.Run.from_dataframe(table, **(LAB | {"units": units}))
+    start = 3580.0 if zone else 7180.0
+    assert np.allclose(made.t, np.delete(run.t, 10) + start, rtol=0, atol=1e-9)
+    assert np.flatnonzero(made.begins).tolist() == [0, 10, 399]
+    with pytest.raises(
+        piga.ArgumentError, match="column 'ms' holds dates or durations\n  remedy: leave its unit out"
+    ):
+        piga.Run.from_dataframe(table, **LAB)
+
+
+def test_a_time_of_durations_is_in_seconds(run):
+    table = pl.DataFrame(a_table(run)).with_columns(ms=pl.Series((run.t * 1e6).round()).cast(pl.Duration("us")))
+    units = {name: unit for name, unit in UNITS.items() if name != "ms"}
+    made = piga.Run.from_dataframe(table, **(LAB | {"units": units}))
+    assert np.allclose(made.t, run.t, rtol=0, atol=1e-12)
+
+
+def test_an_array_of_records_is_a_table(run):
+    table = a_table(run)
+    made = piga.Run.from_dataframe(np.rec.fromarrays(list(table.values()), names=list(table)), **LAB)
+    assert made == piga.Run.from_dataframe(table, **LAB)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -125,6 +156,10 @@ def units_of(data) -> dict[str, str]:
         ({"model": {"term": ["k0"]}}, "model: Object contains unknown field"),
         ({"kind": "angles"}, "Invalid enum value"),
         ({"time": None}, "needs either time or sample_rate"),
+        ({"units": UNITS | {"Psi": "deg"}}, r"there is no column 'Psi'\n  remedy: the columns are: ms, psi"),
+        ({"reference": "fx"}, "reference: 'fx' is not three names"),
+        ({"reference": ["fx", "fy"]}, "is not three names of columns"),
+        ({"time": 0}, "time: 0 is not the name of a column"),
     ],
 )
 def test_a_wrong_description_is_refused(run, changes, said):

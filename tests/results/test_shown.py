@@ -143,7 +143,9 @@ def test_a_figure_is_drawn_on_given_axes(cal, run):
     assert cal.plot.allan(ax=single) is single.figure
     with pytest.raises(piga.ArgumentError, match="has 2 panels, ax has 1"):
         cal.plot.residuals(ax=single)
-    with pytest.raises(piga.ArgumentError, match="has 1 panels, ax has 1"):
+    with pytest.raises(
+        piga.ArgumentError, match="ax: a str is not an axes of Matplotlib\n  remedy: pass one axes"
+    ):
         cal.plot.allan(ax=["not axes"])
 
 
@@ -153,6 +155,28 @@ def test_a_figure_without_data_is_refused(cal):
     with pytest.raises(piga.CalibrationError, match="no data for the figure"):
         cal.plot.convergence()
     assert labelled(pickled(cal).plot.segments())
+
+
+def test_given_coefficients_say_nothing_of_residuals(tmp_path):
+    """There is no record, so there are no residuals, segments and methods to tell of."""
+    given = piga.Calibration.from_coefficients({"scale_factor": (0.8884, 1e-6), "k0": 1e-4})
+    assert "Coefficients of an instrument, given\n\n  coefficient" in given.summary()
+    assert "by given coefficients" in repr(given)
+    page = given.report(tmp_path / "given.html").read_text(encoding="utf-8")
+    for words in ("residual", "segment", "method information", "0 of 0"):
+        assert words not in given.summary()
+    assert "The coefficients were given, not estimated from a record." in page
+    assert "esidual angle, rms" not in page
+    for name, remedy in {"budget": "read a calibration.json that has a budget", "segments": "have no segments",
+                         "residuals": "calibrate a record", "convergence": "method='recursive'"}.items():  # fmt: skip
+        with pytest.raises(piga.CalibrationError, match=remedy):
+            getattr(given.plot, name)()
+
+
+def test_a_coefficient_shows_itself(cal):
+    html = cal["k0"]._repr_html_()
+    assert "95 % interval" in html
+    assert "bias" in html
 
 
 def test_runs_and_compensations_plot(run, cal):

@@ -7,8 +7,10 @@ import math
 import multiprocessing
 import pickle
 from dataclasses import dataclass, field, replace
+from unittest import mock
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import piga
@@ -37,6 +39,24 @@ def test_equal_means_equal_values():
     assert hash(held()) == hash(held(values=np.array([1, math.nan, 0.0])))
     assert held() == held(ignored=1)
     assert len({held(), held(), held(name="b")}) == 2
+
+
+@pytest.mark.parametrize(
+    "other",
+    [np.arange(3), np.float64(3.0), np.eye(2), pd.DataFrame({"a": [1, 2]}), pd.Series([1.0]), "x", None],
+)
+def test_a_result_is_not_an_array_or_a_table(run, cal, other):
+    """Neither side compares element by element: ``==`` is False, and a list of both can be searched."""
+    for result in (run, cal, cal["k0"], cal.budget, cal.residuals, held()):
+        assert (result == other) is False
+        assert (other == result) is False
+        assert (result != other) is True
+        assert result in [other, result]
+
+
+def test_what_equals_anything_still_does(cal):
+    assert cal == mock.ANY
+    assert cal.budget == mock.ANY
 
 
 @pytest.mark.parametrize(

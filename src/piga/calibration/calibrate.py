@@ -72,6 +72,7 @@ from piga.progress import Progress, Steps
 from piga.reading.signal_checks import largest_size
 from piga.records.calibration import (
     BudgetEntry,
+    BudgetTable,
     Calibration,
     Coefficient,
     ColouredNoise,
@@ -284,7 +285,7 @@ def _assemble(
         else ColouredNoise(fit.colour.name, fit.colour.rms, fit.colour.time, fit.colour.gain),
         condition=fit.examination.condition,
         notes=notes,
-        budget=budget,
+        budget=BudgetTable(budget),
         diagnostics=diagnose(
             residuals, plain, (partial(counted_products, fit.design, fit.noise, fit.mode, residuals),)
         ).with_scatter(segment_scatter(fit.design, residuals, fit.noise, fit.coloured_rms)),

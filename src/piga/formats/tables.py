@@ -19,6 +19,8 @@ from piga.results import Column, Tabular
 
 WHERE = Path("table")
 """Name of a table in memory, in messages."""
+REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
+"""Remedies for a column that is not there, and for one that holds no numbers."""
 
 
 # -- out -----------------------------------------------------------------------------------------------
@@ -115,7 +117,7 @@ class TableStream:
         self._table = as_arrow(table)
         self._numeric, self._label = tuple(numeric), label
         wanted = [*numeric, *([label] if label else [])]
-        check_columns(WHERE, self._table.schema, wanted, self._numeric)
+        check_columns(WHERE, self._table.schema, wanted, self._numeric, remedies=REMEDIES)
         self.units = units_of(self._table.schema, self._numeric)
         self.label_names: list[str] = []
         self._missed = MissingCount()
@@ -159,11 +161,35 @@ def as_arrow(table: object) -> Any:
     except ImportError:
         raise missing_package("pyarrow") from None
     try:
+        if isinstance(table, np.ndarray) and table.dtype.names:
+            table = {name: table[name] for name in table.dtype.names}
         if isinstance(table, Mapping):
             return pa.table({name: np.asarray(column) for name, column in table.items()})
         return pa.table(table)
     except (TypeError, ValueError, pa.ArrowException) as error:
         raise ArgumentError(
             f"table: a {type(table).__name__} does not give Arrow columns ({str(error).splitlines()[0]})",
-            remedy="pass a table of pandas, polars or pyarrow, or a dict of arrays",
+            remedy="pass a table of pandas, polars (a lazy one after collect()) or pyarrow, or a dict of arrays",
         ) from None
+
+
+def with_seconds(table: Any, name: str | None) -> tuple[Any, bool]:
+    """An Arrow table whose time column is in seconds, and whether it held dates or durations before.
+
+    Dates count from the first midnight, as time stamps of a file do; those with a time zone in UTC.
+    """
+    import pyarrow as pa
+
+    if name not in table.schema.names or table.schema.names.count(name) > 1:
+        return table, False
+    column = table[name].combine_chunks()
+    dated = pa.types.is_timestamp(column.type)
+    if not dated and not pa.types.is_duration(column.type):
+        return table, False
+    ticks = {"s": 1, "ms": 1000, "us": 1_000_000, "ns": 1_000_000_000}[column.type.unit]
+    missing = column.is_null().to_numpy(zero_copy_only=False)
+    count = column.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+    if dated and not missing.all():
+        count = count - count[~missing][0] // (86_400 * ticks) * (86_400 * ticks)
+    seconds = pa.array(count / ticks, mask=missing)
+    return table.set_column(table.schema.names.index(name), name, seconds), True

@@ -275,6 +275,14 @@ def _outline(result: Any) -> Any:
 # -- figures -------------------------------------------------------------------------------------------
 
 
+NO_FIGURE = {
+    "segments": "calibrate a record: these coefficients have no segments",
+    "budget": "calibrate a record, or read a calibration.json that has a budget",
+    "convergence": "calibrate in this process with method='recursive'",
+}
+"""What to do where a calibration lacks the data of a figure. All other figures need residuals."""
+
+
 def calibration_figure(cal: Any, name: str) -> Figure:
     """A figure of the calibration report.
 
@@ -289,7 +297,7 @@ def calibration_figure(cal: Any, name: str) -> Figure:
     if name == "segments":
         figure = drawn.segment_figure(cal) if cal.segments else None
     elif name == "budget":
-        figure = drawn.budget_figure(cal)
+        figure = drawn.budget_figure(cal) if cal.budget else None
     elif name == "convergence":
         figure = drawn.convergence_figure(cal) if cal.history is not None else None
     elif cal.residuals is not None and cal.residuals.t.size:
@@ -300,9 +308,9 @@ def calibration_figure(cal: Any, name: str) -> Figure:
     if figure is None:
         raise CalibrationError(
             f"plot.{name}: this calibration has no data for the figure",
-            remedy="calibrate the record in this process: calibration.json and pickles hold no residuals"
-            if cal.residuals is None
-            else "calibrate a record that has what the figure shows",
+            remedy=NO_FIGURE.get(name, "calibrate a record that has what the figure shows")
+            if cal.given or name in NO_FIGURE or cal.residuals is not None
+            else "calibrate the record in this process: calibration.json and pickles hold no residuals",
         )
     return figure
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from piga.errors import ArgumentError, RunFileError, UnitError
-from piga.formats.tables import WHERE, TableStream, stated_units
+from piga.formats.tables import WHERE, TableStream, as_arrow, stated_units, with_seconds
 from piga.reading.read_run import read_stream
 from piga.records.run import Run
 from piga.records.run_file import ModelTable, RunFile, check_run_file
@@ -47,17 +47,46 @@ def run_from_table(
     DataError
         If the columns do not hold what the description says.
     """
-    units = stated_units(table) | units
+    _check_names(columns)
+    own = stated_units(table)
+    arrow, timed = with_seconds(as_arrow(table), columns["time"])
+    unknown = [name for name in units if name not in arrow.schema.names]
+    if unknown:
+        raise ArgumentError(
+            f"units: there is no column '{unknown[0]}'",
+            remedy=f"the columns are: {', '.join(arrow.schema.names)}",
+        )
+    if timed and units.get(columns["time"], "s") != "s":
+        raise ArgumentError(
+            f"units: column '{columns['time']}' holds dates or durations", remedy="leave its unit out"
+        )
+    units = own | units | ({columns["time"]: "s"} if timed else {})
     try:
         run_file = msgspec.convert(tables | {"data": _data(columns, units)}, RunFile)
         check_run_file(run_file)
-        stream = TableStream(table, run_file.data.number_columns(), run_file.data.segment)
+        stream = TableStream(arrow, run_file.data.number_columns(), run_file.data.segment)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream, stand_reference)
     except msgspec.ValidationError as error:
         raise ArgumentError(f"{WHERE}: {error}", remedy="the arguments are those of a run file") from None
     except (RunFileError, UnitError) as error:
         raise ArgumentError(f"{WHERE}: {error.message}", remedy=error.remedy) from None
+
+
+def _check_names(columns: dict[str, Any]) -> None:
+    """Refuse column names that are not text, and a reference or base rate that is not three columns."""
+    for role in ("time", "output", "temperature", "segment"):
+        name = columns[role]
+        if name is not None and not isinstance(name, str):
+            raise ArgumentError(f"{role}: {name!r} is not the name of a column", remedy="names are text")
+    for role in ("reference", "base_rate"):
+        names = columns[role]
+        if names is None:
+            continue
+        if isinstance(names, str) or len(names) != 3 or not all(isinstance(name, str) for name in names):
+            raise ArgumentError(
+                f"{role}: {names!r} is not three names of columns", remedy="those along X0, Y0 and Z0, in order"
+            )
 
 
 def _data(columns: dict[str, Any], units: dict[str, str]) -> dict[str, Any]:

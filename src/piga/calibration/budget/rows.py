@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from piga.calibration.budget.uncertainty import SharedSource, Source, contributions
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import name_coefficients, solve
-from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient
+from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
 from piga.records.calibration.coverage import welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
@@ -218,7 +218,9 @@ def with_given_servo(
         terms=(*result.terms, *names),
         coefficients=(*result.coefficients, *given),
         covariance=covariance,
-        budget=tuple(_extended(row, given, change) for row, change in zip(result.budget, changes, strict=True)),
+        budget=BudgetTable(
+            tuple(_extended(row, given, change) for row, change in zip(result.budget, changes, strict=True))
+        ),
     )
 
 

@@ -26,6 +26,7 @@ from piga.calibration.model.solution import Estimate, Layout, name_parameters
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import (
     BudgetEntry,
+    BudgetTable,
     Calibration,
     Coefficient,
     Diagnostics,
@@ -462,7 +463,7 @@ def revolutions_result(
         quality=replace(quality, events=events),
         condition=fit.examination.condition,
         notes=notes,
-        budget=budget,
+        budget=BudgetTable(budget),
         diagnostics=Diagnostics(
             residual_kind="rate",
             range=validity_ranges(run),

@@ -30,6 +30,7 @@ from piga.calibration.model.identifiability import (
 )
 from piga.records.calibration import (
     BudgetEntry,
+    BudgetTable,
     Calibration,
     Diagnostics,
     Event,
@@ -94,7 +95,7 @@ def joint_result(
             *notes_on_runs(alone),
             *_notes_on_summaries(records),
         ),
-        budget=budget,
+        budget=BudgetTable(budget),
         diagnostics=(
             diagnose(residuals, plain, _products(parts)) if residuals is not None else plain
         ).with_scatter(scatter),

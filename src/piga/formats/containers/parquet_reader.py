@@ -134,23 +134,35 @@ def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
         ) from None
 
 
-def check_columns(path: Path, schema: Any, wanted: list[str], numeric: tuple[str, ...]) -> None:
-    """Refuse a schema without a wanted column, or with a number column of another type."""
+REMEDIES = ("correct the column name in [data]", "store it as double or integer")
+"""Remedies for a column that is not in a file, and for one that holds no numbers."""
+
+
+def check_columns(
+    path: Path,
+    schema: Any,
+    wanted: list[str],
+    numeric: tuple[str, ...],
+    *,
+    remedies: tuple[str, str] = REMEDIES,
+) -> None:
+    """Refuse a schema without a wanted column, or with a number column of another type.
+
+    ``remedies`` are those for a column that is not there, and for one that holds no numbers.
+    """
     import pyarrow as pa
 
     for name in wanted:
         if name not in schema.names:
             raise DataError(
                 f"{path}: no column '{name}'; the columns are: {', '.join(schema.names)}",
-                remedy="correct the column name in [data]",
+                remedy=remedies[0],
             )
         if schema.names.count(name) > 1:
             raise DataError(f"{path}: duplicate column name '{name}'", remedy="rename one of them")
         kind = schema.field(name).type
         if name in numeric and not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
-            raise DataError(
-                f"{path}: column '{name}' holds {kind}, not numbers", remedy="store it as double or integer"
-            )
+            raise DataError(f"{path}: column '{name}' holds {kind}, not numbers", remedy=remedies[1])
 
 
 def units_of(schema: Any, numeric: tuple[str, ...]) -> dict[str, str]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, overload
 
 import numpy as np
 from msgspec import Meta
 
 from piga.records.calibration.coefficient import Coefficient
-from piga.results import MOST_LINES, Column, Result, Tabular, first_lines, html_of, shortened
+from piga.results import MOST_LINES, ByValue, Column, Result, Tabular, first_lines, html_of, shortened
 
 Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
 """Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
@@ -74,10 +75,28 @@ class BudgetEntry(Result):
         return document
 
 
-class BudgetTable(tuple[BudgetEntry, ...], Tabular):
-    """The uncertainty budget: its sources in order. As a table it has one row for each source and coefficient."""
+@dataclass(frozen=True, eq=False, repr=False)
+class BudgetTable(ByValue, Tabular):
+    """The uncertainty budget: its sources in order. As a table it has one row for each source and coefficient.
 
-    __slots__ = ()
+    It is iterated and indexed as a tuple of :class:`BudgetEntry` is. It is not a tuple itself, because tools that read
+    Arrow take a tuple for rows.
+    """
+
+    entries: tuple[BudgetEntry, ...] = ()
+
+    def __iter__(self) -> Iterator[BudgetEntry]:
+        return iter(self.entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> BudgetEntry: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[BudgetEntry, ...]: ...
+    def __getitem__(self, index: int | slice) -> BudgetEntry | tuple[BudgetEntry, ...]:
+        return self.entries[index]
 
     def __repr__(self) -> str:
         rows = [f"{entry.source}, type {entry.type}, {entry.distribution}" for entry in self]

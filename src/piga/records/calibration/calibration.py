@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.records.calibration.budget import BudgetEntry, BudgetTable, TypeB
+from piga.records.calibration.budget import BudgetTable, TypeB
 from piga.records.calibration.coefficient import Coefficient, rounded
 from piga.records.calibration.coverage import TYPE_A_ONLY, is_of_reference
 from piga.records.calibration.diagnostics import ColouredNoise, Diagnostics
@@ -169,7 +169,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     quality: Quality
     condition: float
     notes: tuple[str, ...]
-    budget: tuple[BudgetEntry, ...]
+    budget: BudgetTable
     diagnostics: Diagnostics
     segments: tuple[SegmentSummary, ...]
     provenance: Provenance
@@ -185,7 +185,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "budget", BudgetTable(self.budget))
+        if not isinstance(self.budget, BudgetTable):
+            object.__setattr__(self, "budget", BudgetTable(tuple(self.budget)))
 
     @property
     def type_a_only(self) -> bool:
@@ -205,9 +206,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         return verdict(self)
 
     def __repr__(self) -> str:
-        named = (
-            f"<Calibration of {self.serial or 'an instrument'} by method {self.method}, standard uncertainties"
-        )
+        made = "given coefficients" if self.given else f"method {self.method}"
+        named = f"<Calibration of {self.serial or 'an instrument'} by {made}, standard uncertainties"
         rows = [f"{c.key} = {rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients]
         judged = self.verdict
         doubts = [f"  does not hold: {doubt.words}" for doubt in judged.doubts]
@@ -404,7 +404,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             phase=record.phase,
             angle_rms=record.angle_rms,
             angle_random_walk=record.angle_random_walk,
-            budget=tuple(row.renamed(names) for row in self.budget),
+            budget=BudgetTable(tuple(row.renamed(names) for row in self.budget)),
             residuals=None,
             runs=(),
         )

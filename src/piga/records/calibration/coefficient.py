@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from piga.records.calibration.coverage import Coverage, coverage
-from piga.results import ByValue
+from piga.results import ByValue, html_of
 
 LOOSE_PHASE = 0.5
 """A phase with a standard uncertainty [rad] above this counts as not determined."""
@@ -146,6 +146,9 @@ class Coefficient(ByValue):
     def limits(self) -> tuple[float, float]:
         """Ends of the 95 % coverage interval."""
         return self.coverage.low, self.coverage.high
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
 
 
 def rounded(c: Coefficient) -> str:

@@ -19,6 +19,7 @@ from piga.errors import CalibrationError, PigaError, UnitError
 from piga.output import settle
 from piga.records.calibration import (
     BudgetEntry,
+    BudgetTable,
     Calibration,
     CalibrationFigures,
     Coefficient,
@@ -338,7 +339,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         condition=math.inf if condition is None else condition,
         notes=document.identifiability.notes,
         remarks=document.identifiability.remarks,
-        budget=document.uncertainty_budget,
+        budget=BudgetTable(document.uncertainty_budget),
         diagnostics=document.diagnostics,
         segments=document.segments,
         provenance=_provenance(document.provenance),

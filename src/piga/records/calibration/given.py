@@ -13,7 +13,15 @@ from numpy.typing import ArrayLike
 
 from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError
-from piga.records.calibration import Calibration, Coefficient, Diagnostics, Given, Provenance, Quality
+from piga.records.calibration import (
+    BudgetTable,
+    Calibration,
+    Coefficient,
+    Diagnostics,
+    Given,
+    Provenance,
+    Quality,
+)
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import PHASE_SOURCES
 from piga.records.terms import check_name, unit_of
@@ -65,7 +73,7 @@ def calibration_of(
         quality=Quality(0, 0, 0),
         condition=math.inf,
         notes=("the coefficients were given, not estimated from a record: nothing tests them here",),
-        budget=(),
+        budget=BudgetTable(),
         diagnostics=Diagnostics(),
         segments=(),
         provenance=Provenance({}, f"piga {__version__}", dt.datetime.now(dt.UTC).isoformat(timespec="seconds")),

@@ -92,14 +92,20 @@ def segments_in_words(cal: Calibration) -> str:
 def calibration_text(cal: Calibration) -> str:
     """Summary for the terminal: aligned plain ASCII text, one coefficient a line."""
     used = f"{cal.quality.used} of {cal.quality.rows}"
+    name = cal.serial or "an instrument"
+    made = [
+        f"Calibration of {name} from {files_in_words(cal)}",
+        f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
+        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
+    ]
     head = [
         *_wrapped(cal.verdict.lines()),
         "",
-        f"Calibration of {cal.serial} from {files_in_words(cal)}",
-        f"  {segments_in_words(cal)}, {period_in_words(total_duration(cal))}, {used} rows used",
-        f"  method {cal.method}, phase {cal.phase}, terms {' '.join(cal.terms)}",
+        *([f"Coefficients of {name}, given"] if cal.given else made),
         "",
     ]
+    if cal.given:
+        return "\n".join([*head, *_text_table(cal)])
     return "\n".join(
         [
             *[*head, *_text_table(cal), "", *_text_figures(cal)],
@@ -232,21 +238,25 @@ def calibration_page(cal: Calibration) -> Page:
     """The report of the calibration ``cal`` as a page."""
     figures = {figure.key: figure for figure in calibration_figures(cal)}
     sections = (
-        _tested(cal),
-        *_runs(cal),
-        _coefficients(cal),
-        _residuals(figures),
-        *_convergence(figures),
-        _orders(figures),
-        _segments(cal, figures),
-        _budget(cal, budget_figure(cal)),
-        _identifiability(cal, figures),
-        *comparison_sections(cal),
-        _quality(cal, figures),
-        _provenance(cal),
+        (_tested(cal), _coefficients(cal), _provenance(cal))
+        if cal.given
+        else (
+            _tested(cal),
+            *_runs(cal),
+            _coefficients(cal),
+            _residuals(figures),
+            *_convergence(figures),
+            _orders(figures),
+            _segments(cal, figures),
+            _budget(cal, budget_figure(cal)),
+            _identifiability(cal, figures),
+            *comparison_sections(cal),
+            _quality(cal, figures),
+            _provenance(cal),
+        )
     )
     return Page(
-        title=f"Calibration of {cal.serial}",
+        title=f"Calibration of {cal.serial or 'an instrument'}",
         subtitle=_subtitle(cal),
         tiles=_tiles(cal),
         sections=sections,
@@ -258,6 +268,8 @@ def calibration_page(cal: Calibration) -> Page:
 
 
 def _subtitle(cal: Calibration) -> str:
+    if cal.given:
+        return "The coefficients were given, not estimated from a record."
     extent = f"{segments_in_words(cal)}, {period_in_words(total_duration(cal))}"
     return f"{files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used."
 
@@ -267,6 +279,8 @@ def _improvement(before: float, after: float) -> str:
 
 
 def _tiles(cal: Calibration) -> tuple[Tile, ...]:
+    if cal.given:
+        return tuple(_coefficient_tiles(cal))
     level = cal.verdict.level
     better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if level == "good" else ""
     quantity, unit = residual_quantity(cal)

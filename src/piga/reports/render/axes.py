@@ -48,10 +48,15 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
     if ax is None:
         return _new(figure)
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
-    if len(chosen) != len(figure.panels) or not all(isinstance(item, Axes) for item in chosen):
+    needed = len(figure.panels)
+    remedy = f"pass {needed} axes, e.g. those of plt.subplots({needed})" if needed > 1 else "pass one axes"
+    for item in chosen:
+        if not isinstance(item, Axes):
+            raise ArgumentError(f"ax: a {type(item).__name__} is not an axes of Matplotlib", remedy=remedy)
+    if len(chosen) != needed:
         raise ArgumentError(
-            f"ax: the figure '{figure.key}' has {len(figure.panels)} panels, ax has {len(chosen)}",
-            remedy=f"pass {len(figure.panels)} axes, e.g. those of plt.subplots({len(figure.panels)})",
+            f"ax: the figure '{figure.key}' has {needed} panel{'s' * (needed > 1)}, ax has {len(chosen)}",
+            remedy=remedy,
         )
     for panel, axes in zip(figure.panels, chosen, strict=True):
         _panel(panel, axes)
