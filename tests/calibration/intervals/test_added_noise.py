@@ -15,6 +15,7 @@ import piga
 from piga.calibration.intervals import included, slow_noise
 from piga.calibration.intervals.added_noise import AddedNoise
 from piga.calibration.intervals.slow_noise import include_slow_noise
+from piga.calibration.joint.joint_fit import evident_together
 from piga.calibration.joint.summary import RunSummary
 from piga.calibration.noise.settings import NOISE
 from piga.errors import CalibrationError
@@ -45,6 +46,31 @@ def lacking(calibration: piga.Calibration) -> set[str]:
 def by_hand() -> AddedNoise:
     first, second = np.array([[1.0, 2.0], [0.0, 1.0]]), np.array([[3.0, 0.0], [1.0, 1.0]])
     return AddedNoise("drift", 1.0, 1.0, True, (first, second))
+
+
+@pytest.mark.parametrize(
+    ("gains", "coloured"),
+    [((4.2,), True), ((5.0, 0.0), False), ((5.0, 1.0), True), ((3.9, 0.0, 3.0), True), ((6.0, 0.0, 0.0), False)],
+)
+def test_runs_show_coloured_noise_together_or_not(gains: tuple[float, ...], coloured: bool) -> None:
+    """The limit of n runs is that of one, 4, and 2 log n. Without the colour its walk comes in."""
+    plain = RunSummary.of(replace(WHITE, rate=2.0).record(np.random.default_rng(1)), WHITE.terms)
+    drift = by_hand()
+    summaries = [
+        replace(
+            plain,
+            added=(
+                drift,
+                replace(drift, name="flicker", gain=gain),
+                replace(drift, name="walk", gain=gain),
+                replace(drift, name="walk", otherwise=True),
+            ),
+        )
+        for gain in gains
+    ]
+    left = [("flicker", False), ("walk", False)] if coloured else [("walk", True)]
+    kept = [(noise.name, noise.otherwise) for noise in evident_together(summaries)[0].added]
+    assert kept == [("drift", False), *left]
 
 
 def test_one_noise_for_all_groups_or_one_for_each() -> None:

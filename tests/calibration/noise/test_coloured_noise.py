@@ -201,6 +201,23 @@ def test_a_joint_run_and_a_stored_one_carry_it(tmp_path) -> None:
 
 
 @pytest.mark.only_compiled
+def test_one_run_by_its_summary_has_the_degrees_of_freedom_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the likeliest component alone. Its walk and its level are uncertain together: the one is high where the other is low."""
+    kept = coloured_noise._candidates
+    monkeypatch.setattr(
+        coloured_noise, "_candidates", lambda *a: [max(kept(*a), key=lambda candidate: candidate.gain)]
+    )
+    run = FLICKER.record(np.random.default_rng([0, 24]))
+    alone, summary = piga.calibrate(run, TERMS), RunSummary.of(run, TERMS)
+    merged = piga.calibrate([summary], TERMS)
+    apart = replace(summary, added=tuple(replace(noise, shared=0.0) for noise in summary.added))
+    free = piga.calibrate([apart], TERMS)
+    for key in ("scale_factor", "k0", "k2", "m_Y"):
+        assert merged[key].degrees_of_freedom == pytest.approx(alone[key].degrees_of_freedom, rel=0.01)
+    assert merged["tan_beta"].degrees_of_freedom > 2.0 * free["tan_beta"].degrees_of_freedom
+
+
+@pytest.mark.only_compiled
 def test_the_record_keeps_it(tmp_path) -> None:
     result = piga.calibrate(FLICKER.record(np.random.default_rng([0, 24])), TERMS)
     result.to_json(tmp_path / "c.json")

@@ -70,7 +70,8 @@ class Colour:
     ``name`` is the likeliest component, ``variance`` its level, ``deviation`` the standard uncertainty of that, ``time``
     its correlation time [s] (0: it has none), ``gain`` the gain of twice the log-likelihood. ``walk`` [rad^2/s] is what
     is added to the random walk of the weights, ``rms`` [rad/s] the standard deviation of the rate of a part. ``degrees``
-    are the degrees of freedom of the coefficients.
+    are the degrees of freedom of the coefficients. ``walk_deviation`` is the standard uncertainty of ``walk``,
+    ``walk_shared`` its covariance with ``variance``.
     """
 
     name: str
@@ -81,6 +82,8 @@ class Colour:
     walk: float
     rms: float
     degrees: Array = field(repr=False)
+    walk_deviation: float = 0.0
+    walk_shared: float = 0.0
 
 
 @dataclass(frozen=True)

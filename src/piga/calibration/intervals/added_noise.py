@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit.one_run import Colour, Fit, whitened_rows
+from piga.calibration.fit.one_run import Colour, Fit, whitened_rows, without_slow
+from piga.calibration.intervals.faint_walk import include_faint_walk
 from piga.calibration.model.design import Design
 from piga.calibration.noise.components import RATES, RateBins
 from piga.calibration.noise.levels import Noise
@@ -28,7 +29,9 @@ class AddedNoise:
     """A noise that is in the covariance only: its variance (may be negative), the uncertainty of that, and its scores.
 
     ``scores`` (m, K) per phase group, for unit variance. ``together``: True if one noise acts on all groups, False if each
-    group has its own.
+    group has its own. ``shared`` is the covariance of its variance with that of the noise before it. ``gain`` is the gain of
+    twice the log-likelihood by the coloured noise of the run; 0 for other noise. ``otherwise``: True if the noise counts
+    only where the coloured noise of the run does not.
     """
 
     name: str
@@ -36,6 +39,9 @@ class AddedNoise:
     deviation: float
     together: bool
     scores: tuple[Array, ...] = field(repr=False)
+    shared: float = 0.0
+    gain: float = 0.0
+    otherwise: bool = False
 
     def select(self, held: tuple[str, ...], columns: tuple[str, ...]) -> AddedNoise:
         """The noise for some of the columns."""
@@ -73,11 +79,18 @@ def added_noise(fit: Fit, design: Design) -> tuple[AddedNoise, ...]:
         noises.append(AddedNoise(name, fit.noise.slow, fit.slow_deviation, True, scores))
     if fit.colour is not None:
         noises += _coloured(fit, fit.colour, design)
-    if fit.faint is not None:
-        deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
-        scores = _walk_scores(design, fit.mode, fit.weights, NOISE.degrees_probe * deviation)
-        noises.append(AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores))
-    return tuple(noises)
+        plain = include_faint_walk(without_slow(fit))
+        noises += [replace(noise, otherwise=True) for noise in _faint(plain, design)]
+    return (*noises, *_faint(fit, design))
+
+
+def _faint(fit: Fit, design: Design) -> list[AddedNoise]:
+    """A random walk that is not significant; empty without one."""
+    if fit.faint is None:
+        return []
+    deviation = float(np.sqrt(np.linalg.inv(fit.faint.information)[1, 1]))
+    scores = _walk_scores(design, fit.mode, fit.weights, NOISE.degrees_probe * deviation)
+    return [AddedNoise("walk", fit.faint.walk - fit.noise.walk, deviation, False, scores)]
 
 
 def _coloured(fit: Fit, colour: Colour, design: Design) -> list[AddedNoise]:
@@ -86,10 +99,11 @@ def _coloured(fit: Fit, colour: Colour, design: Design) -> list[AddedNoise]:
     root = _root(RATES[colour.name](bins, colour.time))
     weight = 1.0 / fit.sample_variance if fit.mode == "samples" else 1.0
     scores = tuple(weight * part for part in _grouped(_slow_scores(fit, design, bins, root), design.groups))
-    noises = [AddedNoise(colour.name, colour.variance, colour.deviation, True, scores)]
-    if colour.walk:
+    noises = [AddedNoise(colour.name, colour.variance, colour.deviation, True, scores, gain=colour.gain)]
+    if not bins.point:
         walk = _grouped(_slow_scores(fit, design, bins, _root(RATES["walk"](bins, 0.0))), design.groups)
-        noises.append(AddedNoise("walk", colour.walk, 0.0, True, walk))
+        deviation, shared = colour.walk_deviation, colour.walk_shared
+        noises.append(AddedNoise("walk", colour.walk, deviation, True, walk, shared, colour.gain))
     return noises
 
 

@@ -203,8 +203,16 @@ def _colour(bins: RateBins, best: _Candidate, degrees: Array) -> Colour:
     """The likeliest component."""
     level, deviation = float(best.levels.values[-1]), float(np.sqrt(best.levels.covariance[-1, -1]))
     rms = float(np.sqrt(level * np.diag(_rates(best.name, bins, best.time)).mean()))
-    walk = 0.0 if bins.point else float(best.levels.values[1])
-    return Colour(best.name, level, deviation, best.time, best.gain, walk, rms, degrees)
+    colour = Colour(best.name, level, deviation, best.time, best.gain, 0.0, rms, degrees)
+    if bins.point:
+        return colour
+    known = best.levels.covariance
+    return replace(
+        colour,
+        walk=float(best.levels.values[1]),
+        walk_deviation=float(np.sqrt(known[1, 1])),
+        walk_shared=float(known[1, -1]),
+    )
 
 
 def _named(fit: Fit, covariance: Array) -> Array:

@@ -7,6 +7,7 @@ no longer exist therefore takes part like any other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,6 +23,7 @@ from piga.calibration.model.identifiability import Examination, examine_parts, r
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import check_per_run, make_request
 from piga.calibration.model.solution import Estimate, Layout, Owner, name_parameters, solve_parts
+from piga.calibration.noise.settings import NOISE
 from piga.errors import ArgumentError, CalibrationError
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
@@ -138,6 +140,7 @@ def fit_jointly(
         live.append(prepared)
         summaries.append(summarise(prepared, own))
     _check_temperature(wish, summaries)
+    summaries = evident_together(summaries)
     merged = merge_runs(wish, summaries, live)
     scale_factor = _scale_factor(merged)
     stale = [
@@ -148,8 +151,25 @@ def fit_jointly(
     for i in stale:
         prepared_again = live[i]
         if prepared_again is not None:
-            summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
+            again = summarise(prepared_again, wish.terms_of(i), scale_factor)
+            kept = {(noise.name, noise.otherwise) for noise in summaries[i].added}
+            summaries[i] = replace(again, added=tuple(n for n in again.added if (n.name, n.otherwise) in kept))
     return merge_runs(wish, summaries, live) if stale else merged
+
+
+def evident_together(summaries: list[RunSummary]) -> list[RunSummary]:
+    """The runs with their coloured noise if they show it together, else with a random walk in its place.
+
+    Of n runs, one shows coloured noise by chance n times as often as a single run does. The runs are of one instrument.
+    So their gains together must exceed the limit of a run by ``2 log n``.
+    """
+    gains = [max((noise.gain for noise in summary.added), default=0.0) for summary in summaries]
+    coloured = sum(gains) >= NOISE.colour_in_covariance + 2.0 * math.log(len(summaries))
+
+    def taken(noise: AddedNoise) -> bool:
+        return not noise.otherwise if coloured else noise.gain == 0.0
+
+    return [replace(summary, added=tuple(filter(taken, summary.added))) for summary in summaries]
 
 
 def _wish(
@@ -462,9 +482,12 @@ def joint_degrees(fit: JointFit) -> Array:
         _, covariance = _named(fit.wish, fit.summaries, layout, estimate)
         known += ((np.diag(covariance) - now) / JOINT.noise_step) ** 2 / summary.degrees_of_freedom
     plain = solve_parts(layout, _parts(layout, shared, fit.summaries, fit.servo))
+    before = np.zeros(now.size)
     for noise, per_unit in _added(layout, shared, fit.summaries, plain, fit.servo):
-        _, share = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
-        known += 0.5 * (noise.deviation * np.diag(share)) ** 2
+        _, covariance = _named(fit.wish, fit.summaries, layout, replace(plain, covariance=per_unit))
+        share = np.diag(covariance)
+        known += 0.5 * (noise.deviation * share) ** 2 + noise.shared * share * before
+        before = share
     return now**2 / np.maximum(known, 1e-300)
 
 

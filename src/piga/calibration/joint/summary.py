@@ -88,7 +88,8 @@ class RunSummary(Result):
         Noise levels of this run, and how well the levels in the weights are known: the least degrees of freedom of
         its own coefficients.
     added:
-        Noise that is in the covariance but not in the weights of the rows.
+        Noise that is in the covariance but not in the weights of the rows. The runs together decide whether coloured
+        noise is among it.
     inner_scale_factor, turning:
         K inside the regressors; True if the regressors depend on it (a base rotation is recorded).
     labels, parts:
@@ -479,7 +480,8 @@ def _damages(summary: RunSummary) -> Iterator[str]:
             part.ndim == 2 and len(part) == len(own.names) and part.shape[1] == noise.scores[0].shape[1]
             for part, own in zip(noise.scores, summary.parts, strict=True)
         )
-        if not fits or not all(np.isfinite(part).all() for part in noise.scores):
+        finite = np.isfinite([noise.variance, noise.deviation, noise.shared, noise.gain]).all()
+        if not fits or not finite or not all(np.isfinite(part).all() for part in noise.scores):
             yield "added noise is"
 
 
