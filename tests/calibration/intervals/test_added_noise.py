@@ -50,7 +50,13 @@ def by_hand() -> AddedNoise:
 
 @pytest.mark.parametrize(
     ("gains", "coloured"),
-    [((4.2,), True), ((5.0, 0.0), False), ((5.0, 1.0), True), ((3.9, 0.0, 3.0), True), ((6.0, 0.0, 0.0), False)],
+    [
+        ((4.2,), True),
+        ((5.0, 0.0), False),
+        ((5.0, 1.0), True),
+        ((3.9, 0.0, 3.0), True),
+        ((6.0, 0.0, 0.0), False),
+    ],
 )
 def test_runs_show_coloured_noise_together_or_not(gains: tuple[float, ...], coloured: bool) -> None:
     """The limit of n runs is that of one, 4, and 2 log n. Without the colour its walk comes in."""
