@@ -71,7 +71,7 @@ def test_the_same_record(
     run = piga.read_run(run_file)
     assert spool.arrays_like(run.t).folder is not None
     assert spool.arrays_like(plain.t).folder is None
-    for name in ("t", "output", "f", "segment", "row", "begins"):
+    for name in ("t", "output", "f", "segment_index", "row", "begins"):
         np.testing.assert_array_equal(getattr(run, name), getattr(plain, name))
     assert run.quality == plain.quality
     assert sorted(path.name for path in run_file.parent.iterdir()) == ["run.csv", "run.toml"]
@@ -94,7 +94,7 @@ def test_rows_decide_what_is_on_disk(
         monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
         run = piga.read_run(run_file)
         assert (spool.arrays_like(run.t).folder is not None) == on_disk
-        for name in ("t", "output", "f", "segment", "row", "begins"):
+        for name in ("t", "output", "f", "segment_index", "row", "begins"):
             np.testing.assert_array_equal(getattr(run, name), getattr(plain, name))
 
 

@@ -93,7 +93,7 @@ def same(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) 
     whole = piga.compensate(record, calibration())
     small_chunks(monkeypatch, chunk)
     again = piga.read_run(path, held=0)
-    for name in ("t", "output", "f", "base_rate", "segment", "begins"):
+    for name in ("t", "output", "f", "base_rate", "segment_index", "begins"):
         assert getattr(again, name).tobytes() == getattr(record, name).tobytes(), name
     summary, _ = to_file(path, calibration(), folder / "o.parquet")
     table = pa.parquet.read_table(folder / "o.parquet")
